@@ -33,6 +33,7 @@ from .surfaces import (
     FLAKES,
     RECYCLED,
     SMALLEST_ALPHA,
+    TWICE,
     WAVINESS,
     WIDENED_ALPHA,
     Lobes,
@@ -49,7 +50,7 @@ __all__ = ["Block", "Rays", "Settings", "Sources", "trace_lines"]
 
 
 # what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
-_PIXEL, _TIME, _BODY, _COAT, _SECOND_LOBE, _SECOND, _SUN = 0, 1, 2, 3, 4, 6, 8
+_PIXEL, _TIME, _BODY, _COAT, _SECOND, _SUN = 0, 1, 2, 3, 4, 6
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
 _BEHIND = 64  # added to the number of a scattering: draws for the sun behind a plate
 _LOBES = 5  # codes that a sun adds at a surface
@@ -331,7 +332,7 @@ def _trace_sample(
     """Follow one ray of the camera, record what it gathers, and return the labels of its first hit."""
     geometry, surfaces, sources = scene
     u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
-    w, chosen = even_pair(place.key, place.sample, _TIME, place.mask)
+    w, _ = even_pair(place.key, place.sample, _TIME, place.mask)
     origin, direction = _camera_ray(rays, line, place.column, u, v, w)
     distance, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
     if face < 0:
@@ -346,8 +347,8 @@ def _trace_sample(
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
     _record_suns(scene, room, hit, lobes, codes, 1.0, place, 0)
     if lobes.refraction > 1.0:
-        v, w = even_pair(place.key, place.sample, _COAT, place.mask)
-        kind, local, weight = scatter_coat(lobes, v, w)
+        u, v = even_pair(place.key, place.sample, _COAT, place.mask)
+        kind, local, weight = scatter_coat(lobes, u, v)
         towards = from_frame(hit.coat_frame, local)
         if kind != ENDED and leaves(hit, towards):
             path = _Path(hit.point, towards, weight, codes.coat, 0, BLURRED_ALPHA)
@@ -355,15 +356,15 @@ def _trace_sample(
     if surfaces.through_factor[material] >= 0:  # a plate has no coat: its draws serve the side behind
         rear, through = behind(hit, point), _codes_behind(surfaces, material, 0, settings)
         _record_suns(scene, room, rear, lobes, through, 1.0, place, _BEHIND)
-        v, w = even_pair(place.key, place.sample, _COAT, place.mask)
-        kind, local, weight = scatter_body(surfaces.numbers, lobes, chosen, v, w)
+        u, v = even_pair(place.key, place.sample, _COAT, place.mask)
+        kind, local, weight = scatter_body(surfaces.numbers, lobes, u, v)
         towards = from_frame(rear.frame, local)
         if kind != ENDED and leaves(rear, towards):
             path = _Path(rear.point, towards, weight, through.base, 1, WIDENED_ALPHA)
             _follow(scene, room, path, place, settings, 1)
-    v, w = even_pair(place.key, place.sample, _BODY, place.mask)
-    kind, local, weight = scatter_body(surfaces.numbers, lobes, chosen, v, w)
-    code, spent = _code_of(codes, kind, 0, lobes.share, place, 0)
+    u, v = even_pair(place.key, place.sample, _BODY, place.mask)
+    kind, local, weight = scatter_body(surfaces.numbers, lobes, u, v)
+    code, spent = _code_of(codes, kind, 0)
     towards = from_frame(hit.frame, local)
     if kind != ENDED and code >= 0 and leaves(hit, towards):
         _follow(
@@ -394,18 +395,15 @@ def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settin
 
 
 @borrowing_kernel
-def _code_of(
-    codes: _Codes, kind: int, spent: int, share: float, place: _Place, bounce: int
-) -> tuple[int, int]:
+def _code_of(codes: _Codes, kind: int, spent: int) -> tuple[int, int]:
     """Return the code of the lobe that was followed, and how many factors it has then."""
     if kind == COAT:
         return codes.coat, spent
     if kind == FLAKES:
         return codes.flakes, spent + 1
-    if kind != RECYCLED:
-        return codes.base, spent + 1
-    _, _, _, u = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + bounce)
-    return codes.twice if u < share else codes.recycled, spent + 2
+    if kind == RECYCLED:
+        return codes.recycled, spent + 2
+    return (codes.twice, spent + 2) if kind == TWICE else (codes.base, spent + 1)
 
 
 @borrowing_kernel
@@ -433,19 +431,18 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
         turn = 2 * bounce + branch
         _record_suns(scene, room, hit, lobes, codes, beta, place, turn)
         if bounce == 1:
-            u, _ = even_pair(place.key, place.sample, _SECOND_LOBE + branch, place.mask)
-            v, w = even_pair(place.key, place.sample, _SECOND + branch, place.mask)
+            u, v = even_pair(place.key, place.sample, _SECOND + branch, place.mask)
         else:
-            u, v, w, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+            u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
         if surfaces.through_factor[material] >= 0:
             rear, through = behind(hit, point), _codes_behind(surfaces, material, code, settings)
             _record_suns(scene, room, rear, lobes, through, beta, place, turn + _BEHIND)
             beta *= 2.0  # one of both sides is followed
-            _, _, _, side = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+            _, _, side, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
             if side > 0.5:
                 hit, codes = rear, through
-        kind, local, weight = scatter(surfaces.numbers, lobes, u, v, w)
-        code, spent = _code_of(codes, kind, spent, lobes.share, place, turn)
+        kind, local, weight = scatter(surfaces.numbers, lobes, u, v)
+        code, spent = _code_of(codes, kind, spent)
         origin, direction = hit.point, from_frame(hit.frame, local)
         if kind == ENDED or code < 0 or not leaves(hit, direction):
             return

@@ -24,8 +24,8 @@ from hyperpaint.base.jit import borrowing_kernel
 from .vectors import Vector, dot, unit
 
 __all__ = [
-    "BASE", "BLURRED_ALPHA", "COAT", "ENDED", "FLAKES", "RECYCLED", "SMALLEST_ALPHA", "WAVINESS",
-    "WIDENED_ALPHA", "Lobes", "Surfaces", "facet_density", "facet_lambda", "fresnel", "lobes_at",
+    "BASE", "BLURRED_ALPHA", "COAT", "ENDED", "FLAKES", "RECYCLED", "SMALLEST_ALPHA", "TWICE",
+    "WAVINESS", "WIDENED_ALPHA", "Lobes", "Surfaces", "facet_density", "facet_lambda", "fresnel", "lobes_at",
     "refracted_cosine", "sample_cosine", "sample_facet", "scatter", "scatter_body", "scatter_coat",
     "sun_weights", "surfaces_of",
 ]  # fmt: skip
@@ -194,8 +194,8 @@ WIDENED_ALPHA = 0.3
 #: After a mirror reflection, likewise: the glint of one coat in another.
 BLURRED_ALPHA = 0.05
 
-#: What a path has followed.
-BASE, COAT, FLAKES, RECYCLED, ENDED = 0, 1, 2, 3, 4
+#: What a path has followed; light that flakes recycle meets the base next, or flakes once more.
+BASE, COAT, FLAKES, RECYCLED, TWICE, ENDED = 0, 1, 2, 3, 4, 5
 
 #: A base under a coat is followed with four times its fair chance against the coat: paints reflect that much.
 _BASE_PREFERENCE = 0.25
@@ -349,43 +349,44 @@ def _returned(numbers: Array, material: int, cosine: float, entered: float) -> f
 
 
 @borrowing_kernel
-def scatter(numbers: Array, lobes: Lobes, u: float, v: float, w: float) -> tuple[int, Vector, float]:
+def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
     """Return the lobe that a path follows, where to, and what its weight is multiplied by.
 
-    Directions along the coat are in its own frame.
+    Directions along the coat are in its own frame. Stretches of ``u`` belong to the lobes, and its place in
+    one is as even as the whole: points that cover a square evenly do so for the directions of each lobe.
     """
     chance = 0.0
     if lobes.refraction > 1.0:
         chance = (1.0 - lobes.passed) / (1.0 - lobes.passed + _BASE_PREFERENCE * lobes.passed)
     if u < chance:
-        kind, direction, weight = scatter_coat(lobes, v, w)
+        kind, direction, weight = scatter_coat(lobes, u / chance, v)
         return kind, direction, weight / chance
-    kind, direction, weight = scatter_body(numbers, lobes, (u - chance) / (1.0 - chance), v, w)
+    kind, direction, weight = scatter_body(numbers, lobes, (u - chance) / (1.0 - chance), v)
     return kind, direction, weight / (1.0 - chance)
 
 
 @borrowing_kernel
-def scatter_coat(lobes: Lobes, v: float, w: float) -> tuple[int, Vector, float]:
+def scatter_coat(lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
     """Return the same for the coat alone, followed for certain."""
-    direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, v, w)
+    direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, u, v)
     return COAT if weight > 0.0 else ENDED, direction, weight
 
 
 @borrowing_kernel
-def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float, w: float) -> tuple[int, Vector, float]:
+def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
     """Return the same for what lies under the coat: base, flakes or recycled light."""
-    if u < lobes.share * (1.0 - lobes.lost):
-        kind = FLAKES
-        direction, weight = _scatter_by_flakes(numbers, lobes, v, w)
-        weight *= lobes.passed / (1.0 - lobes.lost)
+    direct = lobes.share * (1.0 - lobes.lost)
+    twice = direct + lobes.share * (lobes.share - direct)
+    if u < direct:
+        direction, weight = _scatter_by_flakes(numbers, lobes, u / direct, v)
+        kind, weight = FLAKES, weight * lobes.passed / (1.0 - lobes.lost)
     elif u < lobes.share:
-        kind = RECYCLED
-        direction = sample_cosine(v, w)
+        kind, begin, end = (TWICE, direct, twice) if u < twice else (RECYCLED, twice, lobes.share)
+        direction = sample_cosine((u - begin) / (end - begin), v)
         entered = _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
         weight = lobes.passed * _returned(numbers, lobes.material, direction[2], entered)
     else:
-        kind = BASE
-        direction = sample_cosine(v, w)
+        kind, direction = BASE, sample_cosine((u - lobes.share) / (1.0 - lobes.share), v)
         weight = lobes.base * _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
     if direction[2] < _GRAZING or weight <= 0.0:
         kind = ENDED

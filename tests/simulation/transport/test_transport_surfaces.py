@@ -8,11 +8,9 @@ from support.transport_scenes import COMPILED, materials
 
 from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.transport.surfaces import (
-    BASE,
-    COAT,
     ENDED,
-    FLAKES,
     RECYCLED,
+    TWICE,
     WIDENED_ALPHA,
     Lobes,
     Surfaces,
@@ -205,15 +203,15 @@ def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool)
     count = 40000 if COMPILED else 1500
     sums = np.zeros(4)
     for number in range(count):
-        u, v, w = rng.uniform(size=3)
+        u, v = rng.uniform(size=2)
         u = (number + u) / count
         if apart:
-            ways = [scatter_coat(lobes, v, w), scatter_body(paint.numbers, lobes, u, v, w)]
+            ways = [scatter_coat(lobes, u, v), scatter_body(paint.numbers, lobes, u, v)]
         else:
-            ways = [scatter(paint.numbers, lobes, u, v, w)]
+            ways = [scatter(paint.numbers, lobes, u, v)]
         for kind, towards, weight in ways:
             if kind != ENDED:
-                sums[[BASE, COAT, FLAKES, RECYCLED].index(kind)] += weight
+                sums[RECYCLED if kind == TWICE else kind] += weight
                 assert np.linalg.norm(towards) == pytest.approx(1)
     n = 150 if COMPILED else 40
     c = (np.arange(n) + 0.5) / n
@@ -230,7 +228,7 @@ def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool)
 
 def test_paths_follow_a_coat_as_it_is_when_a_sun_sees_it_widened() -> None:
     paint, view = materials((1.5, 0.15), flakes=0.2), direction(50, 15)
-    for draw in np.random.default_rng(4).uniform(size=(20, 3)):
+    for draw in np.random.default_rng(4).uniform(size=(20, 2)):
         widened = scatter(paint.numbers, seen(paint, view, WIDENED_ALPHA), *draw)
         assert widened == scatter(paint.numbers, seen(paint, view), *draw)
 
