@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
+from hyperpaint.io.flightline.flightline_opening import BLANK_COUNT
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
 if TYPE_CHECKING:
@@ -56,14 +58,10 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
 def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> str:
     """Return why a cube does not go on where the one before ended; empty where it does."""
     first, second = lines[before], lines[name]
-    times, after = (line["time"].values.astype("datetime64[ns]") for line in (first, second))
-    # lines of lost frames are blank, without a time
-    timed, timed_after = (np.flatnonzero(~np.isnat(values)) for values in (times, after))
-    if timed.size < 2 or not timed_after.size:
+    apart = _apart(first, second)
+    if apart is None:
         return f"the times of {before} or {name} are not known"
-    period = np.median(np.diff(times[timed]).astype(np.int64) / np.diff(timed)).astype("timedelta64[ns]")
-    blank = int(times.size - 1 - timed[-1] + timed_after[0])
-    step = after[timed_after[0]] - times[timed[-1]] - blank * period
+    step, period = apart
     if not np.timedelta64(0) < step <= MAX_STEP_PERIODS * period:
         seconds, usual = step / np.timedelta64(1, "s"), period / np.timedelta64(1, "s")
         return f"{name} begins {seconds:.3g} s after {before} ended, where lines are {usual:.3g} s apart"
@@ -80,12 +78,56 @@ def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> st
     return f"{name} and {before} differ in {', '.join(different)}" if different else ""
 
 
+def _apart(first: xr.Dataset, second: xr.Dataset) -> tuple[np.timedelta64, np.timedelta64] | None:
+    """Return the time from the last line of a cube to the first of the next, and from line to line."""
+    times, after = (line["time"].values.astype("datetime64[ns]") for line in (first, second))
+    # lines of lost frames are blank, without a time
+    timed, timed_after = (np.flatnonzero(~np.isnat(values)) for values in (times, after))
+    if timed.size < 2 or not timed_after.size:
+        return None
+    period = np.median(np.diff(times[timed]).astype(np.int64) / np.diff(timed)).astype("timedelta64[ns]")
+    blank = int(times.size - 1 - timed[-1] + timed_after[0])
+    return after[timed_after[0]] - times[timed[-1]] - blank * period, period
+
+
+def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
+    """Return how many frames were lost between two cubes: by their numbers if they count on, else by time."""
+    by_number = int(second["frame"].values[0]) - int(first["frame"].values[-1]) - 1
+    if 0 <= by_number < MAX_STEP_PERIODS:
+        return by_number
+    apart = _apart(first, second)
+    return 0 if apart is None else max(0, round(float(apart[0] / apart[1])) - 1)
+
+
+def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
+    """Return lines of lost frames as cubes hold them: blank, without time and place, frames counted on."""
+    import xarray as xr
+
+    blank = before.isel({ALONG_TRACK: [-1] * count})
+    for name, variable in before.variables.items():
+        own = blank[name]
+        if ALONG_TRACK not in variable.dims or name == "exposure_time":
+            continue
+        if name == "frame":
+            own = own + np.arange(1, count + 1)
+        elif name == "counts":
+            own = xr.full_like(own, BLANK_COUNT)
+        else:
+            empty: Any = np.datetime64("NaT") if variable.dtype.kind == "M" else np.nan
+            own = xr.full_like(own, empty)
+        blank[name] = own.variable
+    return blank
+
+
 def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
     if len(lines) == 1:
         return lines[0]
     import xarray as xr
 
+    lost = [_frames_between(*pair) for pair in itertools.pairwise(lines)]
     bare = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
+    for place in reversed(np.flatnonzero(lost)):
+        bare.insert(place + 1, _blank_lines(bare[place], lost[place]))
     joined: xr.Dataset = xr.concat(
         bare, ALONG_TRACK, data_vars="minimal", coords="minimal", compat="override", join="override",
         combine_attrs="override",
@@ -97,12 +139,12 @@ def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Datase
             joined[name] = joined[name].chunk({ALONG_TRACK: variable.chunksizes[ALONG_TRACK][0]})
     if irradiance is not None:
         joined = joined.merge(cut_irradiance(irradiance, joined["time"].values), compat="override")
-    return joined.assign_attrs(_attrs(lines))
+    return joined.assign_attrs(_attrs(lines, sum(lost)))
 
 
-def _attrs(lines: list[xr.Dataset]) -> dict[str, Any]:
+def _attrs(lines: list[xr.Dataset], lost: int) -> dict[str, Any]:
     """Return the attributes that are those of all cubes together."""
     return {
         "source": ", ".join(str(line.attrs["source"]) for line in lines),
-        "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines),
+        "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines) + lost,
     }

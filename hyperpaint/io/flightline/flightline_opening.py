@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
     type_path = str | os.PathLike[str]
 
-__all__ = ["FlightlineInputs", "assemble", "open_flightline"]
+__all__ = ["BLANK_COUNT", "FlightlineInputs", "assemble", "open_flightline"]
 
 #: Difference between the wavelengths of header and calibration above which a warning is given [nm].
 _WAVELENGTH_TOLERANCE_NM = 0.5
-_BLANK = np.uint16(65535)
+BLANK_COUNT = np.uint16(65535)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -384,7 +384,7 @@ def _blank(
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
     if inside.size:
         block = block.copy()
-        block[inside] = _BLANK if block.dtype == np.uint16 else np.nan
+        block[inside] = BLANK_COUNT if block.dtype == np.uint16 else np.nan
     return block
 
 

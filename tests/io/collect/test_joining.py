@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -139,3 +140,40 @@ def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path
     }  # fmt: skip
     # regions of a line name it
     assert {line.attrs["name"] for line in lines.children.values()} == set(lines.children)
+
+
+def test_a_frame_lost_between_two_cubes_is_a_blank_line_as_within_one(
+    tmp_path: Path, whole: xr.Dataset
+) -> None:
+    """Against the flight in one cube, which lost the same frame."""
+    path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
+    folder = path.parent / "flight"
+    header = (folder / "raw_20.hdr").read_text(encoding="utf-8")
+    raw = (folder / "raw_20").read_bytes()
+    (folder / "raw_21").write_bytes(raw[len(raw) // 20 :])
+    (folder / "raw_21.hdr").write_text(re.sub(r"lines\s*=\s*20", "lines = 19", header), encoding="utf-8")
+    title, _, *rows = (folder / "frameIndex_20.txt").read_text(encoding="utf-8").splitlines(keepends=True)
+    (folder / "frameIndex_21.txt").write_text("".join([title, *rows]), encoding="utf-8")
+    for name in ("raw_20", "raw_20.hdr", "frameIndex_20.txt"):
+        (folder / name).unlink()
+    (line,) = hp.open_collect(with_lines(path, 'cube = "flight"'))["flightlines"].children.values()
+    assert line.attrs["dropped_frames"] == 1
+    assert line.sizes["along_track"] == 60
+    np.testing.assert_array_equal(line["along_track"], np.arange(60))
+    np.testing.assert_array_equal(line["frame"], whole["frame"])
+    there = np.arange(60) != 20
+    assert (line["counts"].values[20] == 65535).all()
+    for name in ("time", "latitude", "roll"):
+        assert pd.isna(line[name].values[20])
+    for name in ("counts", "time", "latitude", "roll"):
+        np.testing.assert_array_equal(line[name].values[there], whole[name].values[there])
+        assert line[name].dtype == whole[name].dtype
+    # as without a loss: in the tasks of the first cube
+    assert line["counts"].chunks == ((20, 20, 20), (8,), (6,))
+    # without numbers that count on, time says it
+    tree = hp.open_collect(with_lines(path, *(f'cube = "flight/raw_{n}.hdr"' for n in (0, 21, 40))))
+    own = {name: child.to_dataset() for name, child in tree["flightlines"].children.items()}
+    own = {name: each.assign_coords(frame=each.frame - each.frame[0]) for name, each in own.items()}
+    (joined,) = join_lines(own, None)
+    assert joined.line.attrs["dropped_frames"] == 1
+    np.testing.assert_array_equal(np.isnat(joined.line["time"].values), ~there)
