@@ -201,3 +201,28 @@ def test_levelling_finds_the_gains_of_lines() -> None:
         )
     with pytest.raises(SchemaError, match="no two overlap"):
         hp.geometry.mosaic({"a": lines["a"], "z": lines["z"]}, GSD, levelling="overlap")
+
+
+def test_a_band_without_overlap_is_levelled_as_its_neighbours() -> None:
+    """A band that one line lacks: no step in the spectra of either."""
+    waves = np.array([450.0, 500.0, 700.0, 750.0])
+    lines = {name: line for name, line in flown_lines().items() if name != "c"}
+    for name, gains in (("a", [0.9, 0.9, 0.9, 0.9]), ("b", [1.2, 1.2, 1.5, 1.5])):
+        cube = np.ones((90, 4, 50)) * np.array(gains)[:, None]
+        line = lines[name].assign(quality=(CUBE[::2], np.zeros((90, 50), np.uint16)))
+        lines[name] = line.assign(radiance=(CUBE, cube.astype(np.float32), line.radiance.attrs))
+        lines[name] = lines[name].assign_coords(wavelength=("band", waves, {"units": "nm"}))
+    whole = hp.geometry.mosaic(lines, GSD, levelling="overlap").compute()
+    assert "interpolated_bands" not in whole.levelling_factor.attrs
+    values = lines["b"].radiance.values.copy()
+    values[:, 1] = np.nan  # between two bands
+    values[:, 3] = -0.01  # beyond the last
+    holed = lines | {"b": lines["b"].assign(radiance=(CUBE, values, lines["b"].radiance.attrs))}
+    made = hp.geometry.mosaic(holed, GSD, levelling="overlap").compute()
+    factor, expected = made.levelling_factor, whole.levelling_factor
+    np.testing.assert_array_equal(factor[:, [0, 2]], expected[:, [0, 2]])
+    share = (500.0 - 450.0) / (700.0 - 450.0)
+    between = np.exp((1 - share) * np.log(expected[:, 0]) + share * np.log(expected[:, 2]))
+    np.testing.assert_allclose(factor[:, 1], between, rtol=1e-6)
+    np.testing.assert_array_equal(factor[:, 3], expected[:, 2])
+    assert factor.attrs["interpolated_bands"] == "a: 1, 3; b: 1, 3"

@@ -22,7 +22,7 @@ from hyperpaint.geometry.georeference import LOCATION_UNITS
 from hyperpaint.geometry.orthorectification import MapGrid
 from hyperpaint.io.store.layout import TILE as STORE_TILE
 
-from .levelling import LEVELLED_BY, overlap_factors
+from .levelling import LEVELLED_BY, Levelling, overlap_factors
 from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
 
 __all__ = ["mosaic"]
@@ -94,7 +94,8 @@ def mosaic(
         The variables (y, x[, band]) of the line that counts, never averaged, and unchanged but by levelling.
         ``flightline`` (y, x): its number, whose name ``flag_values`` and ``flag_meanings`` tell, -1 where no
         line shows a cell; ``line_count``: how many do; ``gap``: none does, but within the ends of a line;
-        ``levelling_factor`` (source, band), where asked for.
+        ``levelling_factor`` (source, band), where asked for; its attribute ``interpolated_bands`` names those
+        of which overlaps say nothing, and whose factors are from their neighbours.
         Sides of more than 256 cells begin at whole multiples of 128, as chunks of a store do.
         Otherwise as `hyperpaint.geometry.orthorectify`, whose ``nearest_line`` and ``nearest_sample`` are the
         pixel of that line.
@@ -238,11 +239,14 @@ class _Tiles:
         chunks = (rows, cols, *((size,) for size in bands))
         return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
-    def factors(self, variable: str) -> Array:
-        """Return what levels a cube (line, band), of its type."""
+    def levelling(self, variable: str) -> Levelling:
+        """Return what levels a cube, of its type."""
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
-        return overlap_factors(tiles, len(self.strips), first.shape[2]).astype(first.dtype)
+        wavelength = first.coords.get("wavelength")
+        own = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
+        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], own)
+        return levelling._replace(factors=levelling.factors.astype(first.dtype))
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         at = self.first[0] + place[0], self.first[1] + place[1]
@@ -318,8 +322,15 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
         variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
     factors = None
     if levelling is not None:
-        factors = tiles.factors(_cube_to_level(first, flat))
+        factors, interpolated = tiles.levelling(_cube_to_level(first, flat))
         about = {"units": "1", "long_name": "Factor of the spectra of a line, from its overlaps with others"}
+        if interpolated.any():
+            # of these bands overlaps say nothing; by line, numbers from 0
+            about["interpolated_bands"] = "; ".join(
+                f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
+                for strip, bands in zip(strips, interpolated, strict=True)
+                if bands.any()
+            )
         variables["levelling_factor"] = (("source", BAND), factors, about)
         variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
     for name in common:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import dask
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import SchemaError
 
 from .strips import Recipe
@@ -46,12 +46,25 @@ class _Ratio(NamedTuple):
     log_ratio: Floats  #: (band,): median of log(first / second); NaN where there are too few cells
 
 
-def overlap_factors(tiles: Iterable[dict[int, Recipe]], lines: int, bands: int) -> Floats:
-    """Return factors (line, band) by which lines agree where they overlap (eager, a tile at a time).
+class Levelling(NamedTuple):
+    """Factors, and which of them overlaps say."""
+
+    factors: Floats  #: (line, band) [1]
+    #: (line, band): whether a line that overlaps say something of has its factor from neighbouring bands
+    interpolated: Bools
+
+
+def overlap_factors(
+    tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
+) -> Levelling:
+    """Return factors by which lines agree where they overlap (eager, a tile at a time).
 
     ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Least squares on the
     logarithm of the medians of tiles, tiles that lie off counting less; unflagged cells alone. Lines that
     hang together by overlaps keep their mean logarithm; lines without enough overlap have the factor 1.
+    In a band that is not above 0 in one of two lines these do not overlap: a factor of 1 between those of its
+    neighbours would be a step in the spectrum, so that the logarithm is interpolated over ``wavelength``
+    (band,), or bands, line by line, and held beyond the outermost ones.
 
     Raises
     ------
@@ -72,13 +85,42 @@ def overlap_factors(tiles: Iterable[dict[int, Recipe]], lines: int, bands: int) 
         incidence[row, ratio.first], incidence[row, ratio.second] = -1.0, 1.0
     observed = np.stack([ratio.log_ratio for ratio in ratios])
     weights = np.sqrt(np.stack([ratio.cells for ratio in ratios]))
-    factors = np.ones((lines, bands))
+    # the lines that hang together by the overlaps of any band: in those of one band all of them must be tied
+    whole = _parts(incidence)
+    logs = np.zeros((lines, bands))
+    is_tied = np.zeros((lines, bands), bool)
     for band in range(bands):
         there = np.isfinite(observed[:, band])
         if there.any():
-            solution = _robust(incidence[there], observed[there, band], weights[there, band])
-            factors[:, band] = np.exp(solution)
-    return factors
+            logs[:, band] = _robust(incidence[there], observed[there, band], weights[there, band])
+            is_tied[:, band] = _of_whole_parts(_parts(incidence[there]), whole)
+    overlapping = np.abs(incidence).sum(axis=0) > 0.0
+    interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1)[:, None]
+    place = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
+    for line in np.flatnonzero(interpolated.any(axis=1)):
+        known = np.flatnonzero(~interpolated[line])
+        known = known[np.argsort(place[known], kind="stable")]
+        wanted = interpolated[line]
+        logs[line, wanted] = np.interp(place[wanted], place[known], logs[line, known])
+    return Levelling(np.exp(logs), interpolated)
+
+
+def _parts(incidence: Floats) -> Ints:
+    """Return the least number of the lines that each line hangs together with (line,)."""
+    parts = np.arange(incidence.shape[1])
+    pairs = np.argsort(-np.abs(incidence), axis=1, kind="stable")[:, :2]
+    for _ in range(parts.size):
+        before = parts.copy()
+        for first, second in np.unique(pairs, axis=0):
+            parts[[first, second]] = min(parts[first], parts[second])
+        if (parts == before).all():
+            break
+    return parts
+
+
+def _of_whole_parts(parts: Ints, whole: Ints) -> Bools:
+    """Tell of every line whether the lines that it hangs together with at all do so in this band."""
+    return np.array([np.unique(parts[whole == number]).size == 1 for number in whole])
 
 
 def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
