@@ -247,3 +247,23 @@ def test_a_line_with_poses_is_located_for_regions_of_a_map(flown: Flown, line: x
         assert (
             len(used(library, number) ^ inside(regions[number], flown)) <= 0.05 * library["n"].values[number]
         )
+
+
+def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.Dataset) -> None:
+    """GeoJSON as RFC 7946 has it, which names no reference system."""
+    pyproj = pytest.importorskip("pyproj")
+    turned = pyproj.Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
+    features = [
+        Region(one.name, np.stack(turned.transform(*one.polygon.T), axis=-1)).feature()
+        for one in drawn(flown)
+    ]
+    document = {"type": "FeatureCollection", "features": features}
+    with pytest.raises(SchemaError, match=r"holds no pixel of the line.*OGC:CRS84.*in the file"):
+        extract(line, document)
+    # as the error says
+    library = extract(line, {**document, "crs": "OGC:CRS84"})
+    assert (library["n"] > 50).all()
+    # what can be no degrees is not taken for them
+    with pytest.raises(SchemaError, match="holds no pixel") as caught:
+        extract(line, Region("far", [(500, 500), (600, 500), (600, 600)]))
+    assert "CRS84" not in str(caught.value)

@@ -360,6 +360,12 @@ def _reduce(
             progress(along.size + start, 2 * along.size)
 
 
+_DEGREES_WITHOUT_CRS = (
+    "they name no crs, and are taken for columns and lines: if they are longitude and latitude, say so by "
+    'Regions(..., coordinates="map", crs="OGC:CRS84"), or by "crs": "OGC:CRS84" beside "features" in the file'
+)
+
+
 # --- what can be said before anything is read --------------------------------------------------------------
 
 
@@ -385,9 +391,19 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
             places[position] = place
             if not place.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
-                problems.add(f"region {regions[position].name!r} holds no pixel of the line ({size})")
+                problems.add(
+                    f"region {regions[position].name!r} holds no pixel of the line ({size})",
+                    mend=_DEGREES_WITHOUT_CRS if _could_be_degrees(part) else "",
+                )
     problems.raise_if_any()
     return places
+
+
+def _could_be_degrees(regions: Regions) -> bool:
+    """Tell whether regions that are taken for the sensor's may be longitude and latitude, as in RFC 7946."""
+    low, high = np.array([-180.0, -90.0]), np.array([180.0, 90.0])
+    corners = np.concatenate([region.polygon for region in regions])
+    return regions.coordinates == "sensor" and bool(((corners >= low) & (corners <= high)).all())
 
 
 def _rounds(
