@@ -94,8 +94,8 @@ def overlap_factors(
         if there.any():
             logs[:, band] = _robust(incidence[there], observed[there, band], weights[there, band])
             is_tied[:, band] = _of_whole_parts(_parts(incidence[there]), whole)
-    overlapping = np.abs(incidence).sum(axis=0) > 0.0
-    interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1)[:, None]
+    overlapping: Bools = np.any(incidence != 0.0, axis=0)
+    interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
     place = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
     for line in np.flatnonzero(interpolated.any(axis=1)):
         known = np.flatnonzero(~interpolated[line])
