@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.units import convert
+from hyperpaint.base.units import convert, takes_quantities
 
 from .sky_functions import function_shapes, relative_radiance, scattering_cosine
 
@@ -20,6 +20,7 @@ FUNCTIONS = ("uniform", "molecular", "aureole")
 _FEWEST = 6  # directions
 
 
+@takes_quantities(sun_zenith="degree")
 def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     r"""Return the shares of the sky's functions that come nearest to a table of its radiance.
 

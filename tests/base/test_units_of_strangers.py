@@ -290,7 +290,13 @@ def test_times_angles_and_shares() -> None:
         {"wavelength": ("band", SECOND.Quantity(np.array([0.41, 0.85]), "um"))},
     )
     bare = paint.paint.remove_mirrored_sky(**sky)
-    np.testing.assert_allclose(bare.reflectance, [0.031, 0.03], atol=5e-4)
+    plain_paint = xr.Dataset(
+        {"reflectance": ("band", np.array([0.042, 0.033]), {"units": "1"})},
+        {"wavelength": ("band", np.array([410.0, 850.0]), {"units": "nm"})},
+    )
+    expected = plain_paint.paint.remove_mirrored_sky(sun_zenith=30.0)
+    np.testing.assert_allclose(bare.reflectance, expected.reflectance, atol=1e-7)
+    assert (bare.reflectance < [0.036, 0.032]).all()  # a sky was removed
     with pytest.raises(UnitsError, match="strength"):
         paint.paint.remove_mirrored_sky(strength=0.04 * u.m, **sky)
 

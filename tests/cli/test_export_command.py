@@ -118,6 +118,7 @@ SCENE = """
 kind = "car_park"
 length_m = 12.0
 seed = 3
+fleet = "solid"
 [platform]
 lines = 4
 columns = 4

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
@@ -22,6 +23,7 @@ __all__ = ["read_sixs"]
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
 
 
+@takes_quantities(sun_zenith="degree")
 def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     """Return light at the ground from the outputs of 6S, one monochromatic run a file.
 

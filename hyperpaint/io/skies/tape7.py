@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
@@ -25,6 +26,7 @@ _TWO_WORDS = (
 )  # fmt: skip
 
 
+@takes_quantities(sun_zenith="degree")
 def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Dataset:
     r"""Return light at the ground from a ``tape7`` in radiance mode (IEMSCT 2) over wavenumbers.
 

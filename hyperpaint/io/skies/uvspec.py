@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.base.units import conversion_factor
+from hyperpaint.base.units import conversion_factor, takes_quantities
 from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
@@ -21,6 +21,7 @@ __all__ = ["read_uvspec"]
 _COLUMNS = 7  # lambda edir edn eup uavgdir uavgdn uavgup
 
 
+@takes_quantities(sun_zenith="degree", sun_azimuth="degree")
 def read_uvspec(
     path: str | Path, *, sun_zenith: float, units: str, sun_azimuth: float = 0.0, directions: int = 0
 ) -> xr.Dataset:
