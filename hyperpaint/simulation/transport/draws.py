@@ -22,7 +22,7 @@ _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _STEP = 2.0**-32
 _PIXEL = 65536  # draw of the key of a pixel
 
-_0, _1, _2, _4, _8, _16, _31 = (np.uint64(count) for count in (0, 1, 2, 4, 8, 16, 31))
+_0, _1, _2, _4, _8, _16 = (np.uint64(count) for count in (0, 1, 2, 4, 8, 16))
 _15 = np.uint64(15)
 _ODD, _PAIRS, _NIBBLES, _BYTES = (np.uint64(m) for m in (0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF))
 _MIX_0, _MIX_1 = np.uint64(0x7FEB352D), np.uint64(0x846CA68B)
@@ -116,7 +116,7 @@ def even_pair(key: Any, sample: Any, draw: Any, mask: Any) -> tuple[float, float
     seed = _mixed((np.uint64(key) ^ (np.uint64(draw) * _WEYL_0)) & _MASK)
     place = _reversed(_scrambled(_reversed(np.uint64(sample)), seed)) & np.uint64(mask)
     first = _scrambled(place, _mixed(seed ^ _1))  # the radical inverse is the place itself, reversed
-    second = _scrambled(_reversed(_sobol(place)), _mixed(seed ^ _2))
+    second = _scrambled(_sobol_reversed(place), _mixed(seed ^ _2))
     return (np.float64(_reversed(first)) + 0.5) * _STEP, (np.float64(_reversed(second)) + 0.5) * _STEP
 
 
@@ -151,12 +151,14 @@ def _scrambled(x: Any, seed: Any) -> Any:
 
 
 @borrowing_kernel
-def _sobol(place: Any) -> Any:
-    """Return a number of the second dimension of Sobol's sequence, 32 bits."""
-    direction, word = _1 << _31, _0
-    while place > _0:
-        if place & _1:
-            word ^= direction
-        direction ^= direction >> _1
-        place >>= _1
-    return word
+def _sobol_reversed(place: Any) -> Any:
+    """Return a number of the second dimension of Sobol's sequence, its 32 bits in opposite order.
+
+    Its direction numbers are (1 + s)^k, s a shift by a bit: with the bits of the place as coefficients of a
+    polynomial, it is that of x + 1, halved into a(x) + x^16 b(x), where (x + 1)^16 = x^16 + 1, and so on.
+    """
+    place ^= place >> _16
+    place ^= (place >> _8) & _BYTES
+    place ^= (place >> _4) & _NIBBLES
+    place ^= (place >> _2) & _PAIRS
+    return place ^ ((place >> _1) & _ODD)
