@@ -16,6 +16,7 @@ from hyperpaint.simulation.rendering.appearance import (
     reflectance_factor,
 )
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, coated_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import generate_paint, spectrum_of
 
 VISIBLE = np.array([380.0, 780.0])
 
@@ -110,3 +111,17 @@ def test_the_index_is_almans_formula_of_three_lightnesses() -> None:
         for view, side in ((30.0, 180.0), (0.0, 180.0), (65.0, 0.0))
     )
     assert flop_index(paint, VISIBLE, 0.1, 0.85) == pytest.approx(2.69 * (near - far) ** 1.11 / face**0.86)
+
+
+@pytest.mark.parametrize("family", ["metallic", "pearl"])
+def test_generated_paints_flop_as_paints_do(family: str) -> None:
+    grid = np.linspace(380.0, 780.0, 41)
+    flops = []
+    for number in range(60):
+        paint = generate_paint(family, number)
+        assert paint.flakes is not None
+        flakes = spectrum_of(paint.flakes.spectrum)(grid)
+        flops.append(flop_index(paint.material(), grid, paint.reflectance(grid), flakes))
+        assert gloss_units(paint.coat) > 70.0
+    assert 3.0 < min(flops) < max(flops) < 17.0
+    assert 7.0 < np.median(flops) < 12.0
