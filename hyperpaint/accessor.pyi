@@ -24,6 +24,7 @@ from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
 from hyperpaint.radiometry.counts_to_reflectance import Panel
 from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.surroundings.model import SceneModel
 
@@ -263,7 +264,7 @@ class PaintAccessor:
         paints: Mapping[str, Any] | xr.Dataset | None = None,
         atmosphere: Atmosphere | str = "noon",
         spectra: Mapping[str, Any] | xr.Dataset | None = None,
-        variation: npt.ArrayLike | None = None,
+        variation: npt.ArrayLike | BrokenClouds | None = None,
         truth: bool = True,
         clip: bool = False,
         hold_edges: bool = False,

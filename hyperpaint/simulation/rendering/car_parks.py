@@ -204,7 +204,7 @@ def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
     return fleet_names(int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)), _FLEET_SIZE)
 
 
-_GLOSS = Coat(1.5, 0.02)
+_GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
 _SURROUNDINGS = {
     name: Material(name, spectrum, kind, coat)
     for name, spectrum, kind, coat in (
