@@ -176,7 +176,7 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
         np.testing.assert_array_equal(blurred[name], plain[name])
 
 
-@pytest.mark.parametrize("scene", ["plan", "checkerboard", "rendered"])
+@pytest.mark.parametrize("scene", ["plan", "checkerboard", pytest.param("rendered", marks=pytest.mark.slow)])
 def test_lines_do_not_depend_on_how_they_are_grouped(scene: str) -> None:
     size = {"lines": 23, "bands": 5, "columns": 12, "samples": 2, "scene": scene, "seed": 3}
     flight = _flight_of(SimulationSettings(**size, **EVERYTHING))

@@ -16,6 +16,7 @@ NM = np.linspace(400.0, 1000.0, 31)
 SCENE = """
 [scene]
 kind = "car_park"
+fleet = "solid"
 length_m = 12.0
 neighbours = []
 seed = 3
