@@ -204,6 +204,7 @@ class _Exposure:
 
     def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
         """Return the counts of lines, of a cube that begins at line ``first``, one line after the other."""
+        cube = np.nan_to_num(cube, nan=0.0)  # from beyond the scene there comes no light
         counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
         for line, row in zip(lines, counts, strict=True):
             rng = None if self.key is None else np.random.default_rng([*self.key, line])

@@ -183,18 +183,21 @@ mine = "mine.csv"
 [paints]
 ground = "mine"
 [sampling]
-samples = 2
+samples = 256
 """
     path = hp.render_scene(scene_file(tmp_path, text), tmp_path / "out.zarr")
-    np.testing.assert_allclose(opened(path, "renders/noon").true_reflectance, 0.25, rtol=2e-4)
+    # the sky is brighter towards the sun: what is left is the noise of its samples
+    np.testing.assert_allclose(opened(path, "renders/noon").true_reflectance, 0.25, rtol=2e-3)
 
 
 def test_without_noise_counts_are_rounded_light(tmp_path: Path) -> None:
     text = SCENE.replace("bad_elements = 2", "noise = false").replace("lines = 40", "lines = 4")
+    # over bands of 30 nm the detector weighs the steep light of 400 nm otherwise than its response does
+    text = text.replace("fwhm_nm = 30", "fwhm_nm = 6")
     path = hp.render_scene(scene_file(tmp_path, text), tmp_path / "out.zarr", atmospheres=["noon"])
     found = xr.open_zarr(path, group="renders/noon").paint.reflectance()
     error = (found.reflectance - found.true_reflectance).where(found.quality == 0)
-    assert float(np.abs(error).max()) < 0.02
+    assert float(np.abs(error).max()) < 0.005
 
 
 # --- the same whatever computes it -------------------------------------------------------------------------

@@ -76,14 +76,17 @@ def test_a_plate_reflects_from_above_and_passes_from_below() -> None:
 
 
 @pytest.mark.slow
-def test_under_a_uniform_sky_nothing_is_gained_or_lost() -> None:
+def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
+    """Expected: r + t^2 / (1 - r) = 1 with r + t = 1, of light that goes to and fro; over nothing r alone."""
     flight = pushbroom(4, 4, altitude=20.0, ground_sample=0.5)
-    nothing_lost = {**PLATE, "t": (np.array([300.0, 1100.0]), np.full(2, 1.0 - REFLECTED))}
-    plate = plane(200.0, Material("plate", "r", "leaf", transmittance="t"))
-    traced = hp.simulation.trace(plate, flight, [(40.0, 150.0)], samples=64)
+    ones = np.array([300.0, 1100.0]), np.ones(2)
+    nothing_lost = {**PLATE, "t": (ones[0], np.full(2, 1.0 - REFLECTED)), "k": ones}
+    alone = plane(200.0, Material("plate", "r", "leaf", transmittance="t"))
     light = flat_light(sun=0.0, sky=1.0, direction=(40.0, 150.0))
-    seen = hp.simulation.relight(traced, FEW_BANDS, spectra=nothing_lost, atmosphere=light).reflectance
-    np.testing.assert_allclose(seen.mean(), 1.0, rtol=0.02)
+    for scene, expected in ((plate_over_black(), 1.0), (alone, REFLECTED)):
+        traced = hp.simulation.trace(scene, flight, [(40.0, 150.0)], samples=64, depth=16)
+        seen = hp.simulation.relight(traced, FEW_BANDS, spectra=nothing_lost, atmosphere=light).reflectance
+        np.testing.assert_allclose(seen.mean(), expected, rtol=0.02)
 
 
 def test_only_thin_surfaces_without_a_coat_pass_light() -> None:
