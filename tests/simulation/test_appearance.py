@@ -54,6 +54,7 @@ def glossmeter(coat: Coat, steps: int = 150) -> float:
     return 100.0 * flux / float(mirrored(1.567, np.array(np.cos(angle))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roughness", [0.004, 0.01, 0.05])
 def test_gloss_is_the_flux_into_the_receptor(roughness: float) -> None:
     flat = Coat(1.5, roughness, 0.0)
@@ -67,6 +68,7 @@ def test_a_topcoat_is_glossy_and_orange_peel_costs_little() -> None:
     assert gloss_units(Coat(1.5, 0.05, 0.0)) == pytest.approx(4.9, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gloss", [5.0, 40.0, 70.0, 80.0])
 def test_a_coat_of_a_gloss_has_it(gloss: float) -> None:
     assert gloss_units(coat_of_gloss(gloss)) == pytest.approx(gloss, abs=0.01)

@@ -56,6 +56,7 @@ def relit(clouds: BrokenClouds, chunk_lines: int = 32) -> tuple[xr.Dataset, xr.D
     return trace, trace.paint.relight(FEW_BANDS, atmosphere=flat_light(), variation=clouds)
 
 
+@pytest.mark.slow
 def test_the_swath_is_lit_by_its_own_clouds() -> None:
     clouds = BrokenClouds(size=20.0, speed=5.0, seed=2, station=(3.0, 4.0))
     trace, made = relit(clouds)
