@@ -62,7 +62,7 @@ def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> st
     if apart is None:
         return f"the times of {before} or {name} are not known"
     step, period = apart
-    if not np.timedelta64(0) < step <= MAX_STEP_PERIODS * period:
+    if not np.timedelta64(0, "ns") < step <= MAX_STEP_PERIODS * period:
         seconds, usual = step / np.timedelta64(1, "s"), period / np.timedelta64(1, "s")
         return f"{name} begins {seconds:.3g} s after {before} ended, where lines are {usual:.3g} s apart"
     if set(first.variables) != set(second.variables):
