@@ -113,7 +113,7 @@ def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
         elif name == "counts":
             own = xr.full_like(own, BLANK_COUNT)
         else:
-            empty: Any = np.datetime64("NaT") if variable.dtype.kind == "M" else np.nan
+            empty: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
             own = xr.full_like(own, empty)
         blank[name] = own.variable
     return blank

@@ -94,7 +94,7 @@ def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None
     lines = {name: tree[name].to_dataset() for name in ("raw_0", "raw_20", "raw_40")}
     for name, lost in (("raw_0", [5, 17, 18, 19]), ("raw_20", [0, 1, 2])):
         times = lines[name]["time"].values.copy()
-        times[lost] = np.datetime64("NaT")
+        times[lost] = np.datetime64("NaT", "ns")
         lines[name] = lines[name].assign_coords(time=lines[name]["time"].copy(data=times))
     (flown,) = join_lines(lines, None)
     assert flown.members == ("raw_0", "raw_20", "raw_40")
