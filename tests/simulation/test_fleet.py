@@ -56,7 +56,7 @@ def test_a_small_car_park_has_the_shares_too(first: int) -> None:
 def test_paints_look_like_their_colours() -> None:
     levels: dict[str, list[float]] = {}
     for number in range(300):
-        green = float(spectrum_of(f"fleet:{number}")(np.array([550.0]))[0])
+        green = float(spectrum_of(f"fleet-{number}")(np.array([550.0]))[0])
         levels.setdefault(group_of(number), []).append(green)
     assert min(levels["white"]) > 0.45
     assert max(levels["black"]) < 0.15
@@ -65,14 +65,14 @@ def test_paints_look_like_their_colours() -> None:
 
 
 def test_names_lead_to_paints() -> None:
-    spec = paint_spec("fleet:17")
-    assert is_paint("fleet:17")
-    assert not is_paint("fleet:17:flakes")
+    spec = paint_spec("fleet-17")
+    assert is_paint("fleet-17")
+    assert not is_paint("fleet-17:flakes")
     assert (spec.flakes is None) == (spec.finish == "solid")
     assert 1.48 <= spec.coat.index <= 1.55
-    np.testing.assert_array_equal(spec.reflectance(NM), spectrum_of("fleet:17")(NM))
-    with pytest.raises(SchemaError, match="fleet:<number>"):
-        paint_spec("fleet:x")
+    np.testing.assert_array_equal(spec.reflectance(NM), spectrum_of("fleet-17")(NM))
+    with pytest.raises(SchemaError, match="fleet-<number>"):
+        paint_spec("fleet-x")
 
 
 def test_dust_is_a_layer_of_two_fluxes() -> None:
@@ -85,7 +85,7 @@ def test_dust_is_a_layer_of_two_fluxes() -> None:
     np.testing.assert_allclose(dusty(body, cover, nm), back + series, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", [*WEATHERED, "fleet:3", "fleet:4"])
+@pytest.mark.parametrize("name", [*WEATHERED, "fleet-3", "fleet-4"])
 def test_the_mean_of_a_population_is_its_spectrum(name: str) -> None:
     spectrum = spectrum_of(name)
     members = spectrum.population(NM)
@@ -100,7 +100,7 @@ def test_a_real_car_park_has_a_fleet_on_worn_ground() -> None:
     park = car_park(length=30.0, fleet="real", neighbours=(), seed=4)
     paints = [one.paint for one in park.instances if one.kind == "car"]
     assert len(set(paints)) == len(paints)
-    assert all(paint.startswith("fleet:") for paint in paints)
+    assert all(paint.startswith("fleet-") for paint in paints)
     spectra = {material.spectrum for material in park.materials}
     assert {"worn_asphalt", "worn_line", "weathered_concrete", "mixed_grass"} <= spectra
     assert "asphalt" not in spectra
@@ -133,7 +133,7 @@ def test_asphalt_is_rendered_with_texture_that_averages_out() -> None:
 def test_a_simulated_flight_over_a_real_fleet() -> None:
     settings = {"scene": "rendered", "lines": 24, "columns": 64, "bands": 8, "samples": 2, "fleet": "real"}
     flight = RenderedFlight(hp.simulation.SimulationSettings(**settings))
-    assert all(paint.startswith("fleet:") for paint in flight.paints)
+    assert all(paint.startswith("fleet-") for paint in flight.paints)
     finishes = {flight.paint_properties(paint)["finish"] for paint in flight.paints}
     assert "solid" in finishes
     assert finishes & {"metallic", "pearl"}

@@ -9,7 +9,7 @@ A base is as thick as light goes. Its albedo follows from the absorption over th
 R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S) (Kubelka & Munk 1931), and K/S from absorption edges and bands; what
 an instrument sees of it through the clear coat near normal, without the mirror reflection, is
 `materials.coated_reflectance`. Families differ in where they absorb and what they are mixed with; a number
-chooses one paint of a family, always the same. "fleet:<number>" is a car of a real fleet, with its age and
+chooses one paint of a family, always the same. "fleet-<number>" is a car of a real fleet, with its age and
 dust. What weather has worn ("worn_asphalt") is a population, see `weathering`.
 """
 
@@ -45,7 +45,7 @@ FINISHES = ("solid", "metallic", "pearl")
 _ADJECTIVES = ("Arctic", "Alpine", "Baltic", "Desert", "Harbour", "Imperial", "Lunar", "Monsoon", "Nordic",
                "Polar", "Solar", "Tundra")  # fmt: skip
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
-_FLEET = re.compile(r"fleet:([0-9]{1,9})(:flakes)?")
+_FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
 _DULLED = 0.03  # by which a coat grows rougher in a year, relatively
 
 
@@ -127,7 +127,7 @@ def paint_spec(name: str) -> PaintSpec:
     Parameters
     ----------
     name
-        One of `FOURTEEN`, "pigment:<family>:<number>" with one of `FAMILIES`, or "fleet:<number>".
+        One of `FOURTEEN`, "pigment:<family>:<number>" with one of `FAMILIES`, or "fleet-<number>".
 
     Raises
     ------
@@ -148,7 +148,7 @@ def paint_spec(name: str) -> PaintSpec:
     if parsed is None or parsed[2]:
         raise SchemaError(
             f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, "
-            "pigment:<family>:<number> or fleet:<number>"
+            "pigment:<family>:<number> or fleet-<number>"
         )
     return generate_paint(parsed[0], parsed[1])
 
@@ -165,14 +165,14 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
     Examples
     --------
     >>> fleet_names(7, 2)
-    ('fleet:7', 'fleet:8')
+    ('fleet-7', 'fleet-8')
     """
-    return tuple(f"fleet:{number}" for number in range(first, first + count))
+    return tuple(f"fleet-{number}" for number in range(first, first + count))
 
 
 def _fleet_spec(number: int) -> PaintSpec:
     """Return the paint of a car of the fleet: an older coat is duller."""
-    car, name = fleet_paint(number), f"fleet:{number}"
+    car, name = fleet_paint(number), f"fleet-{number}"
     flakes = None
     if car.flake_share:
         flakes = _flopping(Flakes(car.flake_share, spectrum=f"{name}:flakes"), car.flop, car.pigments)
@@ -305,7 +305,7 @@ def spectrum_of(name: str) -> Spectrum:
     Parameters
     ----------
     name
-        A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>" or "fleet:<number>", with
+        A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>" or "fleet-<number>", with
         ":flakes" behind it for those of its flakes.
 
     Returns
