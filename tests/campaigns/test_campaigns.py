@@ -22,6 +22,7 @@ pytestmark = pytest.mark.campaign
 PARSERS = (
     *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
+    *("uvspec", "tape7", "sixs", "sky-csv"),
     *("dirsig-ems", "dirsig-mat"),
     *("library-envi", "library-metadata", "library-csv", "library-text"),
 )

@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.io.files.reading import numbers
+from hyperpaint.io.files.reading import number, numbers
 
 from .sky_table import sky_dataset, sky_lines
 
@@ -66,7 +66,10 @@ def _run(path: str | Path) -> tuple[float, ...]:
             f"{path}: no monochromatic run of 6S with its irradiance at ground level",
             mend="run 6S with a single wavelength (IWAVE -1), a file each",
         )
+    micron = number(wavelength)
+    if micron is None:
+        raise FormatError(f"{path}: a wavelength of {wavelength[:60]!r}, expected a number [micron]")
     values = numbers(lines[place + 1].replace("*", " ").split())
     if values is None or len(values) != 3:
         raise FormatError(f"{path}: line {place + 2}: {lines[place + 1][:60]!r}, expected three irradiances")
-    return float(wavelength), *values
+    return micron, *values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,9 +79,11 @@ def sky_dataset(
     arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
-    for name, values in arrays.items():
+    for name, values in {"wavelength": wavelength, **arrays}.items():
         if not (np.isfinite(values).all() and (values >= 0.0).all()):
             problems.add(f"{name} has values that are negative or not finite")
+    if radiance is not None and not all(np.isfinite(angles).all() for angles in radiance[:2]):
+        problems.add("directions of the sky have angles that are not finite")
     problems.raise_if_any()
     units = {"units": "W m-2 nm-1"}
     made = xr.Dataset(
@@ -114,7 +117,11 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     FormatError
         Headings are missing, rows are no numbers, or directions are not the same at every wavelength.
     """
-    rows = list(csv.reader(line for line in sky_lines(path) if line.strip() and not line.startswith("#")))
+    lines = (line for line in sky_lines(path) if line.strip() and not line.startswith("#"))
+    try:
+        rows = list(csv.reader(lines))
+    except csv.Error as error:
+        raise FormatError(f"{path}: no table of commas: {error}") from error
     problems = Problems(f"{path}: no table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
     needed = {"wavelength", "direct_normal", "diffuse"}
@@ -122,6 +129,14 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     needed |= {"zenith", "azimuth", "radiance"} if by_direction else set()
     if needed - set(names):
         problems.add(f"columns {sorted(needed - set(names))} are missing, found {names}")
+    if len(set(names)) < len(names):
+        problems.add(f"columns {names}: some are there twice")
+    ragged = [number for number, row in enumerate(rows) if len(row) != len(names)]
+    if ragged or len(rows) < 2:
+        found = (
+            f"row {ragged[0] + 1} of {len(rows[ragged[0]])} cells" if ragged else "no row below the headings"
+        )
+        problems.add(f"{found}, expected rows of {len(names)}")
     problems.raise_if_any()
     try:
         table = np.array(rows[1:], np.float64)
@@ -133,7 +148,12 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         raise FormatError(
             f"{path}: rows must be numbers, headings among {list(_COLUMNS)}: {error}"
         ) from error
-    columns = dict(zip(names, (table * factors).T, strict=True))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+        table = table * factors
+    if not np.isfinite(table).all():
+        place = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
+        raise FormatError(f"{path}: row {place + 2} {rows[place + 1]}: expected finite numbers")
+    columns = dict(zip(names, table.T, strict=True))
     wavelength, first = np.unique(columns["wavelength"], return_index=True)
     light = columns["direct_normal"][first], columns["diffuse"][first]
     if not by_direction:
@@ -141,9 +161,12 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
     shape = wavelength.size, zenith.size, azimuth.size
     order = np.lexsort((columns["azimuth"], columns["zenith"], columns["wavelength"]))
-    grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
-    found = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
-    if found.shape != grid.shape or not np.array_equal(found, grid):
+    is_grid = math.prod(shape) == order.size  # before a grid is made: that of scattered rows has no bounds
+    if is_grid:
+        grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
+        rows_of_grid = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
+        is_grid = np.array_equal(rows_of_grid, grid)
+    if not is_grid:
         raise FormatError(
             f"{path}: {order.size} rows, expected every direction once at every wavelength, {shape}"
         )

@@ -25,6 +25,9 @@ _TWO_WORDS = (
     "MULT SCAT", "GRND RFLT", "DRCT RFLT", "TOTAL RAD", "REF SOL", "DIR EM", "TOA SUN",
 )  # fmt: skip
 
+_END = -9999.0
+"""What stands alone below the last row."""
+
 
 @takes_quantities(sun_zenith="degree")
 def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Dataset:
@@ -72,18 +75,26 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
             "a .7sc is not read: give direct and diffuse light as CSV",
         )
     rows = []
-    for line in lines[place + 1 :]:
+    for count, line in enumerate(lines[place + 1 :], place + 2):
         row = numbers(line.split())
-        if row is None or len(row) < len(names):  # the mark of the end, -9999., stands alone
+        if row is not None and row[:1] == [_END]:
             break
+        if row is None or len(row) < len(names):
+            raise FormatError(
+                f"{path}: line {count}: {line[:60]!r}, expected {len(names)} numbers or {_END:g}"
+            )
         rows.append(row[: len(names)])
+    else:
+        raise FormatError(f"{path} ends without the mark {_END:g}: it was cut short; copy it again")
     table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
     lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
     wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
-    scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
-    whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
-    diffuse = np.where(np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct)  # digits of the file
-    return sky_dataset(str(path), 1e7 / wavenumber, direct / np.cos(np.radians(sun_zenith)), diffuse)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+        scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
+        whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
+        diffuse = np.where(np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct)  # digits of the file
+        normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
+    return sky_dataset(str(path), wavelength, normal, diffuse)
 
 
 def _names(line: str) -> list[str]:

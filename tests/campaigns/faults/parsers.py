@@ -14,7 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, TimeError, UnitsError
+from hyperpaint.base.errors import (
+    CollectError,
+    FormatError,
+    PaintError,
+    PaintWarning,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
 
 from .mutation import mutated
 from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
@@ -98,6 +106,32 @@ def _irradiance(path: Path) -> None:
     from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
     open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, max_gap_s=5.0, units="W m-2 nm-1")
+
+
+def _uvspec(path: Path) -> None:
+    from hyperpaint.io.skies.uvspec import read_uvspec
+
+    read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1", directions=5)
+
+
+def _tape7(path: Path) -> None:
+    from hyperpaint.io.skies.tape7 import read_tape7
+
+    read_tape7(path, sun_zenith=60.0, ground=0.3)
+
+
+def _sixs(path: Path) -> None:
+    from hyperpaint.io.skies.sixs import read_sixs
+
+    other = path.with_name("other.txt")
+    other.write_text(_sixs_text(0.65))
+    read_sixs([path, other], sun_zenith=60.0)
+
+
+def _sky_csv(path: Path) -> None:
+    from hyperpaint.io.skies.sky_table import read_sky_csv
+
+    read_sky_csv(path)
 
 
 def _frame_index(path: Path) -> None:
@@ -208,6 +242,10 @@ PARSERS: Mapping[str, Parser] = {
     "settings": Parser(_settings, (FormatError,), ("flight/settings.txt", "settings_comments.txt")),
     "gps-time": Parser(_gps_time, (FormatError, TimeError), ("gps_time.txt",)),
     "collect-toml": Parser(_collect, (CollectError,), ("collect.toml",)),
+    "uvspec": Parser(_uvspec, (FormatError, SchemaError), ("uvspec.out",)),
+    "tape7": Parser(_tape7, (FormatError, SchemaError), ("tape7",)),
+    "sixs": Parser(_sixs, (FormatError, SchemaError), ("sixs.txt",)),
+    "sky-csv": Parser(_sky_csv, (FormatError, SchemaError, UnitsError), ("radiances.csv",)),
     "dirsig-ems": Parser(_emissivity, (FormatError,), ("paint.ems",), ("dirsig/emissivity/*.ems",)),
     "dirsig-mat": Parser(_materials, (FormatError,), ("paints.mat",), ("dirsig/*.mat",)),
     "library-envi": Parser(_library, (FormatError,), ("library/paints.hdr",), ("envi_sli/*.hdr",)),
@@ -265,12 +303,44 @@ def prepare(folder: Path) -> None:
         "    NAME = red, matt\n\n    SURFACE_PROPERTIES {\n        EMISSIVITY_PROP_NAME = ClassicEmissivity\n"
         "        EMISSIVITY_PROP {\n            FILENAME          = emissivity/red.ems\n"
         "            SPECULAR_FRACTION = 0.1\n        }\n    }\n}\n",
+        **_sky_texts(),
         "gps_time.txt": "PC\tPOS\r\n"
         + "".join(f"{pc}\t2021/07/20 {time}\r\n" for pc, time in zip(micro, times, strict=True)),
     }
     for name, text in written.items():
         (folder / name).write_bytes(text.encode())
     _write_navigation(folder)
+
+
+def _sixs_text(micron: float) -> str:
+    return (
+        f"*  monochromatic calculation at wl : {micron:.3f} micron *\n"
+        "*   irr. at ground level (w/m2/mic)   *\n"
+        "*     direct solar irr.    atm. diffuse irr.    environment  irr   *\n"
+        "*       500.000             180.000               4.000      *\n"
+    )
+
+
+def _sky_texts() -> dict[str, str]:
+    """Return light at the ground by name of a file, in every format that is read."""
+    import numpy as np
+
+    cosines, azimuths = np.cos(np.radians(np.arange(5.0, 86.0, 20.0))), "0.0 60.0 120.0 180.0"
+    sky = "".join(f" {-cosine:.6f} 0.0 {'40.0 ' * 4}\n" for cosine in cosines)
+    tape = "FREQ TOT_TRANS THRML_EM THRML_SCT SURF_EMIS MULT_SCAT SING_SCAT GRND_RFLT DRCT_RFLT"
+    return {
+        "sixs.txt": _sixs_text(0.45),
+        "uvspec.out": "".join(f" {nm} 500.0 180.0 1. 1. 1. 1.\n {azimuths}\n{sky}" for nm in (450.0, 550.0)),
+        "tape7": f"   1   5\n STANDARD\n {tape}\n"
+        + "".join(f"{nu:9.2f} 0.8 0 0 0 0 0 2e-10 1e-10\n" for nu in (22222.0, 18182.0, 11765.0))
+        + "  -9999.\n",
+        "radiances.csv": "wavelength [um],zenith [degree],azimuth [degree],radiance [mW m-2 sr-1 nm-1],"
+        "direct_normal [mW m-2 nm-1],diffuse [mW m-2 nm-1]\n"
+        + "".join(
+            f"{nm},{zenith},{azimuth},45.5,1000,200\n"
+            for nm in (0.45, 0.55) for azimuth in (0.0, 90.0) for zenith in (10.0, 40.0, 70.0)
+        ),
+    }  # fmt: skip
 
 
 def _write_navigation(folder: Path) -> None:

@@ -107,6 +107,13 @@ def test_tape7(tmp_path: Path, names: str) -> None:
     np.testing.assert_allclose(table.wavelength, nm)
     np.testing.assert_allclose(table.direct_normal, direct / 0.5, rtol=1e-6)
     np.testing.assert_allclose(table.diffuse, whole - direct, rtol=1e-5)
+    whole_text = path.read_text()
+    path.write_text(whole_text[: whole_text.rindex("\n")])
+    with pytest.raises(FormatError, match="cut short"):
+        hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
+    path.write_text(whole_text[: whole_text.index("1e-9 9e-9")] + "\n  -9999.")
+    with pytest.raises(FormatError, match=r"line 4: .*expected 9 numbers"):
+        hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     path.write_text("    1    5\n  WAVLEN  TRANS\n 450.0 0.8\n")
     with pytest.raises(FormatError, match=r"no line of names(?s:.*)\.7sc is not read"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
@@ -157,6 +164,18 @@ def test_csv_of_radiances(tmp_path: Path) -> None:
     path.write_text("\n".join([heading, *rows[:-1]]))
     with pytest.raises(FormatError, match="every direction once"):
         read_sky_csv(path)
+    scattered = [f"{0.45 + n * 1e-5},{n * 1e-4},{n * 1e-3},1,1000,200" for n in range(50_000)]
+    path.write_text("\n".join([heading, *scattered]))  # a grid of these has 10^14 places
+    with pytest.raises(FormatError, match="every direction once"):
+        read_sky_csv(path)
+    for rows_after, match in (
+        ([rows[0][:-4]], "row 2 of 5 cells"),
+        ([], "no row below"),
+        (["nan" + rows[0][4:]], "row 2 .*finite"),
+    ):
+        path.write_text("\n".join([heading, *rows_after]))
+        with pytest.raises(FormatError, match=match):
+            read_sky_csv(path)
     path.write_text("wavelength [nm],sky [W m-2 nm-1]\n450,0.2\n")
     with pytest.raises(FormatError, match="'diffuse', 'direct_normal'"):
         read_sky_csv(path)
