@@ -40,8 +40,12 @@ Examples:
     help="Look for glint, shadow and light of neighbours, on lines without such flags.",
 )  # fmt: skip
 @click.option(
+    "--cards", type=click.IntRange(min=0), default=60,
+    help="Paints that are shown one by one, at the most: place, pixels used and left out, signature.",
+)  # fmt: skip
+@click.option(
     "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",
-    help="Zenith angle of the sun, for that.  [default: from time and position of the line]",
+    help="Zenith angle of the sun, for the flags.  [default: from time and position of the line]",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a page that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
@@ -57,9 +61,10 @@ def make_report(
 ) -> None:
     """Show what a store holds on one page of HTML that needs nothing else.
 
-    Of every flight line: true colour, flags, irradiance over time, how reflectance is spread, provenance;
-    then paint signatures and the calibration, where there are any. What cannot be read is named on the page
-    and here, with exit status 1.
+    Of every flight line: true colour, flags, irradiance over time, how reflectance is spread, provenance, and
+    a card of every paint measured on it: place, pixels used and left out, signature; then paint signatures
+    and the calibration, where there are any. What cannot be read is named on the page and here, with exit
+    status 1.
     """
     from hyperpaint.report.store_report import write_report
 

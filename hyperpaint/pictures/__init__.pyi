@@ -1,3 +1,4 @@
+from .paint_cards import paint_card as paint_card
 from .picking import pick_regions as pick_regions
 from .plot import (
     quicklook as quicklook,

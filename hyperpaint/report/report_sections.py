@@ -21,6 +21,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, rename_to_ro
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
 from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.paint_cards import paint_card
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
@@ -35,7 +36,10 @@ if TYPE_CHECKING:
     import xarray as xr
     from markupsafe import Markup
 
-__all__ = ["Part", "calibration_section", "library_section", "line_section", "map_section", "regions_of"]
+__all__ = [
+    "Part", "calibration_section", "card_parts", "library_section", "line_section", "map_section",
+    "regions_of",
+]  # fmt: skip
 
 MOST_ROWS = 500
 """Paints of a table at the most."""
@@ -67,6 +71,23 @@ def line_section(
     if "reflectance" in line.variables or "irradiance" in line.variables:
         yield "reflectance", partial(_reflectance, line)
     yield "provenance", lambda: _provenance(line.attrs)
+
+
+def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
+    """Yield the cards of the paints that were measured on a flight line, ``most`` of them at the most.
+
+    ``cards`` are pairs of a library and the name of one of its paints.
+    """
+    for number, (library, paint) in enumerate(cards[:most]):
+        yield f"card of {paint}", partial(_card, line, library, paint, "" if number else "Paint by paint")
+    if len(cards) > most:
+        text = f"and {len(cards) - most} paints more, without a card"
+        yield "more cards", lambda: page_part("paragraph", text=text)
+
+
+def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Markup:
+    caption = f"{paint}: its region, the pixels that were used, and its signature."
+    return _figure(paint_card(line, library, paint), caption, heading)
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
@@ -213,8 +234,8 @@ def _rgb_text(colour: Floats32) -> str:
     return ",".join(map(str, (255 * colour + 0.5).astype(int))) if np.isfinite(colour).all() else ""
 
 
-def regions_of(library: xr.Dataset) -> Iterator[tuple[str, Region]]:
-    """Yield the regions that paints were found in, with the names of their flight lines.
+def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
+    """Yield the flight lines, names and regions of the paints of a library.
 
     Those on a map are left out, and what is no region: a library may have been made by anyone.
     """
@@ -222,10 +243,10 @@ def regions_of(library: xr.Dataset) -> Iterator[tuple[str, Region]]:
         return
     if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
         return
-    pairs = zip(library["region"].values, library["flightline"].values, strict=True)
-    for geojson, flightline in list(pairs)[:MOST_ROWS]:
+    columns = (library[name].values for name in ("flightline", PAINT, "region"))
+    for flightline, paint, geojson in list(zip(*columns, strict=True))[:MOST_ROWS]:
         with contextlib.suppress(PaintError, ValueError, RecursionError):
-            yield str(flightline), regions_from(json.loads(str(geojson)))[0]
+            yield str(flightline), str(paint), regions_from(json.loads(str(geojson)))[0]
 
 
 def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:

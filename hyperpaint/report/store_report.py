@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError
@@ -26,6 +26,7 @@ from .report_sections import (
     LAYERS,
     Part,
     calibration_section,
+    card_parts,
     library_section,
     line_section,
     map_section,
@@ -64,6 +65,7 @@ def write_report(
     signatures: str | os.PathLike[str] | None = None,
     lines: int = 1000,
     flags: bool = True,
+    cards: int = 60,
     sun_zenith: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -92,8 +94,11 @@ def write_report(
         Look for glint, shadow and light of neighbours on lines without these flags, see
         `hyperpaint.surroundings.flag`, and show what is found; of a line where that cannot be done, the page
         says why. Nothing is stored.
+    cards
+        Paints of a flight line, at the most, that are shown one by one: place, pixels used and left out,
+        signature (`hyperpaint.pictures.paint_card`). Each takes half a second and 60 kB.
     sun_zenith
-        For that [degree]; by default from time and position of each line.
+        For the flags [degree]; by default from time and position of each line.
     overwrite
         Replace a file that is there.
     progress
@@ -109,7 +114,7 @@ def write_report(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        ``lines`` is not positive, or there are no such flight lines.
+        ``lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
     StoreError
         There is no store, or nothing in it to show; or the page is there already, or cannot be written.
 
@@ -125,6 +130,8 @@ def write_report(
     check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     if lines < 1:
         raise SchemaError(f"lines={lines}, expected 1 or more")
+    if cards < 0:
+        raise SchemaError(f"cards={cards}, expected 0 or more")
     opened, problems = _opened(store, list_groups(store))
     shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
     maps = {name or Path(store).name: group for name, group in opened.items() if _is_map(group)}
@@ -134,12 +141,13 @@ def write_report(
     if not shown and not libraries and not maps:
         reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
         raise StoreError(f"{store} has nothing to show, no flight line, map or signatures: {reason}")
-    outlines = _outlines(shown, libraries, problems)
+    measured = _measured(shown, libraries, problems)
     steps = len(shown) + len(libraries) + ("calibration" in opened)
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
-        parts.append((name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, share)))
+        section = _flagged_section(line, lines, measured[name], cards, flags, sun_zenith, share)
+        parts.append((name, section))
     parts += [(name, map_section(group, lines)) for name, group in maps.items()]
     parts += [(name, library_section(library)) for name, library in libraries.items()]
     if "calibration" in opened:
@@ -161,7 +169,8 @@ def write_report(
 def _flagged_section(
     line: xr.Dataset,
     lines: int,
-    regions: Sequence[Region],
+    measured: Sequence[_Measured],
+    cards: int,
     flags: bool,
     sun_zenith: float | None,
     progress: Progress | None,
@@ -176,7 +185,8 @@ def _flagged_section(
         # a line that cannot be looked at is shown all the same; damage shows again where it is drawn
         except Exception as error:
             note = f"{_SOUGHT} could not be looked for: {_message_of(error)}"
-    yield from line_section(line, lines, regions, note)
+    yield from line_section(line, lines, [one.region for one in measured], note)
+    yield from card_parts(line, [(one.library, one.paint) for one in measured], cards)
 
 
 def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
@@ -241,18 +251,26 @@ def _library(path: str | os.PathLike[str]) -> xr.Dataset:
     return library
 
 
-def _outlines(
+class _Measured(NamedTuple):
+    """A paint on the flight line that it was measured on."""
+
+    library: xr.Dataset
+    paint: str
+    region: Region
+
+
+def _measured(
     lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
-) -> dict[str, list[Region]]:
-    """Return the regions of the libraries on every flight line."""
-    outlined: list[tuple[str, Region]] = []
+) -> dict[str, list[_Measured]]:
+    """Return the paints of the libraries that were measured on every flight line."""
+    paints: list[tuple[str, _Measured]] = []
     for name, library in libraries.items():
         try:
-            outlined.extend(regions_of(library))
+            paints += [(line, _Measured(library, paint, on)) for line, paint, on in regions_of(library)]
         except Exception as error:  # see _drawn
             problems.append(f"/{name}, regions: {_message_of(error)}")
     return {
-        group: [region for name, region in outlined if name in ("", group, group.rpartition("/")[2])]
+        group: [paint for name, paint in paints if name in ("", group, group.rpartition("/")[2])]
         for group in lines
     }
 

@@ -163,8 +163,9 @@ def test_a_page_of_everything(whole: Path) -> None:
     assert "95.83 % of 240 pixels have no flag." in shown
     assert "red hood" in shown
     assert "Ours & Co" in shown
-    # true colour, flags, irradiance and reflectance of two lines; the layer of one; the paints
-    assert len(page.pictures) == 10
+    assert "Paint by paint" in shown
+    # true colour, flags, irradiance and reflectance of two lines; the layer and two cards of one; the paints
+    assert len(page.pictures) == 12
 
 
 def test_texts_of_a_store_stay_texts(whole: Path) -> None:
@@ -193,10 +194,12 @@ def test_both_kinds_of_light_on_the_screen(whole: Path) -> None:
 
 
 def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
-    done = hp.report.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5)
+    done = hp.report.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5, cards=1)
     assert done.flightlines == ("flightlines/raw_20",)
     with pytest.raises(SchemaError, match=r"no flight line 'raw_1'; there is flightlines/raw_0"):
         hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
+    with pytest.raises(SchemaError, match="cards=-1"):
+        hp.report.write_report(lot, tmp_path / "none.html", cards=-1)
     with pytest.raises(SchemaError, match="lines=0"):
         hp.report.write_report(lot, tmp_path / "none.html", lines=0)
     assert not (tmp_path / "none.html").exists()
@@ -208,7 +211,7 @@ def test_a_page_is_never_replaced_unasked(lot: Path, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="exists already; pass overwrite=True"):
         hp.report.write_report(lot, page)
     assert page.read_text() == "mine"
-    hp.report.write_report(lot, page, flightlines=["raw_0"], overwrite=True)
+    hp.report.write_report(lot, page, flightlines=["raw_0"], cards=0, overwrite=True)
     parsed(page)
     for place in (lot / "report.html", tmp_path, tmp_path / "no" / "report.html"):
         with pytest.raises(StoreError, match="cannot be written to"):
