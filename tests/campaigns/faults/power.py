@@ -21,7 +21,7 @@ from pathlib import Path
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 
-from . import disks
+from . import disks, mounts
 from .outcome import Outcome
 
 __all__ = ["campaign", "can_cut", "run_cut"]
@@ -36,15 +36,15 @@ def _disk(image: Path) -> Iterator[Path]:
     """Make and mount a small file system in a file."""
     with open(image, "wb") as file:
         file.truncate(_DISK_BYTES)
-    disks.call("mkfs.ext4", "-q", image)
+    mounts.call("mkfs.ext4", "-q", image)
     disk = image.with_suffix(".disk")
     disk.mkdir()
-    disks.call("mount", "-o", "loop", image, disk)
+    mounts.call("mount", "-o", "loop", image, disk)
     try:
         yield disk
     finally:
         with contextlib.suppress(subprocess.SubprocessError):
-            disks.call("umount", disk)
+            mounts.call("umount", disk)
 
 
 def _cut(disk: Path) -> None:
@@ -57,8 +57,8 @@ def _cut(disk: Path) -> None:
 
 
 def _restart(image: Path, disk: Path) -> None:
-    disks.call("umount", disk)
-    disks.call("mount", "-o", "loop", image, disk)
+    mounts.call("umount", disk)
+    mounts.call("mount", "-o", "loop", image, disk)
 
 
 def can_cut() -> bool:
@@ -93,26 +93,26 @@ def run_cut(number: int, folder: Path, expected: dict[str, bytes], duration: flo
     with _disk(image) as disk:
         path = disk / "flights" / "lot.zarr"
         os.sync()  # the folder of the disk; what the writer makes is the writer's to flush
-        writer = disks.child(disks.store, path, log)
+        writer = mounts.child(mounts.store, path, log)
         if number % 3 == 0:
             writer.join()
         else:
             time.sleep(rng.uniform(0.0, 1.1 * duration))
         returned = not writer.is_alive()
         _cut(disk)
-        disks.ended(writer)
+        mounts.ended(writer)
         _restart(image, disk)
-        found = disks.looks_finished(path)
+        found = mounts.looks_finished(path)
         made.notes["found written" if found else "found unwritten"] += 1
         if returned and not found:
             made.wrong.append(f"cut {number}: the writer had returned, but the store is not there")
         try:
-            if found and (disks.chunks(path / disks.GROUP) != expected or not hp.verify(path).ok):
+            if found and (mounts.chunks(path / mounts.GROUP) != expected or not hp.verify(path).ok):
                 made.wrong.append(f"cut {number}: looks finished, but is damaged")
         except (PaintError, OSError) as error:
             made.wrong.append(f"cut {number}: {type(error).__name__}: {error!s:.200}")
-        status, said = disks.ended(disks.child(disks.store, path, log))
-        if status or disks.chunks(path / disks.GROUP) != expected or not hp.verify(path).ok:
+        status, said = mounts.ended(mounts.child(mounts.store, path, log))
+        if status or mounts.chunks(path / mounts.GROUP) != expected or not hp.verify(path).ok:
             made.wrong.append(f"cut {number}: the rerun exits with {status}, or differs: {said!r:.300}")
         if left := set(os.listdir(path.parent)) - {path.name}:
             made.wrong.append(f"cut {number}: left beside the store: {left}")
@@ -127,7 +127,7 @@ def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     with tempfile.TemporaryDirectory() as scratch:
         expected, _ = disks.undisturbed(Path(scratch))
         begun = time.monotonic()
-        disks.ended(disks.child(disks.store, Path(scratch) / "lot.zarr", Path(scratch) / "log.txt"))
+        mounts.ended(mounts.child(mounts.store, Path(scratch) / "lot.zarr", Path(scratch) / "log.txt"))
         duration = time.monotonic() - begun
     for number in range(first, first + max(1, round(CUTS * scale))):
         with tempfile.TemporaryDirectory() as scratch:
