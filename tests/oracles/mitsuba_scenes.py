@@ -115,7 +115,7 @@ def to_mitsuba(
     Warns
     -----
     PaintWarning
-        What Mitsuba cannot do as the scene has it: metal flakes, and a sky that is brighter at the zenith.
+        What Mitsuba cannot do as the scene has it: metal flakes, and a sky that is not uniform.
 
     Notes
     -----
@@ -200,10 +200,10 @@ def _check(scene: Scene, centres: Floats, fwhm: float, depth: int, samples: int)
 
 
 def _warn(scene: Scene, atmosphere: Atmosphere) -> None:
-    if atmosphere.overcast_share > 0.0:
+    if (atmosphere.uniform < 1.0 - 1e-9).any():
         msg = (
-            "Mitsuba's sky is equally bright everywhere, this one is brighter at the zenith; level surfaces "
-            "get the same light from both, walls more from Mitsuba's"
+            "Mitsuba's sky is equally bright everywhere, this one is not; level surfaces get the same light "
+            "from both, walls and mirrors do not"
         )
         warnings.warn(msg, PaintWarning, stacklevel=3)
     if any(material.flakes is not None for material in scene.materials):
