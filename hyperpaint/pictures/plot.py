@@ -47,7 +47,8 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     -------
     (along_track, cross_track, rgb), float32
         sRGB from 0 to 1, with the coordinates of the pixels; of a map (y, x, rgb), with its ``spatial_ref``.
-        Saturated pixels are white, pixels without any value black. The array is named ``true_colour``, the
+        Saturated pixels are white: where some bands have no value, or none has and ``quality`` says why.
+        Other pixels without any value are black. The array is named ``true_colour``, the
         colours of dim ``rgb`` are ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y",
         bands="rgb")``, ``picture.transpose("rgb", "y", "x").rio.to_raster(...)``.
 
@@ -92,6 +93,10 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     dims = [dim for dim in source.dims if dim != schema.BAND]
     low, high = _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
+    if "quality" in dataset.variables and set(dataset["quality"].dims) == set(dims):
+        saturated = (dataset["quality"].reset_coords(drop=True) & schema.Quality.SATURATED.value) != 0
+        empty = (linear == 0.0).all("rgb").reset_coords(drop=True)
+        shown = shown.where(~(saturated & empty), np.float32(1.0))
     picture: xr.DataArray = xr.apply_ufunc(
         encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32]
     )
@@ -152,7 +157,8 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     steps = {
         dim: -(-dataset.sizes[dim] // most) for dim, most in zip((along, across), OVERVIEW_SHAPE, strict=True)
     }
-    few = dataset[["reflectance"]].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    shown = [name for name in ("reflectance", "quality") if name in dataset.variables]
+    few = dataset[shown].isel({dim: slice(None, None, step) for dim, step in steps.items()})
     try:
         picture = rgb(few)
     except SchemaError:  # fewer than three visible bands

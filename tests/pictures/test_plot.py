@@ -11,6 +11,7 @@ import xarray as xr
 from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.paints.colours import colour_matching
 from hyperpaint.pictures.plot import quicklook, rgb
 
@@ -66,6 +67,22 @@ def test_saturated_is_white_and_nothing_is_black() -> None:
     assert (made[1] > 0.95).all()
     assert (made[2] == 0).all()
     assert not np.isnan(made).any()
+
+
+@pytest.mark.parametrize("chunks", [None, 1])
+def test_pixels_whose_every_band_is_saturated_are_white(chunks: int | None) -> None:
+    spectra = np.full((4, NM.size), np.nan)
+    spectra[0] = 0.2
+    line = scene(spectra)
+    bits = [Quality.SATURATED, Quality.SATURATED, Quality.NO_DATA, Quality(0)]
+    quality = np.array([[bit.value] for bit in bits], np.uint16)
+    line = line.assign(quality=(("along_track", "cross_track"), quality))
+    made = rgb(line if chunks is None else line.chunk(along_track=chunks), stretch=WHITE)
+    assert made.dtype == np.float32
+    grey, saturated, *others = made.values[:, 0]
+    assert (grey < 0.6).all()
+    assert (saturated > 0.999).all()
+    assert not np.any(others)
 
 
 def test_lazy_labelled_and_float32(no_compute: Any) -> None:
