@@ -11,8 +11,8 @@ from hyperpaint.base.arrays import Array
 
 __all__ = [
     "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "ErrorTerms", "FixedFlags",
-    "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions", "LineRays",
-    "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "Unmixed",
+    "Glinting", "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions",
+    "LineRays", "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "Unmixed",
 ]  # fmt: skip
 
 
@@ -101,10 +101,16 @@ class Bodies(NamedTuple):
 
 
 class LightParts(NamedTuple):
-    """Direct and diffuse part of the irradiance (channel,), float64 [1]."""
+    """Direct and diffuse part of the irradiance, and what a mirror shows of the sky (channel,), float64 [1].
+
+    ``above``: the sky straight above; ``sunward``: by how much the sky around the sun is brighter than that,
+    0 under a sky without such a side. Both as reflectance of a perfect mirror.
+    """
 
     direct: Array
     diffuse: Array
+    above: Array
+    sunward: Array
 
 
 class ChannelErrors(NamedTuple):
@@ -122,6 +128,13 @@ class AmountPrior(NamedTuple):
     spread: Array
     tilt: Array  #: (body,) float64: the spread of the amount of direct light, in place of that in ``spread``
     most: Array  #: (part,) float64: amounts are no larger
+
+
+class Glinting(NamedTuple):
+    """What is expected where the sun is mirrored, beyond what is elsewhere [1]."""
+
+    direct: Any  #: Direct light: what mirrors the sun to a camera above faces halfway to it
+    sunward: Any  #: Mirror image of the sky around the sun, which comes with the sun's
 
 
 class Unmixed(NamedTuple):

@@ -9,17 +9,18 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
-from .arguments import AmountPrior, Bodies, ChannelErrors, LightParts, Unmixed
+from .arguments import AmountPrior, Bodies, ChannelErrors, Glinting, LightParts, Unmixed
 
 __all__ = ["PARTS", "average_bands", "minimise", "unmix_lines"]
 
 
-PARTS = 8
-"""Direct, diffuse, sun's mirror image, sky's mirror image, and two neighbours: reflected twice, mirrored."""
-_OWN = 4
+PARTS = 9
+"""Direct, diffuse, mirror images of the sun, of the sky above and of that around the sun, and two neighbours:
+reflected twice, mirrored."""
+_OWN = 5
 """The first of them, that need no neighbour."""
-_GLINT = 2
-"""The sun's mirror image among them."""
+_GLINT, _SUNWARD = 2, 4
+"""The mirror images of the sun, and of the sky around it, among them."""
 _SLOPE = 1e-9
 """Gradient below which nothing is let go, of parts scaled to have a curvature of 1: rounding."""
 _SUNLIT = 0.7
@@ -61,19 +62,18 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
 
 
 @kernel
-def _fill_parts(
-    body: Array, direct: Array, diffuse: Array, first: Array, second: Array, parts: Array
-) -> None:
+def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, parts: Array) -> None:
     """Write the spectra (part, channel) that a pixel's reflectance is a sum of."""
     for k in range(body.size):
-        parts[0, k] = body[k] * direct[k]
-        parts[1, k] = body[k] * diffuse[k]
-        parts[2, k] = direct[k]
-        parts[3, k] = diffuse[k]
-        parts[4, k] = body[k] * first[k]
-        parts[5, k] = first[k]
-        parts[6, k] = body[k] * second[k]
-        parts[7, k] = second[k]
+        parts[0, k] = body[k] * light.direct[k]
+        parts[1, k] = body[k] * light.diffuse[k]
+        parts[2, k] = light.direct[k]
+        parts[3, k] = light.above[k]
+        parts[4, k] = light.sunward[k]
+        parts[5, k] = body[k] * first[k]
+        parts[6, k] = first[k]
+        parts[7, k] = body[k] * second[k]
+        parts[8, k] = second[k]
 
 
 @kernel
@@ -239,23 +239,32 @@ def _settle(equations: Equations, whole: Any, most: Array, evidence: Any, held: 
 
 @kernel
 def _solve(
-    equations: Equations, whole: Any, most: Array, evidence: Any, lean: Any, tie: Any, amount: Array
+    equations: Equations,
+    whole: Any,
+    prior: AmountPrior,
+    evidence: Any,
+    more: Glinting,
+    tie: Any,
+    amount: Array,
 ) -> None:
     """Write the amounts that the light gives evidence of, from what is expected on.
 
     ``equations`` and ``whole`` (the cost without any parts) with the tie to what is expected, which of
     direct light is ``tie``. Neighbours, and glint, are in only where leaving them out makes the cost larger
-    by ``evidence``, in units of the misfit of what is left, where that is more than noise. What mirrors the
-    sun faces halfway to it: it is expected to get ``lean`` more direct light, and is not in shadow.
+    by ``evidence``, in units of the misfit of what is left, where that is more than noise. Of what mirrors
+    the sun, ``more`` is expected, and it is not in shadow.
     """
-    right = equations.right
+    right, most = equations.right, prior.most
     held = np.zeros(PARTS, np.bool_)
     start = amount.copy()
-    more = tie * lean
-    right[0] += more
-    glinting = whole + more * (2.0 * start[0] + lean)
+    around = 1.0 / prior.spread[_SUNWARD] ** 2
+    right[0] += tie * more.direct
+    right[_SUNWARD] += around * more.sunward
+    glinting = whole + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
+    glinting += around * more.sunward * (2.0 * prior.expected[_SUNWARD] + more.sunward)
     cost = _settle(equations, glinting, most, evidence, held, amount)
-    right[0] -= more
+    right[0] -= tie * more.direct
+    right[_SUNWARD] -= around * more.sunward
     if evidence <= 0.0:
         return
     trial = start
@@ -275,7 +284,7 @@ def unmix_lines(
     errors: ChannelErrors,
     prior: AmountPrior,
     evidence: Any,
-    lean: Any,
+    glinting: Glinting,
     out: Unmixed,
 ) -> None:
     """Unmix every pixel of a block of lines.
@@ -285,8 +294,8 @@ def unmix_lines(
 
     ``seen`` (line, column, channel) is reflectance [1]. ``evidence`` is by how much leaving glint or
     neighbours out must enlarge the sum, 9 for three standard deviations; they are left out otherwise; 0:
-    nothing is left out. ``lean`` is by how much more direct light than usual is expected where there is
-    glint, at most the body's tilt.
+    nothing is left out. ``glinting`` is what more is expected where there is glint, of direct light at most
+    the body's tilt.
     """
     lines, columns, channels = seen.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
@@ -301,7 +310,7 @@ def unmix_lines(
                 used = _OWN if first < 0 else (_OWN + 2 if second < 0 else _OWN + 4)
                 one = nothing if first < 0 else reflectance[first]
                 other = nothing if second < 0 else reflectance[second]
-                _fill_parts(reflectance[number], light.direct, light.diffuse, one, other, parts)
+                _fill_parts(reflectance[number], light, one, other, parts)
                 valid, whole = _normal_equations(seen[line, x], parts, used, errors, gram, right)
             if 2 * valid < channels or number < 0:
                 out.amount[line, x] = np.nan
@@ -317,13 +326,14 @@ def unmix_lines(
                 amount[part] = expected[part] if part < used else 0.0
             equations = Equations(gram, right, valid, used)
             tie = 1.0 / tilt[number] ** 2
-            _solve(equations, whole, prior.most, evidence, min(lean, tilt[number]), tie, amount)
+            more = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
+            _solve(equations, whole, prior, evidence, more, tie, amount)
             out.amount[line, x] = amount
             out.misfit[line, x] = _misfit(seen[line, x], parts, amount, errors)
             most_first, most_second, most_both = 0.0, 0.0, 0.0
             for k in range(channels):
-                of_first = amount[4] * parts[4, k] + amount[5] * parts[5, k]
-                of_second = amount[6] * parts[6, k] + amount[7] * parts[7, k]
+                of_first = amount[5] * parts[5, k] + amount[6] * parts[6, k]
+                of_second = amount[7] * parts[7, k] + amount[8] * parts[8, k]
                 most_first = max(most_first, of_first)
                 most_second = max(most_second, of_second)
                 most_both = max(most_both, of_first + of_second)

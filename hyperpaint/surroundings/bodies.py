@@ -62,7 +62,9 @@ def nearest_coloured(
 
 
 _BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
-_AS_PIXEL = np.transpose([(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), *_BESIDE])
+_AS_PIXEL = np.transpose(
+    [(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), (0.0, 0.03), *_BESIDE]
+)
 """What amounts are expected in a pixel, and how far from it they may come to lie (2, part)."""
 
 
@@ -158,7 +160,7 @@ def clean_references(
                 # as the body usually leans, which without glint need not be as those pixels do
                 usual = 1.0 if grey else np.median(direct) / np.median(direct[chosen])
                 reference[segment] = values[chosen].mean(axis=0) * usual
-    reference -= _common_glint(reference, places, paints, light)[:, None] * light.direct
+    reference -= _common_glint(reference, places, paints, light) @ np.stack([light.direct, light.sunward])
     return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
 
 
@@ -193,18 +195,21 @@ def _additions(
     """
     first = neighbours[:, 0]
     mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
-    lifted = values + BODIES.offset + BODIES.lift * mirrored
+    lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * mirrored
     body = np.full(len(values), segment)
     amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
-    return amount[:, 2] + added.sum(axis=1) - BODIES.lift * mirrored.max(axis=1), amount[:, 0]
+    return amount[:, 2] + amount[:, 4] + added.sum(axis=1) - BODIES.lift * mirrored.max(axis=1), amount[:, 0]
 
 
 def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
-    """Return the glint that all of a body lies in (segment,), as other parts of the same paint show it."""
+    """Return the mirror images of the sun, and of the sky around it, that all of a body lies in (segment, 2).
+
+    As other parts of the same paint show them.
+    """
     size = np.array([here.size for here in places])
     large = size[paints.other] >= BODIES.min_part_share * size[paints.one]
     one, other = paints.one[large], paints.other[large]
     amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
-    glint = np.zeros(len(reference))
-    np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0, 2])
+    glint = np.zeros((len(reference), 2))
+    np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0][:, [2, 4]])
     return glint

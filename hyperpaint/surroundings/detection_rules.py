@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["BODIES", "DIFFUSE", "FLAGS", "GLINT", "MIXTURES", "SEGMENTS", "SHADOWS", "SURVEY"]
+__all__ = ["BODIES", "DIFFUSE", "FLAGS", "GLINT", "MIRROR", "MIXTURES", "SEGMENTS", "SHADOWS", "SURVEY"]
 
 
 class Contact(NamedTuple):
@@ -52,6 +52,25 @@ class SegmentRules:
     max_sample_px: int = 2048  #: Pixels of a segment that are looked at, at most.
     min_border_sides: int = 3  #: Sides of pixels from which on segments touch by more than a corner.
     max_bridge_px: int = 3000  #: Pixels of a segment that links two others, at most.
+
+
+@dataclass(frozen=True)
+class MirrorRules:
+    """What clear coats and glass mirror of the sky to a camera above; from Fresnel's equations, not tuned.
+
+    A panel that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55 reflects
+    0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith (sun at
+    60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
+    """
+
+    max_above: float = 0.12  #: Amount of the zenith's light beyond that of the rest of the body, at most [1].
+    #: Distance from the sun at which the sky around it is looked at [degree].
+    from_sun_deg: float = 5.0
+    coat: float = (
+        0.04  #: Amount of that sky's light where the sun is mirrored: a coat of 1.5, ((n-1)/(n+1))^2 [1].
+    )
+    #: Amount of that sky's light, at most: 0.05, of a sky that is up to 1.3 times brighter at the sun [1].
+    max_sunward: float = 0.065
 
 
 @dataclass(frozen=True)
@@ -221,9 +240,9 @@ class FlagRules:
     #: Squared standard deviations by which leaving glint or neighbours out is worse: three sigma.
     evidence_sd2: float = 9.0
     #: Amounts without evidence; parts as in `hyperpaint.kernels.unmixing` [1].
-    expected: tuple[float, ...] = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    expected: tuple[float, ...] = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     #: Standard deviations of the amounts from that: weak beside a channel's noise [1].
-    spread: tuple[float, ...] = (0.1, 0.3, 10.0, 0.02, 0.2, 0.1, 0.2, 0.1)
+    spread: tuple[float, ...] = (0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1)
     #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
     max_direct: float = 1.1
     #: Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt
@@ -238,6 +257,7 @@ SEGMENTS = SegmentRules()
 GLINT = GlintRules()
 MIXTURES = MixtureRules()
 SHADOWS = ShadowRules()
+MIRROR = MirrorRules()
 BODIES = BodyRules()
 DIFFUSE = DiffuseRules()
 FLAGS = FlagRules()

@@ -22,7 +22,8 @@ from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
-from .detection_rules import FLAGS
+from .detection_rules import FLAGS, MIRROR
+from .full_light import Light, most_amounts
 from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def flag(
     With :math:`\rho` the body's reflectance in full light, :math:`\rho_n` those of the two nearest coloured
     neighbours and :math:`f_{dir} + f_{dif} = 1` the parts of the irradiance,
 
-    .. math:: \rho_{obs} = \rho (c f_{dir} + V f_{dif}) + g f_{dir} + s f_{dif}
+    .. math:: \rho_{obs} = \rho (c f_{dir} + V f_{dif}) + g f_{dir} + (s l_z + a l_\odot) f_{dif}
               + \textstyle\sum_n (b_n \rho \rho_n + c_n \rho_n)
 
     is solved exactly for amounts that are not negative, by least squares with a tie of c and V to 1 and of
@@ -101,7 +102,9 @@ def flag(
     which bodies differ from place to place. g and the sum over neighbours are 0 unless leaving them out is
     worse by three standard deviations, of the misfit where that is more than noise (a likelihood ratio). A
     surface that mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
-    cos(z/2) / cos(z), and is no less than 0.7.
+    cos(z/2) / cos(z), and is no less than 0.7. Of the sky, coats mirror the zenith, of radiance :math:`l_z`
+    over the mean, and what is around the sun, which is brighter by :math:`l_\odot` and as much redder; with
+    glint, a is expected to be 0.04. Both are those of a clear sky where the split is.
 
     Of neighbours only the sum is known well; a grey one adds nothing that could be told from a tilt, and
     parts of one car are no neighbours of each other. On grey bodies a mirrored sun has the colour of their
@@ -210,7 +213,7 @@ def _origin(model: SceneModel) -> str:
 
 def _most(model: SceneModel) -> Floats:
     """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
-    most = np.full(len(FLAGS.expected), np.inf)
+    most = most_amounts()
     zenith = float(model.attrs.get("sun_zenith", np.nan))
     if np.isfinite(zenith):
         most[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
@@ -246,11 +249,13 @@ def _flag_block(
     unmix_lines(
         seen,
         arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
-        arguments.LightParts(1.0 - model.diffuse_fraction, model.diffuse_fraction),
+        arguments.LightParts(
+            *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
+        ),
         arguments.ChannelErrors(np.hypot(model.noise, FLAGS.relative_error), FLAGS.floor),
         arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, _most(model)),
         FLAGS.evidence_sd2,
-        _lean(model),
+        arguments.Glinting(_lean(model), MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
     most = np.argmax(added, axis=2)[..., None]

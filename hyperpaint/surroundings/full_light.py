@@ -9,29 +9,38 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
-from .detection_rules import GLINT, MIXTURES
+from .detection_rules import GLINT, MIRROR, MIXTURES
 from .model import CELL, GLINTED, LIT, SHADED
 from .segments import Touching, distinct_pairs
 
 __all__ = [
     "AS_GLINT", "Light", "Matches", "Mixtures", "in_parts", "match_segments", "median_spectra", "mixtures_of",
-    "senders_of", "solve", "unmix_spectra", "without_sun",
+    "most_amounts", "senders_of", "solve", "unmix_spectra", "without_sun",
 ]  # fmt: skip
 
 
 _NONE = (0.0, 1e-6)
-_AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(4 * [_NONE])])
-_AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(4 * [_NONE])])
-AS_GLINT = np.transpose([(1.0, 0.1), (1.0, 0.15), (0.0, 10.0), (0.0, 0.01), *(4 * [_NONE])])
+_AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(5 * [_NONE])])
+_AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(5 * [_NONE])])
+AS_GLINT = np.transpose([(1.0, 0.1), (1.0, 0.15), (0.0, 10.0), (0.0, 0.01), (0.0, 0.03), *(4 * [_NONE])])
 """What amounts are expected, and how far from it they may come to lie (2, part): of a body in a shadow, of
 one that leans, of one in glint; parts as in `hyperpaint.kernels.unmixing`."""
 
 
 class Light(NamedTuple):
-    """The parts of the irradiance in channels (channel,) [1]; they add up to 1."""
+    """The light of sun and sky in channels (channel,) [1]."""
 
+    #: Parts of the irradiance; they add up to 1.
     direct: Floats
     diffuse: Floats
+    #: What a perfect mirror shows: the sky above, and by how much that around the sun is brighter.
+    above: Floats
+    sunward: Floats
+
+    @classmethod
+    def under(cls, diffuse: Floats, zenith: Floats | float = 1.0, sunward: Floats | float = 0.0) -> Light:
+        """Return the light of a diffuse fraction (channel,) and a sky's radiances over its mean [1]."""
+        return cls(1.0 - diffuse, diffuse, diffuse * zenith, diffuse * sunward)
 
 
 class Matches(NamedTuple):
@@ -91,14 +100,23 @@ def unmix_spectra(
     unmix_lines(
         np.ascontiguousarray(seen, np.float32)[None],
         arguments.Bodies(body.astype(np.int32)[None], bodies, alone[None]),
-        arguments.LightParts(light.direct, light.diffuse),
+        arguments.LightParts(*light),
         arguments.ChannelErrors(np.full(light.direct.size, noise), GLINT.floor),
-        arguments.AmountPrior(expected, spread, np.full(len(bodies), spread[0]), np.full(PARTS, np.inf)),
+        arguments.AmountPrior(expected, spread, np.full(len(bodies), spread[0]), expected + most_amounts()),
         0.0,
-        0.0,
+        arguments.Glinting(0.0, 0.0),
         arguments.Unmixed(amount, added, together, misfit),
     )
     return amount[0].astype(np.float64), misfit[0].astype(np.float64), added[0].astype(np.float64)
+
+
+def most_amounts() -> Floats:
+    """Return by how much nature lets amounts exceed what is expected (part,) [1]; inf without a limit."""
+    from hyperpaint.kernels.unmixing import PARTS
+
+    most = np.full(PARTS, np.inf)
+    most[3:5] = MIRROR.max_above, MIRROR.max_sunward
+    return most
 
 
 def match_segments(
@@ -146,7 +164,9 @@ def _match_glint(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
     )
     fits = (
-        (amount[:, 2] > GLINT.min_glint) & (misfit < 1.0) & (size[other] >= GLINT.min_body_share * size[one])
+        (amount[:, 2] + amount[:, 4] > GLINT.min_glint)
+        & (misfit < 1.0)
+        & (size[other] >= GLINT.min_body_share * size[one])
     )
     # where the darker one could be the shadow, the brighter is no glint
     one, other, misfit = one[fits], other[fits], misfit[fits]

@@ -57,6 +57,10 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "wavelength": ((BAND,), "float64", "nm", "Centre wavelength at the centre column"),
     "channel_wavelength": (("channel",), "float64", "nm", "Mean wavelength of a channel's bands"),
     "diffuse_fraction": (("channel",), "float64", "1", "Diffuse part of the irradiance on level ground"),
+    "zenith_radiance": (("channel",), "float64", "1", "Radiance of the zenith over the mean of the sky"),
+    "sunward_radiance": (
+        ("channel",), "float64", "1", "Excess of the sky around the sun over the zenith",
+    ),
     "shift": (("channel", CROSS_TRACK), "float64", "nm", "True less nominal wavelength of a channel"),
     "noise": (("channel",), "float64", "1", "Standard deviation of a channel, relative to what is seen"),
     "segment": ((ALONG_TRACK, CROSS_TRACK), "int32", "", "Number of the segment; -1 without data"),
@@ -76,6 +80,9 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
 """Field to its dims, dtype, units and meaning."""
+
+_UNIFORM_SKY = {"zenith_radiance": 1.0, "sunward_radiance": 0.0}
+"""What models were made with that say nothing of the sky's directions [1]."""
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
@@ -116,6 +123,10 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
     fraction = fields.get("diffuse_fraction", np.empty(0))
     if not ((fraction >= 0) & (fraction <= 1)).all():
         problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
+    for name in _UNIFORM_SKY:
+        radiance = fields.get(name, np.empty(0))
+        if not (np.isfinite(radiance) & (radiance >= 0)).all():
+            problems.add(f"{name!r} is not finite, or below 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +146,9 @@ class SceneModel:
         [nm]
     diffuse_fraction : (channel,)
         Diffuse part of the irradiance on level ground [1].
+    zenith_radiance, sunward_radiance : (channel,)
+        Radiance of the zenith, and by how much that 5 degrees from the sun is larger, over the mean of the
+        sky [1]; 1 and 0 of a uniform sky, and of models that were stored without them.
     shift : (channel, cross_track)
         By how much a channel's true wavelength differs from the nominal one: smile [nm].
     noise : (channel,)
@@ -164,6 +178,8 @@ class SceneModel:
     channel: Ints
     channel_wavelength: Floats
     diffuse_fraction: Floats
+    zenith_radiance: Floats
+    sunward_radiance: Floats
     shift: Floats
     noise: Floats
     segment: npt.NDArray[np.int32]
@@ -214,7 +230,9 @@ class SceneModel:
         fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
-            if stored not in dataset.variables:
+            if stored not in dataset.variables and name in _UNIFORM_SKY:
+                fields[name] = np.full(dataset.sizes.get("channel", 0), _UNIFORM_SKY[name])
+            elif stored not in dataset.variables:
                 problems.add(f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})")
             elif set(dataset[stored].dims) != set(dims):
                 problems.add(f"{stored!r} has dims {dataset[stored].dims}, expected {dims}")

@@ -17,10 +17,17 @@ from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.base.units import convert, takes_quantities
-from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    relative_radiance,
+    scattering_cosine,
+    sunward_gain,
+    zenith_radiance,
+)
 from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
-from .detection_rules import DIFFUSE
+from .detection_rules import DIFFUSE, MIRROR
 from .model import SHADED
 
 if TYPE_CHECKING:
@@ -30,7 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CORRECTIONS", "SKIES", "SOURCES", "SUN_FROM", "correct_light", "diffuse_from_clear_sky",
-    "fraction_in_shadow", "measured_fraction", "remove_mirrored_sky", "shadow_side_of", "sun_zenith_of",
+    "fraction_in_shadow", "measured_fraction", "mirrored_radiances", "remove_mirrored_sky", "shadow_side_of",
+    "sky_of", "sun_zenith_of",
 ]  # fmt: skip
 
 
@@ -165,6 +173,24 @@ def fraction_in_shadow(
     return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
 
 
+def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
+    """Return the radiance of the zenith, and by how much that around the sun is larger (band,) [1].
+
+    Over the mean of the sky, one of `SKIES`; only a clear one has a brighter side. Takes ``wavelength``
+    (band,) [nm] and the sun's zenith angle [degree].
+    """
+    none = np.zeros(wavelength.shape)
+    if sky != "clear":
+        return none + (OVERCAST_ZENITH if sky == "overcast" else 1.0), none
+    zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
+    above = zenith_radiance(wavelength, zenith)
+    cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))
+    from_sun = scattering_cosine(cosine, np.array(0.0), zenith)
+    shapes = function_shapes(zenith)
+    parts = np.array([1.0, *(relative_radiance(shape, cosine, from_sun) for shape in shapes)])
+    return above, np.maximum(parts @ clear_sky_shares(wavelength, zenith) - above, 0.0)
+
+
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
 """Attributes of reflectance that say what was corrected."""
 
@@ -173,6 +199,9 @@ SKIES = ("clear", "uniform", "overcast")
 
 OVERCAST_ZENITH = 9.0 / 7.0
 """Radiance of the zenith of a CIE overcast sky over that of a uniform one [1]."""
+
+MAX_SUN_ZENITH_DEG = 89.0
+"""Sun from which on the sky's directions are taken for what they are there [degree]."""
 
 MAX_TILT_GAIN = 0.3
 """Change of the direct light up to which a surface gains sky with it, as one that leans [1]."""
@@ -255,7 +284,7 @@ def remove_mirrored_sky(
     _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
     line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
-    name = _sky_of(sky, diffuse)
+    name = sky_of(sky, diffuse)
     above: Any = OVERCAST_ZENITH if name == "overcast" else 1.0
     if name == "clear":
         above = zenith_radiance(line["wavelength"].values, sun_zenith_of(line, sun_zenith))
@@ -336,7 +365,7 @@ def correct_light(
     _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
     line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
-    model = _sky_of(sky, diffuse)
+    model = sky_of(sky, diffuse)
     gain = np.zeros(fraction.shape)
     if model == "clear":
         gain = sunward_gain(line["wavelength"].values, sun_zenith_of(line, sun_zenith))
@@ -402,7 +431,7 @@ def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> tu
     return fraction, f"{diffuse}, sun zenith {zenith:.4g} degree"
 
 
-def _sky_of(sky: str | None, diffuse: Any) -> str:
+def sky_of(sky: str | None, diffuse: Any) -> str:
     """Return which sky is meant; `SchemaError` where there is no such."""
     if sky is None:
         return "clear" if isinstance(diffuse, str) else "uniform"

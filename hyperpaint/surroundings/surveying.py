@@ -28,7 +28,9 @@ from .sun_and_sky import (
     diffuse_from_clear_sky,
     fraction_in_shadow,
     measured_fraction,
+    mirrored_radiances,
     shadow_side_of,
+    sky_of,
     sun_zenith_of,
 )
 
@@ -257,10 +259,11 @@ def survey(
     channels, channel = without_unknown(
         read_channels(cube, channel, as_progress(progress, "survey")), channel
     )
-    centre, split = (_mean_of(values, channel) for values in (wavelength, fraction))
+    radiances = mirrored_radiances(sky_of(None, diffuse), wavelength, zenith)
+    centre, split, *sky = (_mean_of(values, channel) for values in (wavelength, fraction, *radiances))
     shift = shift_of_channels(line, channel, channels.shape[1])
     to_nominal_channels(channels, centre, shift)
-    light = Light(1.0 - split, split)
+    light = Light.under(split, *sky)
     segments = divide(channels)
     count = segments.size.size
     boundary_px = np.empty(segments.number.shape, np.uint8)
@@ -279,7 +282,7 @@ def survey(
     matches, ground = matched(light)
     if isinstance(diffuse, str) and diffuse == "shadow":
         split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
-        light = Light(1.0 - split, split)
+        light = Light.under(split, *sky)
         matches, ground = matched(light)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
@@ -291,10 +294,10 @@ def survey(
     shade_distance[shaded_pixels(channels, segments.number, level, reference, light)] = 0
     return SceneModel(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
-        shift=shift, noise=noise, segment=segments.number, shade_distance=shade_distance,
-        edge_distance=edge_distance(segments, matches.body, paints.first), neighbour=neighbour,
-        size=segments.size, state=matches.state, body=matches.body, paint=paints.first, tilt=tilt,
-        spectrum=spectrum, reference=reference,
+        zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
+        shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
+        neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body, paint=paints.first,
+        tilt=tilt, spectrum=spectrum, reference=reference,
         attrs={"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
     )  # fmt: skip
 

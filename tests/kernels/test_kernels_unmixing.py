@@ -15,6 +15,8 @@ from hyperpaint.kernels.segmentation import boundary_distance, join_segments, ne
 from hyperpaint.kernels.unmixing import PARTS, average_bands, minimise, unmix_lines
 
 RNG = np.random.default_rng(3)
+AROUND = 0.03
+"""Mirror image of the sky around the sun that is expected with the sun's."""
 
 
 Array = npt.NDArray[Any]
@@ -31,6 +33,7 @@ def scene(channels: int = 20) -> dict[str, Array]:
         "bodies": RNG.uniform(0.05, 0.8, (3, channels)),
         "neighbours": near,
         "diffuse": np.linspace(0.4, 0.05, channels),
+        "mirrored": np.linspace([0.2, 0.6], [0.03, 0.4], channels).T.copy(),
         "noise": RNG.uniform(0.01, 0.03, channels),
         "expected": RNG.uniform(0, 1, PARTS),
         "spread": RNG.uniform(0.05, 1, PARTS),
@@ -47,11 +50,11 @@ def unmix(given: dict[str, Array], evidence: float = 0.0, lean: float = 0.0) -> 
     unmix_lines(
         given["seen"],
         arguments.Bodies(given["body_of"], given["bodies"], given["neighbours"]),
-        arguments.LightParts(1 - given["diffuse"], given["diffuse"]),
+        arguments.LightParts(1 - given["diffuse"], given["diffuse"], *given["mirrored"]),
         arguments.ChannelErrors(given["noise"], 0.005),
         arguments.AmountPrior(given["expected"], given["spread"], given["tilt"], given["most"]),
         evidence,
-        lean,
+        arguments.Glinting(lean, AROUND if lean else 0.0),
         arguments.Unmixed(amount, added, together, misfit),
     )
     return amount, added, together, misfit
@@ -60,7 +63,7 @@ def unmix(given: dict[str, Array], evidence: float = 0.0, lean: float = 0.0) -> 
 def parts_of(given: dict[str, Array], place: tuple[int, ...]) -> Array:
     """Return the spectra (channel, part) that a pixel's light is a sum of."""
     rho, diffuse, bodies = given["bodies"][given["body_of"][place]], given["diffuse"], given["bodies"]
-    columns = [rho * (1 - diffuse), rho * diffuse, 1 - diffuse, diffuse]
+    columns = [rho * (1 - diffuse), rho * diffuse, 1 - diffuse, *given["mirrored"]]
     for other in given["neighbours"][place]:
         if other >= 0:
             columns += [rho * bodies[other], bodies[other]]
@@ -77,6 +80,7 @@ def least(
     spread[0] = given["tilt"][given["body_of"][place]]
     expected = given["expected"][:used].copy()
     expected[0] += min(lean, spread[0])
+    expected[4] += AROUND if lean else 0.0
     sigma = given["noise"] * np.abs(given["seen"][place].astype(np.float64)) + 0.005
     rows = np.concatenate([parts / sigma[:, None], np.diag(1 / spread)])
     right = np.concatenate([given["seen"][place] / sigma, expected / spread])
@@ -96,7 +100,7 @@ def test_unmixing_is_the_bounded_least_squares_of_scipy() -> None:
         used = parts.shape[1]
         np.testing.assert_allclose(amount[place][:used], true, atol=1e-6)
         assert (amount[place][used:] == 0).all()
-        light = (parts * true).T[4:].reshape(-1, 2, parts.shape[0]).sum(axis=1)
+        light = (parts * true).T[5:].reshape(-1, 2, parts.shape[0]).sum(axis=1)
         np.testing.assert_allclose(added[place][: len(light)], light.max(axis=1), atol=1e-6)
         np.testing.assert_allclose(together[place], light.sum(axis=0).max(initial=0), atol=1e-6)
         sigma = given["noise"] * np.abs(given["seen"][place]) + 0.005
@@ -111,8 +115,8 @@ def test_the_minimum_is_exact_where_parts_are_of_one_colour() -> None:
     given["seen"] = (0.4 * np.linspace(1.0, 1.01, 20) + 0.004 * RNG.normal(size=(2, 6, 20))).astype(
         np.float32
     )
-    given["expected"] = np.array([0.5, 0.7, 0, 0, 0, 0, 0, 0])
-    given["spread"] = np.array([0.1, 0.3, 10.0, 0.02, 0.2, 0.1, 0.2, 0.1])
+    given["expected"] = np.array([0.5, 0.7, 0, 0, 0, 0, 0, 0, 0])
+    given["spread"] = np.array([0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1])
     amount, *_ = unmix(given)
     for place in np.ndindex(2, 6):
         true, _ = least(given, place)
@@ -141,8 +145,8 @@ def test_active_sets_end_where_no_gradient_points_inside(seed: int) -> None:
 
 def test_what_the_light_gives_no_evidence_of_is_left_out() -> None:
     given = scene()
-    given["expected"] = np.array([1.0, 1, 0, 0, 0, 0, 0, 0])
-    given["spread"] = np.array([0.1, 0.3, 10.0, 0.02, 0.2, 0.1, 0.2, 0.1])
+    given["expected"] = np.array([1.0, 1, 0, 0, 0, 0, 0, 0, 0])
+    given["spread"] = np.array([0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1])
     given["tilt"][:], given["most"][0] = 0.1, 1.3
     given["neighbours"] = np.where(given["neighbours"] == 2, -1, given["neighbours"])
     light = given["bodies"][given["body_of"]].copy()
@@ -157,10 +161,10 @@ def test_what_the_light_gives_no_evidence_of_is_left_out() -> None:
     assert (together[:, 3:] == 0).all()
     for x in range(3):  # by a likelihood ratio, over what scipy finds
         with_, without = (
-            least(given, (0, x), lean, out) for lean, out in ((0.05, (4, 5, 6, 7)), (0.0, (2, 4, 5, 6, 7)))
+            least(given, (0, x), lean, out) for lean, out in ((0.05, (5, 6, 7, 8)), (0.0, (2, 5, 6, 7, 8)))
         )
         assert without[1] - with_[1] > 9.0
-        np.testing.assert_allclose(amount[0, x][:4], with_[0][:4], atol=1e-5)
+        np.testing.assert_allclose(amount[0, x][:5], with_[0][:5], atol=1e-5)
 
 
 def test_channels_are_means_of_what_is_known() -> None:

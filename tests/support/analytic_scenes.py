@@ -11,6 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    relative_radiance,
+    scattering_cosine,
+)
 from hyperpaint.light.sun import diffuse_fraction
 
 __all__ = ["as_line", "bonnet", "box_shadow", "smooth_edge", "wall_beside_plane", "wavelengths"]
@@ -112,7 +118,8 @@ def bonnet(nm: Float, body: Float, *, zenith: float = 30.0, alpha: float = 0.05)
     """Return a coated bonnet, bent along the lines, beside asphalt: cube and the sun's mirror image g [1].
 
     Its normals lean by up to 20 degrees towards the sun and away. The coat is a GGX surface of index 1.5;
-    g is what it sends of the sun, over what a white Lambert surface on level ground would.
+    g is what it sends of the sun, over what a white Lambert surface on level ground would. It mirrors the
+    clear sky where that is, twice as far from the zenith as it leans.
     """
     lines, columns, margin = 160, 96, 24
     diffuse = diffuse_fraction(nm, zenith)
@@ -127,7 +134,12 @@ def bonnet(nm: Float, body: Float, *, zenith: float = 30.0, alpha: float = 0.05)
     direct = np.clip(np.cos(lean - sun), 0.0, None) / np.cos(sun)
     sky = (1.0 + np.cos(lean)) / 2.0
     light = direct[:, None] * (1.0 - diffuse) + sky[:, None] * diffuse
-    panel = body * light + mirror[:, None] * (1.0 - diffuse) + fresnel * diffuse
+    upwards, azimuth = np.cos(2.0 * lean), np.where(lean > 0.0, 0.0, np.pi)
+    from_sun = scattering_cosine(upwards, azimuth, zenith)
+    shares = clear_sky_shares(nm, zenith)
+    shapes = (relative_radiance(shape, upwards, from_sun) for shape in function_shapes(zenith))
+    seen_sky = np.stack([np.ones(lines), *shapes], axis=1) @ shares
+    panel = body * light + mirror[:, None] * (1.0 - diffuse) + fresnel * diffuse * seen_sky
     asphalt = smooth_edge(nm, 600.0, 0.07, 0.12, 150.0)
     cube = np.broadcast_to(asphalt, (lines, columns, nm.size)).copy()
     cube[:, margin:-margin] = panel[:, None]

@@ -30,15 +30,11 @@ def coat(request: pytest.FixtureRequest) -> tuple[Coat, int]:
     return COATS[request.param]
 
 
-_BLIND = pytest.mark.xfail(reason="flags take the sky for uniform", strict=True)
-
-
-@pytest.fixture(scope="module", params=["uniform", pytest.param("directional", marks=_BLIND)])
+@pytest.fixture(scope="module", params=["uniform", "directional"])
 def sky(request: pytest.FixtureRequest) -> Atmosphere:
     """Return a clear sky, with its light spread evenly or as it is.
 
-    Around the sun a real sky is bright: coats that mirror it there are taken for glint. Flags do not know
-    directions of the sky yet.
+    Around the sun a real sky is bright: what coats mirror of it there looks like glint.
     """
     clear = Atmosphere.clear(ZENITH, AZIMUTH)
     if request.param == "directional":

@@ -15,7 +15,7 @@ from hyperpaint.surroundings.shadows import match_shade, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)
 DIFFUSE = diffuse_fraction(NM, 40.0)
-LIGHT = Light(1.0 - DIFFUSE, DIFFUSE)
+LIGHT = Light.under(DIFFUSE)
 ASPHALT = smooth_edge(NM, 600.0, 0.07, 0.12, 150.0)
 RED = smooth_edge(NM, 600.0, 0.04, 0.6)
 AWAY = np.array([1.0, 0.0])

@@ -30,7 +30,7 @@ class Scene(NamedTuple):
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
         """Return that of a line's channels (line, column, channel) and its model."""
-        sky = (FOOTPRINTS.mirrored * model.diffuse_fraction).astype(np.float32)
+        sky = (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
         ground = np.nan_to_num(model.reference[largest_body(model)])
         return cls(channels, sky, channels.mean(axis=2), ground)
 
