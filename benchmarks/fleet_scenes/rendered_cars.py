@@ -1,0 +1,241 @@
+"""Car parks of the real fleet, rendered by hyperpaint's own tracer, each under two skies.
+
+A scene is 13 m of two rows of cars back to back, seen from 15 m with 3.5 to 5 cm and 60 bands, and is traced
+once. Everything about it follows from its seed (`conditions_of`): the sun, 15 to 60 degrees from the zenith
+and 66 to 76 in every fourth scene, and the second of its skies.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+BANDS, FWHM_NM = np.linspace(405.0, 995.0, 60), 6.0
+LENGTH_M, SWATH_M, ALTITUDE_M = 13.0, 12.5, 15.0
+SAMPLES = 48
+SKIES = ("clear", "hazy", "broken", "overcast")
+RECORD_S = 60.0
+"""The irradiance record begins so long before a flight, and ends so long after it [s]."""
+STATION_M = (25.0, 0.0)
+"""East and north of the spectrometer that records the irradiance."""
+_KEPT = (
+    "radiance", "irradiance", "irradiance_fwhm", "irradiance_max_gap", "irradiance_clock_uncertainty",
+    "instance", "paint_id", "shadow",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The light of a scene."""
+
+    sun_zenith: float  #: [degree]
+    sun_azimuth: float  #: [degree]
+    gsd: float  #: [m]
+    aerosol: float  #: Optical depth of the hazy sky [1].
+    skies: tuple[str, ...]  #: Two of `SKIES`.
+
+
+def conditions_of(seed: int) -> Conditions:
+    """Return the light of a scene: suns spread evenly over the seeds, the other skies in turn."""
+    rng = np.random.default_rng([seed, 2026])
+    even = (seed * 0.6180339887) % 1.0
+    zenith = 66.0 + 10.0 * even if seed % 4 == 3 else 15.0 + 45.0 * even
+    gsd, azimuth, aerosol = rng.uniform(0.035, 0.05), rng.uniform(90.0, 270.0), rng.uniform(0.3, 0.4)
+    return Conditions(zenith, float(azimuth), float(gsd), float(aerosol), ("clear", SKIES[1 + seed % 3]))
+
+
+def skies_of(seed: int) -> tuple[str, ...]:
+    """Return the names of a scene's skies."""
+    return conditions_of(seed).skies
+
+
+def line_of(seed: int, sky: str, cache: Path) -> Any:
+    """Return a line as it was rendered under a sky; from the cache where it is there."""
+    import xarray as xr
+
+    path = cache / f"rendered_{seed}_{sky}.zarr"
+    if not path.exists():
+        for name, line in _rendered(seed).items():
+            store = cache / f"rendered_{seed}_{name}.zarr"
+            part = store.with_suffix(".part")
+            line.to_zarr(part, mode="w", consolidated=False)
+            part.replace(store)
+    return xr.open_zarr(path, consolidated=False).load()
+
+
+def _rendered(seed: int) -> dict[str, Any]:
+    import hyperpaint as hp
+    from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
+    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.rendering.car_parks import car_park
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.platforms import pushbroom
+
+    light = conditions_of(seed)
+    lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)
+    around = ("walls", "trees") if seed % 2 else ("walls",)
+    park = car_park(
+        length=LENGTH_M + 6.0, width=32.0, seed=seed, neighbours=around, margin=10.0, fleet="real",
+        islands=False, occupancy=0.95,
+    )  # fmt: skip
+    flight = pushbroom(
+        lines, columns, ground_sample=light.gsd, line_spacing=light.gsd, start=(-0.1, 3.0), wobble=0.1,
+        altitude=ALTITUDE_M, seed=seed,
+    )  # fmt: skip
+    sun = light.sun_zenith, light.sun_azimuth
+    clear = Atmosphere.clear(*sun)
+    atmospheres = {
+        "clear": clear,
+        "hazy": Atmosphere.clear(*sun, aerosol=light.aerosol),
+        "broken": clear,
+        "overcast": clear.clouded(8),
+    }
+    suns = [clear, atmospheres["overcast"]] if "overcast" in light.skies else [clear]
+    traced = hp.simulation.trace(park, flight, suns, samples=SAMPLES, seed=seed, sun_radius=0.267).compute()
+    bands = BandSet(BANDS, np.full(BANDS.size, FWHM_NM))
+    rendered = {}
+    for name in light.skies:
+        sky = atmospheres[name]
+        clouds = None
+        if name == "broken":
+            clouds = BrokenClouds(cover=0.4, size=120.0, opacity=0.7, station=STATION_M, seed=seed)
+        line = hp.simulation.relight(traced, bands, atmosphere=sky, variation=clouds)
+        whole = [
+            hp.simulation.relight(traced, bands, atmosphere=dark)["irradiance"].values[0]
+            for dark in (replace(sky, sky=0.0 * sky.sky), replace(sky, sun=0.0 * sky.sun))
+        ]
+        seen = _with_record(line[list(_KEPT)].compute(), np.stack(whole), clouds)
+        rendered[name] = _with_truth(seen, line, traced, sky, clouds, bands)
+        rendered[name].attrs |= {"seed": seed, "sky": name, "source": "hyperpaint", **vars(light)}
+    return rendered
+
+
+def _with_record(line: Any, parts: Any, clouds: Any) -> Any:
+    """Return a line whose record of direct and diffuse irradiance ``parts`` is one of minutes, at 1 Hz."""
+    import xarray as xr
+
+    first, last = line["time"].values[[0, -1]]
+    length = int(RECORD_S + (last - first) / np.timedelta64(1, "s") + RECORD_S)
+    seconds = np.arange(length + 1.0) - RECORD_S
+    factors = np.ones((2, seconds.size))
+    if clouds is not None:
+        factors = clouds.factors(*clouds.station, seconds)
+    dims = line["irradiance"].dims
+    record = xr.DataArray((factors.T @ parts).astype(np.float32), dims=dims, attrs=line["irradiance"].attrs)
+    time = first + (seconds * 1e9).astype("timedelta64[ns]")
+    line = line.drop_dims(dims[0]).assign(irradiance=record)
+    line["irradiance_max_gap"] = line["irradiance_max_gap"].copy(data=2.5)
+    return line.assign_coords({dims[0]: (dims[0], time)})
+
+
+def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: Any) -> Any:
+    """Return a line with the direction of view, and what its paints and its light truly are.
+
+    ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
+    the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
+    """
+    from hyperpaint.simulation.rendering.painting import factor_spectra
+    from hyperpaint.simulation.rendering.populations import populations_of, rows_of_pixels
+    from hyperpaint.simulation.rendering.scene_record import SceneRecord
+
+    record, settings = SceneRecord.from_attrs(traced.attrs)
+    painted = factor_spectra(record, bands, None, None)
+    populations = populations_of(record, painted, bands)
+    planes = ("along_track", "cross_track")
+    east, north, up = (lit[name].values for name in ("east", "north", "up"))
+    rows = rows_of_pixels(
+        lit["material"].values, lit["instance"].values, east, north, up,
+        grain=populations.grain, seed=settings.seed,
+    )  # fmt: skip
+    line["dust"] = planes, rows
+    line["dust_ratio"] = ("row", "band"), np.asarray(populations.ratio)
+    # the camera flies north along x = -0.1
+    view = np.degrees(np.arctan2(east + 0.1, ALTITUDE_M - up))
+    line["view_zenith"] = planes, np.abs(view).astype(np.float32), {"units": "degree"}
+    azimuth = np.where(view > 0.0, 270.0, 90.0)
+    line["view_azimuth"] = planes, azimuth.astype(np.float32), {"units": "degree"}
+    direct, diffuse = (
+        np.interp(BANDS, sky.wavelength, curve) for curve in (sky.sun * sky.sun_cosine, sky.sky)
+    )
+    if clouds is not None:
+        changed = clouds.factors(np.nanmean(east), np.nanmean(north), 1.0)
+        direct, diffuse = direct * changed[0], diffuse * changed[1]
+    line["true_direct"] = "band", direct / (direct + diffuse)
+    shares = [np.interp(BANDS, sky.wavelength, part) for part in (sky.molecular, sky.aureole)]
+    line["true_shares"] = ("share", "band"), np.stack([*shares, np.full(BANDS.size, sky.overcast_share)])
+    line.attrs["paints"] = json.dumps(line["paint_id"].attrs["flag_meanings"].split())
+    return line
+
+
+def truth_of(line: Any, along: Any, across: Any) -> Any:
+    """Return the `Truth` of the paint that most of some pixels show.
+
+    Of a solid paint, what it reflects near-normally lit and seen, with the dust that lies on these pixels. Of
+    one with flakes there is no such: its reflectance factor under this sun and sky as seen from here, on a
+    level panel. Both without the mirror image in the coat.
+    """
+    from hyperpaint.simulation.rendering.fleet import fleet_paint
+    from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
+
+    from .verdicts import Truth
+
+    shown = line["paint_id"].values[along, across]
+    names = json.loads(line.attrs["paints"])
+    if not (shown >= 0).mean() > 0.5:
+        return Truth({"paint": "none", "finish": "none", "colour": "none"}, None)
+    name = names[int(np.bincount(shown[shown >= 0]).argmax())]
+    car, spec = fleet_paint(int(name.partition("-")[2])), paint_spec(name)
+    words = {
+        "paint": name, "finish": spec.finish, "colour": car.colour if car.colour in PLAIN else "coloured"
+    }  # fmt: skip
+    rows = line["dust"].values[along, across]
+    ratio = line["dust_ratio"].values[rows[rows >= 0]].mean(axis=0) if (rows >= 0).any() else 1.0
+    body = np.asarray(spectrum_of(name)(BANDS) * ratio)
+    if spec.flakes is None:
+        return Truth(words, body)
+    view = float(np.nanmean(line["view_zenith"].values[along, across]))
+    azimuth = float(np.nanmedian(line["view_azimuth"].values[along, across]))
+    metal = spectrum_of(spec.flakes.spectrum)(BANDS)
+    return Truth(words, _under_sky(line, spec.material(), body, metal, (view, azimuth)))
+
+
+PLAIN = ("white", "black", "grey", "silver")
+
+
+def _under_sky(line: Any, material: Any, body: Any, metal: Any, view: tuple[float, float]) -> Any:
+    """Return the reflectance factor (band,) of a level panel with flakes under the sun and sky of a line.
+
+    Integral of the paint's reflectance factor over the directions of the light, weighted by their shares of
+    the level irradiance.
+    """
+    from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
+    from hyperpaint.simulation.rendering.appearance import reflectance_factor
+
+    zenith, azimuth = line.attrs["sun_zenith"], line.attrs["sun_azimuth"]
+
+    def factor(light: float, towards: float) -> Any:
+        apart = abs((towards - view[1] + 180.0) % 360.0 - 180.0)
+        return reflectance_factor(material, body, metal, light=light, view=view[0], azimuth=apart)
+
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    cosines = 0.5 * (nodes + 1.0)
+    molecular, aureole, overcast = line["true_shares"].values
+    shapes = function_shapes(float(zenith))
+    turns = np.arange(12) * 30.0 + 15.0
+    total, norm = np.zeros(BANDS.size), np.zeros(BANDS.size)
+    for cosine, weight in zip(cosines, weights, strict=True):
+        for turn in turns:
+            from_sun = scattering_cosine(np.array(cosine), np.radians(turn), zenith)
+            parts = [float(relative_radiance(one, np.array(cosine), from_sun)) for one in shapes]
+            # 1.5 cos goes with the unit level irradiance of a radiance in proportion to the cosine
+            radiance = molecular * parts[0] + aureole * parts[1] + overcast * 1.5 * cosine
+            radiance = radiance + (1.0 - molecular - aureole - overcast)
+            share = radiance * cosine * weight
+            total += share * factor(float(np.degrees(np.arccos(cosine))), azimuth + turn)
+            norm += share
+    direct = line["true_direct"].values
+    return direct * factor(zenith, azimuth) + (1.0 - direct) * total / norm

@@ -1,0 +1,179 @@
+"""From a line with its truth to the product's signatures, and from these to right, wrong or refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+SNR = 100.0
+MAX_SHAPE, MAX_RELATIVE_SHAPE, DARK_SHAPE, DARK = 0.01, 0.05, 0.004, 0.1
+"""Root mean square of what is left of a spectrum after one factor, at most: the larger of 0.01 and 5 % of its
+level [1]; of paint darker than 0.1, the larger of 0.004 and 5 %, since 0.01 would be no limit there."""
+MAX_LEVEL, MAX_RELATIVE_LEVEL = 0.004, 0.06
+"""Error of the mean over the bands, at most: the larger of both [1]."""
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a car, or of a region that is on none."""
+
+    source: str  #: Whose renderer.
+    seed: int
+    sky: str
+    sun_zenith: float  #: [degree]
+    car: str  #: Empty for a region elsewhere.
+    paint: str
+    finish: str  #: True: "solid", "metallic", "pearl"; "none" where it is no paint.
+    colour: str
+    result: str  #: "right", "wrong", "refused".
+    told: str = ""  #: Why it was refused, or what is wrong.
+    stated_finish: str = ""
+    kind: str = ""
+    shape: float = np.nan  #: [1]
+    level: float = np.nan  #: Signature over truth [1].
+    true_level: float = np.nan  #: [1]
+    is_covered: bool | None = None  #: Whether the level lies in the stated 95 % interval; None without one.
+    name: str = ""  #: Of the region.
+
+
+def looked_at(line: Any) -> tuple[Any, Any, Any]:
+    """Return reflectance from noisy radiance, its scene model, and the line with flags."""
+    import hyperpaint as hp
+
+    radiance = line["radiance"]
+    noise = 1.0 + np.random.default_rng([line.attrs["seed"], 7]).normal(size=radiance.shape) / SNR
+    noisy = line.assign(radiance=radiance.copy(data=(radiance.values * noise).astype(np.float32)))
+    seen = hp.reflectance(noisy).compute()
+    model = hp.surroundings.survey(seen, **_places(line))
+    return seen, model, hp.surroundings.flag(seen, model).compute()
+
+
+def _places(line: Any) -> dict[str, float]:
+    """Return where the sun stands, and where to the camera flew: north."""
+    return {"sun_zenith": line.attrs["sun_zenith"], "sun_azimuth": line.attrs["sun_azimuth"], "heading": 0.0}
+
+
+def extracted(flagged: Any, regions: Any, zenith: float) -> Any:
+    """Return the library of signatures; None where every region has too few pixels left."""
+    import hyperpaint as hp
+
+    try:
+        return hp.extract_signatures(
+            flagged, regions, specular_sky=True, sun_zenith=zenith, drop_small=True
+        ).compute()
+    except hp.errors.SchemaError as error:
+        if "too few pixels" in str(error):
+            return None
+        raise
+
+
+def whole_cars(line: Any, names: Sequence[str]) -> list[int]:
+    """Return the instances of cars that do not touch the edge of the picture."""
+    instance = line["instance"].values
+    cut = np.concatenate([instance[0], instance[-1], instance[:, 0], instance[:, -1]])
+    return [int(one) for one in np.setdiff1d(instance, cut) if one >= 0 and names[one].startswith("car_")]
+
+
+def judged(line: Any, truth_of: Any, scene: Any = None) -> list[Verdict]:
+    """Return a verdict on every whole car, and on every region elsewhere.
+
+    ``truth_of`` takes a line and pixels (along, across), and returns the `Truth` of what most of them show;
+    ``scene`` is what `looked_at` returns, made where it is not given.
+    """
+    import hyperpaint as hp
+    from hyperpaint.regions import pixels_of
+
+    seen, model, flagged = scene or looked_at(line)
+    proposals = hp.regions.propose_regions(seen, model, **_places(line))
+    library = extracted(flagged, proposals, line.attrs["sun_zenith"]) if len(proposals) else None
+    names = [one["name"] for one in json.loads(line.attrs["instances"])]
+    instance = line["instance"].values
+    whole = whole_cars(line, names)
+    case = {
+        "source": line.attrs["source"], "seed": int(line.attrs["seed"]), "sky": line.attrs["sky"],
+        "sun_zenith": float(line.attrs["sun_zenith"]),
+    }  # fmt: skip
+    verdicts: list[Verdict] = []
+    for region, (along, across) in zip(proposals, pixels_of(proposals, line), strict=True):
+        at = int(np.bincount(instance[along, across]).argmax())
+        truth = truth_of(line, along, across)
+        compared = _compared(library, region, truth)
+        car = names[at] if at in whole else ""
+        verdicts.append(Verdict(**case, car=car, name=region.name, **compared))
+    proposed = {one.car for one in verdicts}
+    refusals: dict[str, list[str]] = {}
+    for region, (along, across) in zip(proposals.refused, pixels_of(proposals.refused, line), strict=True):
+        at = int(np.bincount(instance[along, across]).argmax())
+        refusals.setdefault(names[at], []).extend(region.properties["refused"])
+    for at in whole:
+        if names[at] not in proposed:
+            pixels = np.nonzero((instance == at) & (line["paint_id"].values >= 0))
+            truth = truth_of(line, *pixels)
+            told = " | ".join(dict.fromkeys(refusals.get(names[at], ["NO REASON GIVEN"])))
+            verdicts.append(Verdict(**case, car=names[at], **truth.words, result="refused", told=told))
+    return verdicts
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a region truly shows."""
+
+    words: dict[str, str]  #: paint, finish, colour.
+    spectrum: Any  #: (band,): What a signature of it is compared with [1]; None of what is no paint.
+
+
+def _compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
+    """Return what is said of a region's signature."""
+    stated = str(region.properties.get("finish", ""))
+    row: dict[str, Any] = {**truth.words, "stated_finish": stated, "kind": region.properties["kind"]}
+    if library is None or region.name not in library["paint"].values:
+        return row | {"result": "refused", "told": "too few pixels are left after the flags"}
+    if truth.spectrum is None:
+        return row | {"result": "wrong", "told": "no paint"}
+    signature = library.sel(paint=region.name)
+    seen = signature["reflectance"].values.astype(np.float64)
+    good = np.isfinite(seen)
+    seen, true = seen[good], truth.spectrum[good]
+    factor = float(seen @ true / (seen @ seen))
+    shape = float(np.sqrt(np.mean((factor * seen - true) ** 2)))
+    level = float(true.mean())
+    off = abs(float(seen.mean()) - level)
+    most = max(MAX_SHAPE if level >= DARK else DARK_SHAPE, MAX_RELATIVE_SHAPE * level)
+    faults = []
+    if shape > most:
+        faults.append(f"shape off by {shape:.4f}, {most:.4f} allowed")
+    if off > max(MAX_LEVEL, MAX_RELATIVE_LEVEL * level):
+        faults.append(f"level {seen.mean():.4f}, true {level:.4f}")
+    if stated == "solid" and truth.words["finish"] != "solid":
+        faults.append(f"stated solid, and {truth.words['finish']}")
+    width = _level_sd(signature, region)
+    covered = None if width is None else bool(off <= NORMAL_95 * width)
+    return row | {
+        "result": "wrong" if faults else "right", "told": "; ".join(faults), "shape": shape,
+        "level": float(seen.mean()) / level, "true_level": level, "is_covered": covered,
+    }  # fmt: skip
+
+
+def _level_sd(signature: Any, region: Any) -> float | None:
+    """Return the stated standard uncertainty of the mean over the bands [1]; None where nothing is stated.
+
+    What is systematic moves all bands together; what is random averages out over them.
+    """
+    systematic = signature["reflectance_u_systematic"].values
+    random = signature["reflectance_u_random"].values
+    parts = []
+    if np.isfinite(systematic).any():
+        parts.append(float(np.nanmean(systematic)))
+    if np.isfinite(random).any():
+        parts.append(float(np.sqrt(np.nanmean(random**2) / np.isfinite(random).sum())))
+    stated = region.properties.get("level_uncertainty")
+    if stated is not None and "level" not in str(
+        signature["reflectance_u_systematic"].attrs.get("components")
+    ):
+        parts.append(float(stated) * float(np.nanmean(signature["reflectance"].values)))
+    return float(np.hypot.reduce(parts)) if parts else None
