@@ -133,6 +133,9 @@ _LINE_TABLE = (
     Variable("irradiance_misfit", (BAND,), "1", "float32", "Distance of the response that irradiance was matched to from that of the camera, relative"),
     Variable("irradiance_age", _LINE, "s", "float32", "Time to the nearest irradiance sample"),
     Variable("timing_sensitivity", _LINE, "1", "float32", "Largest relative change of irradiance within the clocks' uncertainty"),
+    Variable("diffuse_fraction", (ALONG_TRACK, BAND), "1", "float32", "Diffuse part of the irradiance on level ground", alternatives=((IRRADIANCE_TIME, BAND), (BAND,))),
+    Variable("diffuse_fraction_u", (ALONG_TRACK, BAND), "1", "float32", "Standard uncertainty of diffuse_fraction", alternatives=((IRRADIANCE_TIME, BAND), (BAND,))),
+    Variable("sky_state", _LINE, "", "int8", "What sky the irradiance is of", alternatives=((IRRADIANCE_TIME,), ())),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),
     Variable(ALONG_TRACK, _LINE, "", "int64", "Line, counted from the first of the cube; crops keep their numbers", coordinate=True),

@@ -1,3 +1,4 @@
+from .diffuse_record import diffuse_from_record as diffuse_from_record
 from .illumination import (
     Tilt as Tilt,
     match_irradiance as match_irradiance,

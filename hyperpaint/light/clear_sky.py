@@ -128,12 +128,12 @@ class ClearSky:
     """
 
     sun_zenith: float = 25.0
-    aerosol: float = 0.10
-    angstrom: float = 1.14
-    ozone: float = 0.31
-    water: float = 1.0
-    pressure: float = 101_325.0
-    ground: float = 0.2
+    aerosol: float | Floats = 0.10
+    angstrom: float | Floats = 1.14
+    ozone: float | Floats = 0.31
+    water: float | Floats = 1.0
+    pressure: float | Floats = 101_325.0
+    ground: float | Floats = 0.2
     airmass: float | None = None
 
     def __post_init__(self) -> None:

@@ -157,10 +157,10 @@ class Scatterers(NamedTuple):
         Mean reflectance of the surroundings [1].
     """
 
-    aerosol: float = 0.1
-    angstrom: float = 1.14
-    pressure: float = 101_325.0
-    ground: float = 0.2
+    aerosol: float | Floats = 0.1
+    angstrom: float | Floats = 1.14
+    pressure: float | Floats = 101_325.0
+    ground: float | Floats = 0.2
 
 
 def scattered_light(

@@ -195,9 +195,10 @@ def process(
     """Process a collect into one Zarr store.
 
     Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
-    ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept and a small true-colour
-    ``overview``. The whole irradiance record, the calibration and the spectra of field spectrometers are
-    archived beside them.
+    ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept, how its light divides
+    (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`)
+    and a small true-colour ``overview``. The whole irradiance record, the calibration and the spectra of
+    field spectrometers are archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -364,10 +365,14 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     if to == "radiance":
         product = dataset.paint.radiance()
         return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
+    from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.pictures.plot import overview
 
     product = dataset.paint.reflectance(keep_bits=KEPT_BITS)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
+    split = split_of_lines(dataset)
+    if split is not None:
+        product = product.assign(split.data_vars)
     picture = overview(product)
     if picture is not None:
         product = product.assign(overview=picture)

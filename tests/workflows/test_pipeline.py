@@ -118,6 +118,15 @@ def test_overview_is_the_picture_of_the_line(store: Path) -> None:
 
 
 @pytest.mark.slow
+def test_lines_say_how_their_light_divides(store: Path) -> None:
+    line = xr.open_zarr(store, group="flightlines/raw_0")
+    assert line["sky_state"].attrs["flag_meanings"].split()[int(line["sky_state"][0])] == "clear"
+    for name in ("diffuse_fraction", "diffuse_fraction_u"):
+        assert line[name].dims == ("along_track", "band")
+        assert line[name].dtype == np.float32
+        assert bool(((line[name] > 0.0) & (line[name] < 1.0)).all())
+
+
 def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     first = run(collect, out)

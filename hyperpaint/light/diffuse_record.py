@@ -1,0 +1,279 @@
+"""How much of the light is the sky's, and what sky it was, from a record of irradiance alone.
+
+A record against all clear and cloudy skies that there may be at its place and time (`sky_states`): by level,
+colour, and changes over a minute. For `process`, which stores it with each line, and for all that needs the
+split of lines that have a record only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base.units import convert, takes_quantities
+
+from .sky_states import RULES, Evidence, explain, windows_in
+from .sun import solar_position
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SKY_STATES", "SPLIT", "diffuse_from_record", "split_of_lines"]
+
+
+SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
+"""Words of ``sky_state``, in the order of its numbers."""
+
+SPLIT = ("diffuse_fraction", "diffuse_fraction_u", "sky_state")
+"""Variables that say how the light of a line divides."""
+
+_SHOWN_NM = (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0, 750.0, 800.0, 850.0, 900.0, 950.0, 1000.0)
+
+
+def sun_distance_factor(time: Array) -> Floats:
+    """Return sunlight above the air over that at one astronomical unit (time,), to 0.1 % [1].
+
+    Examples
+    --------
+    >>> sun_distance_factor(np.array(["2024-01-04", "2024-07-04"], "datetime64[ns]")).round(3)
+    array([1.033, 0.967])
+    """
+    days = (np.asarray(time).astype("datetime64[s]") - np.datetime64("2000-01-04")).astype(np.float64) / 86400
+    return np.asarray(1.0 + 0.0334 * np.cos(2.0 * np.pi * days / 365.25))
+
+
+@takes_quantities(latitude="degree", longitude="degree", calibration_uncertainty="1", wavelength="nm")
+def diffuse_from_record(
+    irradiance: xr.Dataset,
+    latitude: float,
+    longitude: float,
+    *,
+    wavelength: npt.ArrayLike = _SHOWN_NM,
+    calibration_uncertainty: float = 0.05,
+    pressure: float = 101_325.0,
+) -> xr.Dataset:
+    r"""Return the diffuse fraction of measured downwelling light, and what sky it came from.
+
+    Parameters
+    ----------
+    irradiance
+        With ``irradiance`` (irradiance_time, irradiance_wavelength) of a level receiver, in any unit of
+        irradiance.
+    latitude, longitude
+        Where it stood, north and east positive [degree].
+    wavelength : (band,)
+        Where the fraction is wanted, 300 to 2500 [nm].
+    calibration_uncertainty
+        Relative standard uncertainty of the record's level [1]. 5 % is what a calibrated field spectrometer
+        with a cosine receptor is good for; a larger one leaves the decision to colour and changes.
+    pressure
+        At the receiver [Pa].
+
+    Returns
+    -------
+    Dataset
+        ``diffuse_fraction`` and ``diffuse_fraction_u`` (irradiance_time, band), float32 [1], mean and
+        standard deviation of what is possible; NaN where a sample has no data. ``sky_state``
+        (irradiance_time), int8: 0 clear, 1 hazy, 2 broken, 3 overcast, 4 contradictory: thin cloud before the
+        sun, a level that no sky has or a receiver that is not calibrated, or several skies that explain it
+        alike; the uncertainty is then wide. ``sky_probability`` (irradiance_time, state) [1], and
+        ``cloud_share`` (irradiance_time) [1], the way from a clear sky's fraction at 550 nm to 1.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing, of other dims or units; the place is not known; or the record has none of the
+        intervals between the bands of oxygen and water, 407 to 1013 nm, that are compared.
+
+    Notes
+    -----
+    Bayes' rule over some 4600 skies drawn from what is usual: air from SPECTRL2 with other aerosol, ozone,
+    ground and pressure, and clouds over it, see `hyperpaint.light.sky_states`. What a spectrum alone cannot
+    tell: a thin neutral cloud from a dirty receiver.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> from hyperpaint.light.clear_sky import ClearSky
+    >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
+    >>> sky = np.tile(0.967 * sum(ClearSky(26.6).irradiance(nm)), (2, 1))
+    >>> light = xr.DataArray(
+    ...     sky, {"irradiance_time": noon, "irradiance_wavelength": nm}, attrs={"units": "W m-2 nm-1"}
+    ... )
+    >>> record = light.to_dataset(name="irradiance")
+    >>> split = diffuse_from_record(record, 50.0, 0.0, wavelength=[450.0, 850.0])
+    >>> split.sky_state.values, split.diffuse_fraction.values[0].round(1)
+    (array([0, 0], dtype=int8), array([0.3, 0.1], dtype=float32))
+    """
+    import xarray as xr
+
+    variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
+    record = variables["irradiance"]
+    if IRRADIANCE_WAVELENGTH not in record.coords:
+        raise SchemaError("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+    channels = record[IRRADIANCE_WAVELENGTH]
+    channels = convert(channels, "nm") if "units" in channels.attrs else channels
+    _check(latitude, longitude, calibration_uncertainty, pressure)
+    at = np.atleast_1d(np.asarray(wavelength, np.float64))
+    time = variables[IRRADIANCE_TIME].values
+    place = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
+    fraction, u, probability, cloud = _split(
+        record.values, time, channels.values.astype(np.float64), at, place
+    )
+    split = xr.Dataset(
+        {
+            "diffuse_fraction": ((IRRADIANCE_TIME, BAND), fraction.astype(np.float32)),
+            "diffuse_fraction_u": ((IRRADIANCE_TIME, BAND), u.astype(np.float32)),
+            "sky_state": (IRRADIANCE_TIME, states_of(probability)),
+            "sky_probability": ((IRRADIANCE_TIME, "state"), probability, {"units": "1"}),
+            "cloud_share": (IRRADIANCE_TIME, cloud, {"units": "1"}),
+        },
+        {
+            IRRADIANCE_TIME: record[IRRADIANCE_TIME].variable,
+            "wavelength": (BAND, at, schema.VARIABLES["wavelength"].attrs),
+            "state": list(SKY_STATES),
+        },
+    )
+    return split.assign({name: labelled(split[name]) for name in SPLIT})
+
+
+def labelled(array: xr.DataArray) -> xr.DataArray:
+    """Return one of `SPLIT` with its attributes of the table; a state's numbers say what they mean."""
+    words = {}
+    if array.name == "sky_state":
+        words = {
+            "flag_values": np.arange(len(SKY_STATES), dtype=np.int8),
+            "flag_meanings": " ".join(SKY_STATES),
+        }
+    return schema.label(array, str(array.name), **words)
+
+
+def states_of(probability: Floats) -> npt.NDArray[np.int8]:
+    """Return the number of the likeliest of `SKY_STATES`; contradictory where none is likely enough."""
+    state = probability.argmax(axis=1)
+    undecided = probability.max(axis=1) < RULES.decided
+    return np.where(undecided, len(SKY_STATES) - 1, state).astype(np.int8)
+
+
+def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
+    problems = Problems("the split of irradiance is not known", SchemaError)
+    if not (np.isfinite(latitude) and np.isfinite(longitude)):
+        problems.add(f"latitude {latitude}, longitude {longitude}: expected the place of the receiver")
+    if not 0.0 < calibration <= 1.0:
+        problems.add(f"calibration_uncertainty={calibration!r}, expected above 0, at most 1")
+    if not 3e4 <= pressure <= 1.1e5:
+        problems.add(f"pressure={pressure!r}, expected 30000 to 110000 Pa")
+    problems.raise_if_any()
+
+
+def _split(
+    spectra: Array,
+    time: Array,
+    channels: Floats,
+    wavelength: Floats,
+    place: tuple[float, float, float, float],
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud (sample,).
+
+    ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa].
+    """
+    latitude, longitude, level_u, pressure = place
+    windows = windows_in(channels)
+    if not windows.centre.size:
+        raise SchemaError(
+            f"irradiance covers {channels.min():g} to {channels.max():g} nm and none of the intervals that "
+            f"are compared, {RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm"
+        )
+    used = windows.operator.any(axis=0)
+    means = np.asarray(spectra, np.float64)[:, used] @ windows.operator[:, used].T
+    means /= sun_distance_factor(time)[:, None]
+    zenith, _ = solar_position(time, latitude, longitude)
+    usable = (means > 0.0).all(axis=1) & np.isfinite(means).all(axis=1) & np.isfinite(zenith)
+    samples, bands = len(means), wavelength.size
+    fraction, u = np.full((samples, bands), np.nan), np.full((samples, bands), np.nan)
+    probability = np.zeros((samples, len(SKY_STATES)))
+    probability[:, -1] = 1.0
+    cloud = np.full(samples, np.nan)
+    if usable.any():
+        seconds = (time[usable] - time[usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
+        evidence = Evidence(np.log(means[usable]), zenith[usable], seconds, level_u)
+        answer = explain(evidence, windows, pressure)
+        for out, values in ((fraction, answer.fraction), (u, answer.u)):
+            out[usable] = [np.interp(wavelength, answer.nodes, row) for row in values]
+        probability[usable], cloud[usable] = answer.probability, answer.cloud
+    return fraction, u, probability, cloud
+
+
+def split_of_lines(line: xr.Dataset, *, calibration_uncertainty: float = 0.05) -> xr.Dataset | None:
+    """Return `SPLIT` of the lines of a flight line, from its own record; None where it has none, or no place.
+
+    ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
+    fraction of both samples around it by their distance, and the state of the nearer one; NaN, and
+    contradictory, where it has no time. Lazy where the record or ``wavelength`` come from a file.
+    """
+    import dask
+    import dask.array as da
+    import xarray as xr
+
+    wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
+    if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
+        return None
+    variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
+    record = variables["irradiance"]
+    latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    if not known.any() or IRRADIANCE_WAVELENGTH not in record.coords:
+        return None
+    channels = convert(record[IRRADIANCE_WAVELENGTH], "nm").values.astype(np.float64)
+    if not windows_in(channels).centre.size:
+        return None
+    # to a kilometre, so that a crop of the line means the same sky
+    place = round(float(latitude[known].mean()), 2), round(float(longitude[known].mean()), 2)
+    wavelength = variables["wavelength"].values.astype(np.float64)
+    samples = variables[IRRADIANCE_TIME].values
+    numbers = (*place, calibration_uncertainty, 101_325.0)
+    whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers)
+    time = variables["time"].values
+    parts: list[list[Any]] = [[], [], []]
+    for rows in np.split(time, range(1024, time.size, 1024)):
+        three = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
+        shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
+        for out, one, shape, dtype in zip(parts, three, shapes, ("f4", "f4", "i1"), strict=True):
+            out.append(da.from_delayed(one, shape, dtype))
+    dims = ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,))
+    columns = zip(SPLIT, dims, parts, strict=True)
+    split = xr.Dataset({name: (own, da.concatenate(blocks)) for name, own, blocks in columns})
+    return split.assign({name: labelled(split[name]) for name in SPLIT})
+
+
+def _at_lines(
+    split: tuple[Floats, Floats, Floats, Floats], samples: Array, time: Array
+) -> tuple[Array, Array, Array]:
+    """Return fraction, uncertainty (line, band) and state (line,) between the samples around every line."""
+    fraction, u, probability, _ = split
+    usable = np.flatnonzero(np.isfinite(fraction[:, 0]))
+    shape = (time.size, fraction.shape[1])
+    state = np.full(time.size, len(SKY_STATES) - 1, np.int8)
+    if not usable.size:
+        return np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32), state
+    stamps, known = samples[usable].astype("datetime64[ns]"), ~np.isnat(time)
+    # as nanoseconds after the first sample, so that no bit depends on the distance to 1970
+    at = np.where(known, time.astype("datetime64[ns]") - stamps[0], np.timedelta64(0, "ns")).astype(np.int64)
+    place = (stamps - stamps[0]).astype(np.int64)
+    after = np.clip(np.searchsorted(place, at), 0, usable.size - 1)
+    before = np.maximum(after - (at < place[after]), 0)
+    gap = np.maximum(place[after] - place[before], 1)
+    part = np.clip((at - place[before]) / gap, 0.0, 1.0)[:, None]
+    rows = [
+        np.where(known[:, None], (1.0 - part) * each[usable[before]] + part * each[usable[after]], np.nan)
+        for each in (fraction, u)
+    ]
+    nearer = usable[np.where(part[:, 0] > 0.5, after, before)]
+    state = np.where(known, states_of(probability)[nearer], state).astype(np.int8)
+    return rows[0].astype(np.float32), rows[1].astype(np.float32), state

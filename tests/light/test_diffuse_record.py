@@ -1,0 +1,167 @@
+"""What sky a record of irradiance is of: against SPECTRL2 by pvlib, ASTM G173, and clouds over them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record, split_of_lines
+from hyperpaint.light.sun import air_mass, solar_position
+from hyperpaint.simulation import simulate_line
+
+NM = np.arange(390.0, 1021.0)
+BANDS = np.array([450.0, 550.0, 750.0, 850.0])
+SAMPLES = 30
+
+
+def spectrl2(zenith: float, aerosol: float, water: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
+    pvlib = pytest.importorskip("pvlib")
+    table = pvlib.spectrum.spectrl2(
+        apparent_zenith=zenith, aoi=zenith, surface_tilt=0, ground_albedo=0.2, surface_pressure=101325.0,
+        relative_airmass=float(air_mass(zenith)), precipitable_water=water, ozone=0.31,
+        aerosol_turbidity_500nm=aerosol, dayofyear=94,  # at 1 AU
+    )  # fmt: skip
+    whole, sky = (np.interp(NM, table["wavelength"], np.ravel(table[name])) for name in ("poa_global", "dhi"))
+    return whole - sky, sky
+
+
+def moments(zenith: float) -> np.ndarray:
+    """Return two minutes in which the sun stands at a zenith angle over the equator, at 1 AU."""
+    morning = np.datetime64("2024-04-03T06:00", "ns") + np.arange(0, 6 * 3600, 4).astype("timedelta64[s]")
+    start = int(np.abs(solar_position(morning, 0.0, 0.0)[0] - zenith).argmin())
+    return morning[start : start + SAMPLES]
+
+
+def record(light: np.ndarray, time: np.ndarray) -> xr.Dataset:
+    light = np.broadcast_to(light, (time.size, NM.size))
+    coords = {"irradiance_time": time, "irradiance_wavelength": NM}
+    return xr.DataArray(light, coords, attrs={"units": "W m-2 nm-1"}).to_dataset(name="irradiance")
+
+
+def split(light: np.ndarray, time: np.ndarray, **options: Any) -> xr.Dataset:
+    return diffuse_from_record(record(light, time), 0.0, 0.0, wavelength=BANDS, **options)
+
+
+def words(one: xr.Dataset) -> set[str]:
+    return {SKY_STATES[number] for number in one.sky_state.values}
+
+
+def inside(one: xr.Dataset, truth: np.ndarray) -> float:
+    """Return how often an interval of 95 % holds the truth."""
+    apart = np.abs(one.diffuse_fraction - truth)
+    return float((apart < 1.96 * one.diffuse_fraction_u).mean())
+
+
+@pytest.mark.parametrize("zenith", [25.0, 45.0, 65.0])
+@pytest.mark.parametrize(
+    ("aerosol", "water", "word"), [(0.03, 0.5, "clear"), (0.1, 3.0, "clear"), (0.45, 1.5, "hazy")]
+)
+def test_clear_air_of_another_model(zenith: float, aerosol: float, water: float, word: str) -> None:
+    direct, sky = spectrl2(zenith, aerosol, water)
+    one = split(direct + sky, moments(zenith))
+    truth = np.interp(BANDS, NM, sky / (direct + sky))
+    assert words(one) == {word}
+    assert inside(one, truth) == 1.0
+    # a third of the range that skies have, as a clear sky of any aerosol
+    assert float(one.diffuse_fraction_u.max()) < 0.2
+    assert np.abs(one.diffuse_fraction - truth).max() < 0.1
+
+
+def test_the_split_of_g173() -> None:
+    pvlib = pytest.importorskip("pvlib")
+    table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")
+    beam = table["direct"].values
+    sky = table["global"].values - beam * np.cos(np.radians(48.19 - 37.0))  # as it is on its slope
+    direct, sky = (np.interp(NM, table.index, part) for part in (beam * np.cos(np.radians(48.19)), sky))
+    one = split(direct + sky, moments(48.19))
+    assert words(one) == {"clear"}
+    assert inside(one, np.interp(BANDS, NM, sky / (direct + sky))) == 1.0
+
+
+@pytest.mark.parametrize("level", [0.1, 0.25, 0.5])
+def test_overcast(level: float) -> None:
+    direct, sky = spectrl2(40.0, 0.1)
+    tint = 0.85 + 0.15 * (NM / 490.0) ** -4.0
+    one = split(level * tint * (direct + sky), moments(40.0))
+    assert words(one) == {"overcast"}
+    assert float(one.diffuse_fraction.min()) > 0.97
+    assert inside(one, np.ones(4)) == 1.0
+
+
+def test_broken_cloud_takes_the_sun_and_gives_it_back() -> None:
+    direct, sky = spectrl2(40.0, 0.1)
+    free = (np.arange(SAMPLES) // 5 % 2).astype(float)[:, None]  # 20 s of sun, 20 s without
+    diffuse = 0.6 * sky + 0.12 * (direct + sky)
+    one = split(free * direct + diffuse, moments(40.0))
+    assert words(one) == {"broken"}
+    truth = np.array([np.interp(BANDS, NM, row) for row in diffuse / (free * direct + diffuse)])
+    assert inside(one, truth) > 0.95
+    # next to the receiver it is the other way round
+    assert float(one.diffuse_fraction_u.min()) > 0.15
+
+
+@pytest.mark.parametrize("factor", [0.78, 1.25, 1.6])
+def test_a_level_that_no_sky_has_contradicts(factor: float) -> None:
+    direct, sky = spectrl2(40.0, 0.1)
+    one = split(factor * (direct + sky), moments(40.0))
+    assert words(one) == {"contradictory"}
+    truth = np.interp(BANDS, NM, sky / (direct + sky))
+    assert inside(one, truth) == 1.0
+    # a receiver that is known to be that bad leaves it to colour
+    assert inside(split(factor * (direct + sky), moments(40.0), calibration_uncertainty=0.3), truth) == 1.0
+
+
+def test_thin_cloud_contradicts() -> None:
+    direct, sky = spectrl2(40.0, 0.1)
+    one = split(0.6 * direct + sky + 0.2 * direct, moments(40.0))
+    assert words(one) == {"contradictory"}
+    assert inside(one, np.interp(BANDS, NM, (sky + 0.2 * direct) / (0.8 * direct + sky))) == 1.0
+    assert float(one.diffuse_fraction_u.min()) > 0.08
+
+
+def test_samples_without_data_and_a_sun_below_the_horizon() -> None:
+    light = np.tile(sum(spectrl2(40.0, 0.1)), (SAMPLES, 1))
+    light[3] = np.nan
+    one = split(light, moments(40.0))
+    assert np.isnan(one.diffuse_fraction[3]).all()
+    assert int(one.sky_state[3]) == SKY_STATES.index("contradictory")
+    assert np.isfinite(one.diffuse_fraction[4]).all()
+    night = moments(40.0) + np.timedelta64(9, "h")
+    assert words(split(light, night)) == {"contradictory"}
+
+
+def test_refusals() -> None:
+    light, time = np.ones(NM.size), moments(40.0)
+    with pytest.raises(SchemaError, match="expected the place"):
+        diffuse_from_record(record(light, time), np.nan, 0.0)
+    with pytest.raises(SchemaError, match="calibration_uncertainty"):
+        split(light, time, calibration_uncertainty=0.0)
+    far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
+    with pytest.raises(SchemaError, match="none of the intervals"):
+        diffuse_from_record(far, 0.0, 0.0)
+
+
+def test_lines_have_the_split_of_their_record(no_compute: Any) -> None:
+    line = simulate_line(lines=32, bands=40, columns=24)
+    with no_compute():
+        lazy = split_of_lines(line)
+    assert lazy is not None
+    assert lazy.diffuse_fraction.dims == ("along_track", "band")
+    one = lazy.compute()
+    assert {name: one[name].dtype for name in one} == {
+        "diffuse_fraction": np.float32, "diffuse_fraction_u": np.float32, "sky_state": np.int8,
+    }  # fmt: skip
+    assert one.sky_state.attrs["flag_meanings"].split() == list(SKY_STATES)
+    assert (one.sky_state == 0).all()
+    blue = one.diffuse_fraction.values[:, np.abs(line.wavelength.values - 450.0).argmin()]
+    assert blue == pytest.approx(0.23, abs=0.06)
+    part = split_of_lines(line.isel(along_track=slice(7, 20)))
+    assert part is not None
+    xr.testing.assert_identical(part.compute(), one.isel(along_track=slice(7, 20)))
+    assert split_of_lines(line.drop_vars("latitude")) is None
+    assert hp.light.diffuse_from_record is diffuse_from_record
