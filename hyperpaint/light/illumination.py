@@ -21,6 +21,7 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.units import convert, takes_quantities
 
 from .responses import Matching, Responses, log_slope, matching_operator
+from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
 __all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
@@ -29,6 +30,8 @@ __all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
 NODE_SPACING = 0.5
 """Distance of the wavelength shifts at which operators are made [nm]; between them E is cubic."""
 MAX_NOISE_GAIN = 3.0
+MAX_SUN_ZENITH_DEG = 89.0
+"""Sun beyond which the sky's directions are those of a sun at it [degree]."""
 
 
 @takes_quantities(angle="degree", azimuth="degree")
@@ -48,6 +51,10 @@ class Tilt:
         Reflectance of what fills the rest of its view [1].
     diffuse_fraction : (band,)
         Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.light.sun` by default.
+    sky
+        "clear": diffuse light comes from where a clear sky is bright (`hyperpaint.light.sky_functions`);
+        "uniform": evenly. By default clear with the modelled split, uniform with a given one, which may be of
+        any sky.
 
     Raises
     ------
@@ -60,6 +67,7 @@ class Tilt:
     sky_view_factor: float | None = None
     ground_reflectance: float = 0.2
     diffuse_fraction: Any = None
+    sky: str | None = None
 
     def __post_init__(self) -> None:
         problems = Problems("the tilt of the surface is out of range", SchemaError)
@@ -71,17 +79,22 @@ class Tilt:
             value = getattr(self, name)
             if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
                 problems.add(f"{name} {value}, expected 0 to 1")
+        if self.sky not in (None, "clear", "uniform"):
+            problems.add(f"sky {self.sky!r}, expected 'clear' or 'uniform'")
         problems.raise_if_any()
+        if self.sky is None:  # said where the tilt is
+            object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")
 
     def factor(self, time: Array, latitude: float, longitude: float, wavelength: Floats) -> Floats:
         r"""Return the irradiance on the surface over that on level ground, (time, band) [1].
 
         Notes
         -----
-        .. math:: E_t = E_{dir} \frac{\cos\theta_i}{\cos\theta_s} + V E_{dif} + (1 - V) \rho_n E
+        .. math:: E_t = E_{dir} \frac{\cos\theta_i}{\cos\theta_s} + V G E_{dif} + (1 - V) \rho_n E
 
-        with :math:`V` the sky view factor and :math:`\rho_n` the ground's reflectance, written as a departure
-        from 1, so that a level surface gives exactly 1.
+        with :math:`V` the sky view factor, :math:`\rho_n` the ground's reflectance and :math:`G` the gain by
+        the side of a clear sky that the surface faces (`hyperpaint.light.sky_functions.facing_gain`), written
+        as a departure from 1, so that a level surface gives exactly 1.
         """
         zenith, sun_azimuth = (np.radians(angle) for angle in solar_position(time, latitude, longitude))
         slope = np.radians(self.angle)
@@ -98,8 +111,17 @@ class Tilt:
             diffuse = np.broadcast_to(
                 np.asarray(self.diffuse_fraction, np.float64), (zenith.size, wavelength.size)
             )
+        gain = np.zeros(diffuse.shape)
+        if self.sky == "clear" and self.angle > 0.0:
+            turns = np.degrees(np.radians(self.azimuth) - sun_azimuth)
+            suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
+            for row, sun, turn in zip(gain, suns, turns, strict=True):
+                row[:] = facing_gain(wavelength, float(sun), self.angle, float(turn)) - 1.0
         return np.asarray(
-            1.0 + (1.0 - diffuse) * (beam[:, None] - 1.0) + (view - 1.0) * (diffuse - self.ground_reflectance)
+            1.0
+            + (1.0 - diffuse) * (beam[:, None] - 1.0)
+            + (view - 1.0) * (diffuse - self.ground_reflectance)
+            + view * gain * diffuse
         )
 
 

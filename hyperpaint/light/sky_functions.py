@@ -26,8 +26,8 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
-    "HORIZON_SHIFT", "clear_sky_shares", "function_shapes", "relative_radiance", "scattering_cosine",
-    "sunward_gain", "zenith_radiance",
+    "HORIZON_SHIFT", "clear_sky_shares", "facing_gain", "function_shapes", "relative_radiance",
+    "scattering_cosine", "sunward_gain", "zenith_radiance",
 ]  # fmt: skip
 
 
@@ -201,3 +201,45 @@ def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 
     return np.asarray(
         np.array([0.0, *sums]) / np.tan(np.radians(zenith)) @ clear_sky_shares(wavelength, zenith, aerosol)
     )
+
+
+def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from_sun: float) -> Floats:
+    r"""Return a clear sky's light on a slope over that of a uniform sky (band,) [1].
+
+    Of the same level irradiance, by the side of the sky that the slope faces; 1 of a level surface.
+
+    Parameters
+    ----------
+    wavelength : (band,)
+        [nm]
+    sun_zenith
+        [degree]
+    angle
+        Between the slope's normal and the zenith, 0 to 90 [degree].
+    from_sun
+        Azimuth of the normal less that of the sun [degree].
+
+    Notes
+    -----
+    .. math:: G = \frac{\int L (\omega \cdot n)_+ d\Omega}{\bar L \int (\omega \cdot n)_+ d\Omega}
+
+    over the sky, by the same rule for both integrals.
+
+    Examples
+    --------
+    >>> print(facing_gain([450.0, 850.0], 60.0, 30.0, 0.0).round(1), facing_gain([450.0], 60.0, 0.0, 0.0))
+    [1.3 1.8] [1.]
+    """
+    dome = _dome()
+    azimuth = np.concatenate([dome.azimuth, -dome.azimuth], axis=1)
+    cosine, level = np.tile(dome.cosine, 2), np.tile(dome.level, 2)
+    slope, turn = np.radians(angle), azimuth - np.radians(from_sun)
+    facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - cosine**2) / cosine * np.cos(turn)
+    weight = level * np.maximum(facing, 0.0)
+    weight /= weight.sum()
+    to_sun = scattering_cosine(cosine, azimuth, sun_zenith)
+    shapes = function_shapes(float(sun_zenith))
+    gains = np.array([1.0, *((weight * relative_radiance(shape, cosine, to_sun)).sum() for shape in shapes)])
+    # of a level surface 1 to the last bit, but for the rounding of the sums
+    shares = clear_sky_shares(wavelength, sun_zenith)
+    return np.asarray(1.0 + (gains - 1.0) @ shares)

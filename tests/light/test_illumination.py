@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.light.illumination import Tilt, match_irradiance, smile_cells
-from hyperpaint.light.sun import solar_position
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 START = np.datetime64("2020-06-21T17:00", "ns")
 SAMPLES = np.arange(480.0, 621.0)
@@ -160,6 +160,28 @@ def test_toward_the_sun_is_brighter_as_published() -> None:
     away = Tilt(5.0, 0.0).factor(time, 43.08, -77.67, np.array([850.0]))[0, 0]
     assert 1.02 < toward < 1.05
     assert 0.94 < away < 0.98
+
+
+def test_diffuse_light_is_that_of_the_side_it_faces() -> None:
+    time, nm = np.array(["2020-12-21T17:10"], "datetime64[ns]"), np.array([450.0])  # sun in the south, at 66
+    split = diffuse_fraction(nm, float(solar_position(time, 43.08, -77.67)[0][0]))
+    factors = {
+        (sky, azimuth): float(
+            Tilt(8.0, azimuth, diffuse_fraction=given, sky=sky).factor(time, 43.08, -77.67, nm)[0, 0]
+        )
+        for sky, given in (("clear", None), ("uniform", None), ("uniform", split), (None, split))
+        for azimuth in (180.0, 0.0)
+    }
+    assert factors["clear", 180.0] > factors["uniform", 180.0] + 0.02
+    assert factors["clear", 0.0] < factors["uniform", 0.0] - 0.02
+    # a split that was measured may be of any sky: none is assumed
+    assert factors[None, 180.0] == factors["uniform", 180.0]
+    assert Tilt(8.0, 0.0).sky == "clear"
+    with pytest.raises(SchemaError, match="expected 'clear' or 'uniform'"):
+        Tilt(8.0, 0.0, sky="blue")
+    # at night, the sky is that of a sun at the horizon
+    dark = np.array(["2020-12-21T05:00"], "datetime64[ns]")
+    assert np.isfinite(Tilt(8.0, 0.0).factor(dark, 43.08, -77.67, nm)).all()
 
 
 @pytest.mark.parametrize("hour", range(0, 24, 3))

@@ -228,6 +228,7 @@ def test_a_level_panel_changes_no_bit() -> None:
     tilted = reflectance(line, tilt=(5.0, 180.0))
     assert not np.allclose(tilted.reflectance.values, values(line))
     assert "Tilt" in tilted.reflectance.attrs["tilt"]
+    assert "sky='clear'" in tilted.reflectance.attrs["tilt"]
 
 
 def test_a_known_tilt_closes() -> None:

@@ -120,12 +120,11 @@ def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
         "sky_view_factor": float((1 + np.cos(np.radians(10.0))) / 2),
         "sun_zenith": float(zenith),
         "neighbour_reflectance": incidence.ground_reflectance,
-        "sky": "uniform",  # as Tilt has it
     }
     plain = hp.reflectance(seen)
     np.testing.assert_allclose(
-        hp.surroundings.correct_light(plain, **options).reflectance, tilted.reflectance, rtol=2e-3, atol=1e-4
-    )
+        hp.surroundings.correct_light(plain, **options).reflectance, tilted.reflectance, rtol=4e-3, atol=1e-4
+    )  # Tilt integrates over the sky; correct_light has its gain to first order
     sky = 0.04 * diffuse_fraction(seen.wavelength.values, float(zenith))[None, :, None]
     light = plain.reflectance.values / hp.surroundings.correct_light(plain, **options).reflectance.values
     bare = hp.surroundings.correct_light(

@@ -11,6 +11,7 @@ from oracles.scattered_sky import Air, SkyRadiance, rayleigh_depth, sky_radiance
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.sky_functions import facing_gain
 
 NM = np.array([410.0, 450.0, 550.0, 700.0, 850.0, 980.0])
 SUNS = (25.0, 45.0, 60.0, 75.0)
@@ -85,6 +86,27 @@ def test_a_leaning_panel_gets_the_light_of_its_side(sun: float, lean: float) -> 
     np.testing.assert_allclose(clear.reflectance, 0.5, rtol=0.01)
     assert np.abs(clear.reflectance - 0.5).max() < 0.5 * np.abs(uniform.reflectance - 0.5).max()
     assert "sky (uniform)" in uniform.reflectance.attrs["light_corrected"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sun", [30.0, 60.0])
+@pytest.mark.parametrize("turn", [0.0, 90.0, 180.0])
+def test_a_steep_slope_gets_the_light_of_its_side(sun: float, turn: float) -> None:
+    """Of any lean, and of any side: a windscreen, a boot, a door."""
+    tilt = np.radians(30.0)
+    gains = []
+    for nm in NM:
+        sky = truth(nm, sun)
+        cosine, azimuth = np.meshgrid(sky.cosine, sky.azimuth, indexing="ij")
+        across = np.sqrt(1.0 - cosine**2) / cosine * np.sin(tilt)
+        # the table has one half of the sky, the other is its mirror image
+        sides = (np.cos(azimuth - np.radians(turn)), np.cos(azimuth + np.radians(turn)))
+        lit = sum(np.maximum(np.cos(tilt) + across * away, 0.0) for away in sides)
+        gains.append(sky.mean(sky.relative * lit) / sky.mean(lit))
+    # the three functions are that near to the horizon beside the sun, where the slope looks
+    np.testing.assert_allclose(facing_gain(NM, sun, 30.0, turn), gains, rtol=0.08)
+    if turn != 90.0:  # what a uniform sky gives instead
+        assert np.abs(np.array(gains) - 1.0).max() > 0.15
 
 
 def test_an_overcast_sky_is_brighter_above() -> None:
