@@ -63,7 +63,8 @@ Options from --ground on place the lines for regions of a map; by default the st
 )  # fmt: skip
 @click.option(
     "--diffuse", type=click.Choice(["model", "pvlib", "shadow"]),
-    help="Where the part of the sky in the light is known from.  [default: model]",
+    help="Where the part of the sky in the light is known from; model is a clear sky.  "
+    "[default: the lines' record of irradiance]",
 )  # fmt: skip
 @click.option(
     "--glint", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of mirrored sun.  [default: 0.02]"

@@ -1,7 +1,7 @@
-from .flags import flag as flag
-from .model import SceneModel as SceneModel
-from .sun_and_sky import (
+from .corrections import (
     correct_light as correct_light,
     remove_mirrored_sky as remove_mirrored_sky,
 )
+from .flags import flag as flag
+from .model import SceneModel as SceneModel
 from .surveying import survey as survey

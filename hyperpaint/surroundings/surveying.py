@@ -19,20 +19,11 @@ from hyperpaint.radiometry.slabs import line_chunked
 from .bodies import clean_references, nearest_coloured, same_paints
 from .detection_rules import SURVEY
 from .full_light import Light, Matches, match_segments, median_spectra
+from .light_split import LightSplit, split_of
 from .model import LIT, SHADED, SceneModel, two_nearest
 from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, shaded_pixels
-from .sun_and_sky import (
-    SOURCES,
-    SUN_FROM,
-    diffuse_from_clear_sky,
-    fraction_in_shadow,
-    measured_fraction,
-    mirrored_radiances,
-    shadow_side_of,
-    sky_of,
-    sun_zenith_of,
-)
+from .sun_and_sky import fraction_in_shadow, shadow_side_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -168,7 +159,7 @@ def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Boo
 def survey(
     line: xr.Dataset,
     *,
-    diffuse: Any = "model",
+    diffuse: Any = None,
     sun_zenith: float | None = None,
     sun_azimuth: float | None = None,
     heading: float | None = None,
@@ -186,10 +177,12 @@ def survey(
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
         latitude, longitude and heading, where it has them, tell where the sun stands in the image.
     diffuse
-        Where the diffuse part of the irradiance is known from: "model", the clear sky of
-        `hyperpaint.light.sun`; "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in
-        the image itself, as far as one is found; or a measured spectrum (band,) or with a coordinate
-        ``wavelength``, such as a reading in the shade of a small disc over that in full light.
+        Where the diffuse part of the irradiance is known from: None, the line itself, by its
+        ``diffuse_fraction`` or else its record of ``irradiance``, mean over lines; "model", the clear sky of
+        `hyperpaint.light.sun`, which is also taken, with a warning, where the line has no record; "pvlib",
+        SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far as one is
+        found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading in the
+        shade of a small disc over that in full light.
     sun_zenith
         [degree]; from time and place unless given.
     sun_azimuth, heading
@@ -212,6 +205,11 @@ def survey(
         no shadow was found.
     MissingExtraError
         pvlib is not installed.
+
+    Warns
+    -----
+    PaintWarning
+        A clear sky is taken, since the line has no record of its light.
 
     Notes
     -----
@@ -244,7 +242,7 @@ def survey(
     >>> seen[:, :, 8:] = 0.5
     >>> line = xr.Dataset({"reflectance": (("along_track", "band", "cross_track"), seen, {"units": "1"})},
     ...                   {"wavelength": ("band", nm, {"units": "nm"})})
-    >>> survey(line, sun_zenith=30.0).segments
+    >>> survey(line, sun_zenith=30.0, diffuse="model").segments
     2
     """
     from hyperpaint.kernels.segmentation import boundary_distance
@@ -254,13 +252,14 @@ def survey(
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
-    fraction, source, zenith = _fraction(diffuse, line, wavelength, sun_zenith)
+    divided = _divided(diffuse, line, sun_zenith)
+    fraction, zenith = divided.fraction.values, divided.zenith
     channel = channel_numbers(wavelength, good)
     channels, channel = without_unknown(
         read_channels(cube, channel, as_progress(progress, "survey")), channel
     )
-    radiances = mirrored_radiances(sky_of(None, diffuse), wavelength, zenith)
-    centre, split, *sky = (_mean_of(values, channel) for values in (wavelength, fraction, *radiances))
+    bands = (wavelength, fraction, divided.u.values, *divided.mirrored())
+    centre, split, split_u, *sky = (_mean_of(values, channel) for values in bands)
     shift = shift_of_channels(line, channel, channels.shape[1])
     to_nominal_channels(channels, centre, shift)
     light = Light.under(split, *sky)
@@ -298,7 +297,10 @@ def survey(
         shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
         neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body, paint=paints.first,
         tilt=tilt, spectrum=spectrum, reference=reference,
-        attrs={"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
+        attrs={
+            "diffuse_fraction_from": _source_text(diffuse, divided), "diffuse_fraction_u": split_u.tolist(),
+            "sky_states": " ".join(divided.states), "reach": reach, "sun_zenith": zenith,
+        },
     )  # fmt: skip
 
 
@@ -325,32 +327,29 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
     return good
 
 
-def _fraction(
-    diffuse: Any, line: xr.Dataset, wavelength: Floats, sun_zenith: float | None
-) -> tuple[Floats, str, float]:
-    """Return the diffuse fraction (band,) to start from, where it is from, and the sun's zenith angle."""
-    if not isinstance(diffuse, str):
-        has_sun = sun_zenith is not None or set(SUN_FROM) <= set(line.variables)
-        zenith = sun_zenith_of(line, sun_zenith) if has_sun else float("nan")
-        return measured_fraction(diffuse, wavelength), "a measured spectrum", zenith
-    if diffuse not in SOURCES:
-        raise SchemaError(
-            f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
-        )
+def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightSplit:
+    """Return the split to start from, mean over lines."""
     try:
-        zenith = sun_zenith_of(line, sun_zenith)
+        return split_of(line, diffuse, sun_zenith).mean(line)
     except SchemaError as error:
-        if diffuse != "shadow":
+        if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
         raise SchemaError(
             f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
         ) from error
-    text = {
-        "model": f"clear sky of hyperpaint.light.sun, sun at {zenith:.1f} degrees from the zenith",
-        "pvlib": f"SPECTRL2 of pvlib, sun at {zenith:.1f} degrees from the zenith",
+
+
+def _source_text(diffuse: Any, split: LightSplit) -> str:
+    """Return where the diffuse fraction is from."""
+    place = f"sun at {split.zenith:.1f} degrees from the zenith"
+    if split.source == "measured":
+        return "a measured spectrum"
+    if split.states:
+        return f"the lines' own record, sky {', '.join(split.states)}, {place}"
+    return {
+        "pvlib": f"SPECTRL2 of pvlib, {place}",
         "shadow": "cast shadow in the image",
-    }
-    return diffuse_from_clear_sky(diffuse, wavelength, zenith), text[diffuse], zenith
+    }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {place}")
 
 
 def _mean_of(values: Floats, channel: Ints) -> Floats:

@@ -118,6 +118,9 @@ def write_signatures(
     lines |= {name: done.line for name, done in flagged.items()}
     if options.get("specular_sky"):
         options["sun_zenith"] = sun_zenith
+        word = surveys.get("diffuse")
+        # a shadow is looked for in the image by flags alone
+        options.setdefault("diffuse", None if isinstance(word, str) and word == "shadow" else word)
     share = part_of(progress, len(wanted), len(wanted) + 1)
     library = extract_signatures(lines, targets, progress=share, **options)
     library.attrs |= {"store": around.name, "flags": origin}

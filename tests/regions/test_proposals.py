@@ -24,7 +24,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-from hyperpaint.surroundings.sun_and_sky import remove_mirrored_sky
+from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
 ZENITH = 30.0
 NM = np.linspace(405.0, 995.0, 48)

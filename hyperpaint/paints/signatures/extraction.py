@@ -156,6 +156,7 @@ def extract_signatures(
     smooth: Smoothing = None,
     specular_sky: bool = False,
     sun_zenith: float | None = None,
+    diffuse: Any = None,
     min_pixels: int = 5,
     drop_small: bool = False,
     seed: int = 0,
@@ -192,6 +193,8 @@ def extract_signatures(
         Subtract the sky that a clear coat mirrors, see `hyperpaint.surroundings.remove_mirrored_sky`.
     sun_zenith
         For that [degree]; by default from time and position of each line.
+    diffuse
+        For that, see `hyperpaint.surroundings.survey`; by default what each line says of its light.
     min_pixels
         Pixels that a region must have left.
     drop_small
@@ -260,13 +263,15 @@ def extract_signatures(
     options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
     region_list = regions_from(regions)
     options.check(region_list)
-    if sun_zenith is not None and not specular_sky:
-        raise SchemaError(
-            f"sun_zenith={sun_zenith!r} is for the mirrored sky only; pass specular_sky=True as well"
-        )
+    for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
+        if value is not None and not specular_sky:
+            raise SchemaError(
+                f"{option}={value!r:.40} is for the mirrored sky only; pass specular_sky=True as well"
+            )
     lines = lines_of(line, region_list)
     sources = {
-        name: source_of(dataset, smooth, specular_sky, sun_zenith) for name, (dataset, _) in lines.items()
+        name: source_of(dataset, smooth, specular_sky, sun_zenith, diffuse)
+        for name, (dataset, _) in lines.items()
     }
     _check_bands(sources)
     names = {position: name for name, (_, positions) in lines.items() for position in positions}

@@ -19,7 +19,7 @@ from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
-from hyperpaint.surroundings.sun_and_sky import CORRECTIONS, remove_mirrored_sky
+from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
 
 from .map_cells import middle_of_map
 
@@ -243,7 +243,11 @@ class Source:
 
 
 def source_of(
-    line: xr.Dataset, smoothing: Smoothing, specular_sky: bool = False, sun_zenith: float | None = None
+    line: xr.Dataset,
+    smoothing: Smoothing,
+    specular_sky: bool = False,
+    sun_zenith: float | None = None,
+    diffuse: Any = None,
 ) -> Source:
     """Return what signatures need of a flight line; nothing of a cube is computed.
 
@@ -283,7 +287,7 @@ def source_of(
         where = nominal.assign(
             {name: variables[name] for name in ("wavelength", *_SMALL) if name in variables}
         )
-        nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith)
+        nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith, diffuse=diffuse)
     if smoothing is not None:
         if before is not None:
             raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")

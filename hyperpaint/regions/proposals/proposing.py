@@ -222,7 +222,7 @@ def propose_regions(
     that a roof's light hardly changes, are taken for the body. For measured rates see docs/figures.md.
 
     The clear coat's mirror image of the sky is still in the spectra; see
-    `hyperpaint.surroundings.sun_and_sky.remove_mirrored_sky`.
+    `hyperpaint.surroundings.corrections.remove_mirrored_sky`.
 
     Examples
     --------

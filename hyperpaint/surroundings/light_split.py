@@ -1,0 +1,182 @@
+"""How the light of a line divides, as it was measured, modelled or is said, and what sky that is.
+
+The one place that decides where a diffuse fraction is from: `survey`, the corrections and signatures ask it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, PAINT
+from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
+from hyperpaint.light.sun import diffuse_fraction
+
+from .sun_and_sky import (
+    SKIES,
+    SOURCES,
+    SUN_FROM,
+    diffuse_from_clear_sky,
+    measured_fraction,
+    mirrored_radiances,
+    sun_zenith_of,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "split_of"]
+
+
+CLEAR_SKY_TAKEN = (
+    "no record of irradiance says what the sky was, a clear one is taken; give diffuse='model' where it was, "
+    "or a measured spectrum"
+)
+"""What is warned of where nothing but the sun's place is known."""
+
+RECORDED = "as recorded"
+"""Sky of a line whose ``sky_state`` says which it is."""
+
+MODEL_U = 0.2
+"""Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25."""
+
+
+@dataclass(frozen=True)
+class LightSplit:
+    """The diffuse part of the light, and where in the sky it comes from.
+
+    ``fraction`` and ``u``, its standard uncertainty, have dims (band,), or (along_track, band) or (paint,
+    band) where they differ; ``cloud``, without ``band``, is the weight of an overcast sky in a clear one [1].
+    Lazy where the line is. ``zenith`` of the sun is NaN where it is not known nor needed [degree].
+    """
+
+    wavelength: Floats  #: (band,) [nm]
+    fraction: xr.DataArray
+    u: xr.DataArray
+    cloud: Any
+    source: str  #: Where the fraction is from, as attributes say it.
+    sky: str  #: One of `SKIES`, or `RECORDED`.
+    zenith: float
+    states: tuple[str, ...] = ()  #: Words of ``sky_state`` that occur; of a mean only.
+
+    def mean(self, line: xr.Dataset) -> LightSplit:
+        """Return the mean over lines; eager. ``line`` has ``sky_state``, or a record it follows from."""
+        over = [dim for dim in self.fraction.dims if dim != BAND]
+        if not over:
+            return self
+        import dask
+        import xarray as xr
+
+        own = _own(line)
+        numbers = own["sky_state"] if own is not None and "sky_state" in own else xr.DataArray(0)
+        fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, numbers)
+        words = tuple(SKY_STATES[number] for number in np.unique(state.values))
+        # the sky's doubt is common to its lines
+        spread = np.sqrt((u**2).mean(over) + fraction.var(over))
+        weight = cloud.mean() if hasattr(cloud, "mean") else cloud
+        return LightSplit(
+            self.wavelength, fraction.mean(over), spread, float(weight), self.source, self.sky, self.zenith,
+            words,
+        )  # fmt: skip
+
+    def mirrored(self) -> tuple[Floats, Floats]:
+        """Return `mirrored_radiances` of a mean (band,) [1]."""
+        if self.sky in SKIES:
+            return mirrored_radiances(self.sky, self.wavelength, self.zenith)
+        clear = mirrored_radiances("clear", self.wavelength, self.zenith)
+        overcast = mirrored_radiances("overcast", self.wavelength, self.zenith)
+        above, sunward = (
+            (1.0 - self.cloud) * blue + self.cloud * grey for blue, grey in zip(clear, overcast, strict=True)
+        )
+        return above, sunward
+
+
+def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None = None) -> LightSplit:
+    """Return how the light of a line, or of a paint library, divides.
+
+    Parameters
+    ----------
+    line
+        With ``wavelength``.
+    diffuse
+        None for what the line holds itself: ``diffuse_fraction`` and ``sky_state``, else what follows from
+        its record of ``irradiance``; a clear sky, with a warning, where it has neither. "model" or "pvlib"
+        for a clear sky; or a measured spectrum.
+    sun_zenith
+        [degree]; from time and place unless given.
+    sky
+        One of `SKIES`; by default what the record says, clear with a model, uniform with a measured spectrum.
+
+    Raises
+    ------
+    SchemaError
+        ``diffuse`` or ``sky`` is none of these, or the sun's place is needed and not known.
+
+    Warns
+    -----
+    PaintWarning
+        `CLEAR_SKY_TAKEN`.
+    """
+    import xarray as xr
+
+    if sky is not None and sky not in SKIES:
+        raise SchemaError(f"sky={sky!r}, expected one of {', '.join(SKIES)}")
+    wavelength = line["wavelength"].values.astype(np.float64)
+    if not isinstance(diffuse, str) and diffuse is not None:
+        fraction = xr.DataArray(measured_fraction(diffuse, wavelength), dims=BAND)
+        name = sky or "uniform"
+        has_sun = sun_zenith is not None or set(SUN_FROM) <= set(line.variables)
+        zenith = sun_zenith_of(line, sun_zenith) if has_sun or name == "clear" else float("nan")
+        cloud = float(name == "overcast")
+        return LightSplit(wavelength, fraction, 0.0 * fraction, cloud, "measured", name, zenith)
+    own = _own(line) if diffuse is None else None
+    if own is not None:
+        return _recorded(line, own, wavelength, sun_zenith, sky)
+    if diffuse is not None and diffuse not in SOURCES:
+        raise SchemaError(
+            f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
+        )
+    zenith = sun_zenith_of(line, sun_zenith)
+    if diffuse is None:
+        warnings.warn(CLEAR_SKY_TAKEN, PaintWarning, stacklevel=3)
+    values = diffuse_from_clear_sky(diffuse or "model", wavelength, zenith)
+    fraction = xr.DataArray(values, dims=BAND)
+    source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
+    name = sky or "clear"
+    spread = MODEL_U * fraction * (1.0 - fraction)
+    return LightSplit(wavelength, fraction, spread, float(name == "overcast"), source, name, zenith)
+
+
+def _own(line: xr.Dataset) -> xr.Dataset | None:
+    """Return what a line says of its light itself, or what its record says; None without either."""
+    if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
+        return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
+    if PAINT in line.dims:
+        return None
+    return split_of_lines(line)
+
+
+def _recorded(
+    line: xr.Dataset, own: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
+) -> LightSplit:
+    fraction = own["diffuse_fraction"].astype(np.float64)
+    if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
+        fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
+    u = own["diffuse_fraction_u"].astype(np.float64) if "diffuse_fraction_u" in own else 0.0 * fraction
+    zenith = sun_zenith_of(line, sun_zenith)
+    cloud: Any = float(sky == "overcast")
+    if sky is None and "sky_state" in own:
+        middle = int(np.nanargmin(np.abs(wavelength - 550.0)))
+        clear = float(diffuse_fraction(wavelength[[middle]], zenith)[0])
+        share = ((fraction.isel({BAND: middle}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
+        state = own["sky_state"].reset_coords(drop=True)
+        share = share.reset_coords(drop=True) if hasattr(share, "reset_coords") else share
+        overcast, hazy = SKY_STATES.index("overcast"), SKY_STATES.index("hazy")
+        cloud = share.where(state > hazy, 0.0).where(state != overcast, 1.0)
+    source = "of the lines' own record"
+    return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith)

@@ -1,0 +1,103 @@
+"""Where the diffuse fraction of a line is from, and what sky that is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.light.diffuse_record import SKY_STATES, split_of_lines
+from hyperpaint.light.sky_functions import zenith_radiance
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.simulation import simulate_line
+from hyperpaint.surroundings.light_split import split_of
+
+NM = np.linspace(420.0, 980.0, 15)
+LINES = 8
+
+
+def flat(**own: Any) -> xr.Dataset:
+    """Return a grey line; ``own`` are variables of its light."""
+    seen = np.full((LINES, NM.size, 6), 0.2, np.float32)
+    cube = (("along_track", "band", "cross_track"), seen, {"units": "1"})
+    units = {"units": "1"}
+    variables = {
+        name: ((("along_track", "band") if value.ndim == 2 else ("along_track",)), value, units)
+        for name, value in own.items()
+    }
+    return xr.Dataset({"reflectance": cube, **variables}, {"wavelength": ("band", NM, {"units": "nm"})})
+
+
+def recorded(fraction: float, word: str) -> xr.Dataset:
+    return flat(
+        diffuse_fraction=np.full((LINES, NM.size), fraction, np.float32),
+        diffuse_fraction_u=np.full((LINES, NM.size), 0.02, np.float32),
+        sky_state=np.full(LINES, SKY_STATES.index(word), np.int8),
+    )
+
+
+def taken(line: xr.Dataset, **options: Any) -> np.ndarray:
+    bare = hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0, **options).reflectance
+    return 0.2 - bare.isel(along_track=3, cross_track=2).values
+
+
+def test_a_clear_sky_is_not_taken_in_silence() -> None:
+    for use in (
+        lambda **options: hp.surroundings.survey(flat(), sun_zenith=40.0, **options),
+        lambda **options: hp.surroundings.remove_mirrored_sky(flat(), sun_zenith=40.0, **options),
+        lambda **options: hp.surroundings.correct_light(flat(), direct=0.9, sun_zenith=40.0, **options),
+    ):
+        with pytest.warns(PaintWarning, match="no record of irradiance says"):
+            use()
+        use(diffuse="model")  # warnings are errors: said, there is none
+
+
+@pytest.mark.parametrize("word", ["overcast", "clear", "hazy"])
+def test_the_lines_own_sky_goes_first(word: str) -> None:
+    zenith = 9.0 / 7.0 if word == "overcast" else zenith_radiance(NM, 40.0)
+    np.testing.assert_allclose(taken(recorded(0.6, word)), 0.04 * 0.6 * zenith, rtol=1e-4)
+    # what the user says goes before
+    np.testing.assert_allclose(taken(recorded(0.6, word), sky="uniform"), 0.024, rtol=1e-4)
+    modelled = 0.04 * diffuse_fraction(NM, 40.0) * zenith_radiance(NM, 40.0)
+    np.testing.assert_allclose(taken(recorded(0.6, word), diffuse="model"), modelled, rtol=1e-4)
+
+
+def test_broken_skies_are_in_between_by_their_share() -> None:
+    share = (0.6 - diffuse_fraction([NM[3]], 40.0)[0]) / (1.0 - diffuse_fraction([NM[3]], 40.0)[0])
+    expected = 0.04 * 0.6 * ((1.0 - share) * zenith_radiance(NM, 40.0) + share * 9.0 / 7.0)
+    assert NM[3] == 540.0
+    for word in ("broken", "contradictory"):
+        np.testing.assert_allclose(taken(recorded(0.6, word)), expected, rtol=1e-4)
+
+
+def test_a_survey_takes_the_mean_of_the_lines() -> None:
+    line = recorded(0.6, "broken")
+    line["diffuse_fraction"][: LINES // 2] = 0.2
+    model = hp.surroundings.survey(line, sun_zenith=40.0)
+    np.testing.assert_allclose(model.diffuse_fraction, 0.4, rtol=1e-6)
+    # of lines that differ, the spread is part of the doubt
+    np.testing.assert_allclose(model.attrs["diffuse_fraction_u"], np.hypot(0.02, 0.2), rtol=1e-5)
+    assert model.attrs["sky_states"] == "broken"
+    assert "own record, sky broken" in model.attrs["diffuse_fraction_from"]
+    again = hp.surroundings.SceneModel.from_dataset(model.to_dataset())
+    assert again.attrs["sky_states"] == "broken"
+
+
+def test_a_line_with_a_record_alone() -> None:
+    line = simulate_line(lines=32, bands=40, columns=24)
+    whole = split_of(line, None, None)
+    own = split_of_lines(line)
+    assert own is not None
+    np.testing.assert_array_equal(whole.fraction, own.diffuse_fraction)
+    assert whole.mean(line).states == ("clear",)
+
+
+def test_words_that_are_none() -> None:
+    with pytest.raises(SchemaError, match="expected 'model', 'pvlib'"):
+        split_of(flat(), "guess", 30.0)
+    with pytest.raises(SchemaError, match="expected 'model', 'pvlib' or a measured"):
+        hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0)
