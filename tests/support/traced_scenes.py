@@ -70,7 +70,10 @@ def factors_of(record: SceneRecord, grid: np.ndarray) -> np.ndarray:
     made = []
     for factor in record.factors:
         material = record.materials[factor.material]
-        name = material.flakes.spectrum if factor.flakes else material.spectrum
+        flakes = material.flakes
+        name = material.spectrum
+        if flakes is not None and factor.flakes:
+            name = flakes.turned if factor.turned else flakes.spectrum
         index = None if material.coat is None or factor.flakes else material.coat.index
         made.append(measured_factor(spectrum_of(name)(grid), index))
     return np.stack(made)

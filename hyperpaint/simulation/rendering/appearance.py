@@ -37,6 +37,7 @@ class _Lobes(NamedTuple):
     base: float
     flakes: float
     recycled: float
+    turned: float  # part of the flakes' turned spectrum
 
 
 def gloss_units(coat: Coat) -> float:
@@ -120,7 +121,7 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
 
     Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
     """
-    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of
+    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
 
     one, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
     surfaces = surfaces_of(index * one, 0 * one, 0 * one, 0.5 * one, alpha * one, 0 * factor, factor)
@@ -130,7 +131,8 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
     lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
     base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards, towards, 0.0)
     scale = (2.0 if alpha else 1.0) / towards[2]  # half of the light meets flakes, where there are any
-    return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2])
+    part = turned_part(lobes, towards)
+    return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], part)
 
 
 def _added_up(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
@@ -147,6 +149,7 @@ def reflectance_factor(
     light: float,
     view: float,
     azimuth: float = 180.0,
+    turned: npt.ArrayLike | None = None,
 ) -> Floats:
     """Return the reflectance factor pi f of a paint at a geometry, without the mirror image in its coat.
 
@@ -162,6 +165,9 @@ def reflectance_factor(
         Zenith angles [degree].
     azimuth
         Between them [degree]; 180 where the view is on the side of the mirror direction.
+    turned
+        Reflectance of the flakes where light and view are at right angles (`Flakes.turned`); None where
+        angles do not matter.
 
     Examples
     --------
@@ -175,7 +181,10 @@ def reflectance_factor(
         (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
     )
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
-    return np.asarray(_added_up(lobes, share, measured_factor(body, index), np.asarray(flakes, np.float64)))
+    metal = np.asarray(flakes, np.float64)
+    mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
+    seen = _added_up(lobes, share, measured_factor(body, index), metal)
+    return np.asarray(seen + share * lobes.flakes * (mixed - metal))
 
 
 def flop_index(

@@ -34,6 +34,10 @@ HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
 """Edges and bands of K/S of the coloured pigments: kind, centre and its spread [nm], width [nm], height."""
 
 _FLAKE_DEPTH = 0.05  # of the flakes, times S of the pigment
+_BINDER_INDEX, _FILM_INDEX = 1.5, 2.5  # of binder and coat; titanium dioxide on mica
+_TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
+"""Cosine in the film of light that meets a flake at 45 degrees [1]."""
+
 _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 
 
@@ -60,11 +64,12 @@ class Pigments:
         # without an interface, Paint is the bare Kubelka-Munk layer
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 
-    def flakes(self, wavelength: Floats) -> Floats:
+    def flakes(self, wavelength: Floats, *, turned: bool = False) -> Floats:
         """Return the reflectance of the flakes, seen through the tinted binder, 0 to 1.
 
         Light passes the tint twice, down to a flake and back, each time a twentieth of the depth in which the
-        pigment would scatter it (S d = 0.05). A film on mica adds a comb cos^2(2 pi d / lambda).
+        pigment would scatter it (S d = 0.05). A film on mica adds a comb cos^2(2 pi d cos(theta) / lambda),
+        theta in the film: 0, or, where it is ``turned``, of light that meets the flake at 45 degrees.
         """
         tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
         for absorber in self.absorbers:
@@ -72,6 +77,7 @@ class Pigments:
         bare = aluminium(wavelength)
         if self.interference is not None:
             thickness, depth = self.interference
+            thickness *= _TURNED_COSINE if turned else 1.0
             bare = bare * (1.0 - depth * np.cos(2.0 * np.pi * thickness / wavelength) ** 2)
         return np.asarray(bare * np.exp(-2.0 * _FLAKE_DEPTH * tint))
 

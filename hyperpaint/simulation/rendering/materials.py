@@ -82,7 +82,11 @@ class Flakes:
     roughness
         GGX alpha of the lobe, above 0 and up to 1.
     spectrum
-        Name of their reflectance spectrum.
+        Name of their reflectance spectrum: light comes back the way it came.
+    turned
+        Name of the same where light and view are at right angles in the coat, of flakes with an interference
+        colour; between, spectra are mixed (`transport.surfaces.turned_part`). Empty where angles do not
+        matter.
 
     Raises
     ------
@@ -93,6 +97,7 @@ class Flakes:
     share: float
     roughness: float = 0.15
     spectrum: str = "aluminium"
+    turned: str = ""
 
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)

@@ -158,7 +158,9 @@ def _painted(
         material = record.materials[factor.material]
         flakes = material.flakes
         name = material.transmittance if factor.through else material.spectrum
-        original.append(flakes.spectrum if factor.flakes and flakes is not None else name)
+        if factor.flakes and flakes is not None:
+            name = flakes.turned if factor.turned else flakes.spectrum
+        original.append(name)
     assigned, scales = list(original), [1.0] * len(original)
     instances = [instance.name for instance in record.instances]
     materials = [material.name for material in record.materials]
@@ -203,7 +205,8 @@ def _exchange_flakes(
     for other, factor in enumerate(record.factors):
         if factor.material == material and factor.flakes:
             scales[other] = new.share / old.share if new else 0.0
-            assigned[other] = new.spectrum if new else assigned[other]
+            if new is not None:
+                assigned[other] = new.turned if factor.turned and new.turned else new.spectrum
 
 
 def _flakes_of(name: str) -> Flakes | None:

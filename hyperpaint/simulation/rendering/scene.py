@@ -65,11 +65,14 @@ class Factor:
         False for the base of the material, True for its metal flakes.
     through
         True for what a thin surface passes.
+    turned
+        True for flakes with another spectrum where light and view are at right angles, and that spectrum.
     """
 
     material: int
     flakes: bool = False
     through: bool = False
+    turned: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,19 +286,24 @@ class Scene:
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """Every spectrum of the scene in the order of path codes: bases of all materials, flakes, plates.
+        """Every spectrum of the scene in the order of path codes: bases, flakes, plates, turned flakes.
 
         Examples
         --------
         >>> from hyperpaint.simulation.rendering.materials import Coat, Flakes
         >>> paint = Material("paint", "silver", "paint", Coat(), Flakes(0.3))
-        >>> plane(1.0, paint).factors
-        (Factor(material=0, flakes=False, through=False), Factor(material=0, flakes=True, through=False))
+        >>> [factor.flakes for factor in plane(1.0, paint).factors]
+        [False, True]
         """
         bases = [Factor(number) for number in range(len(self.materials))]
         flakes = [Factor(i, True) for i, material in enumerate(self.materials) if material.flakes is not None]
         plates = [Factor(i, through=True) for i, one in enumerate(self.materials) if one.transmittance]
-        return (*bases, *flakes, *plates)
+        turned = [
+            Factor(i, True, turned=True)
+            for i, one in enumerate(self.materials)
+            if one.flakes and one.flakes.turned
+        ]
+        return (*bases, *flakes, *plates, *turned)
 
     def moved(self, offset: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Scene:
         """Return the scene turned about the vertical through its origin, then shifted.

@@ -46,6 +46,7 @@ _ADJECTIVES = ("Arctic", "Alpine", "Baltic", "Desert", "Harbour", "Imperial", "L
                "Polar", "Solar", "Tundra")  # fmt: skip
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
 _FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
+_TURNED = ":turned"  # behind the name of the spectrum of flakes
 _DULLED = 0.03  # by which a coat grows rougher in a year, relatively
 
 
@@ -175,7 +176,7 @@ def _fleet_spec(number: int) -> PaintSpec:
     car, name = fleet_paint(number), f"fleet-{number}"
     flakes = None
     if car.flake_share:
-        flakes = _flopping(Flakes(car.flake_share, spectrum=f"{name}:flakes"), car.flop, car.pigments)
+        flakes = _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
     coat = Coat()
     coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
     adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
@@ -245,10 +246,15 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         finish = family
         low, high = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
-        flakes = Flakes(float(rng.uniform(low, high)), spectrum=f"{name}:flakes")
-        flakes = _flopping(flakes, flop, pigments)
+        flakes = _flopping(_flakes_of(name, finish, float(rng.uniform(low, high))), flop, pigments)
     trade_name = f"{adjective} {colour.title()}"
     return PaintSpec(name, finish, colour, trade_name, Coat(roughness=roughness), flakes), pigments
+
+
+def _flakes_of(name: str, finish: str, share: float) -> Flakes:
+    """Return the flakes of a generated paint, before their lobe is known."""
+    spectrum = f"{name}:flakes"
+    return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED if finish == "pearl" else "")
 
 
 def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
@@ -306,7 +312,8 @@ def spectrum_of(name: str) -> Spectrum:
     ----------
     name
         A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>" or "fleet-<number>", with
-        ":flakes" behind it for those of its flakes.
+        ":flakes" behind it for those of its flakes, ":flakes:turned" where light and view are at right
+        angles (`Flakes`).
 
     Returns
     -------
@@ -328,18 +335,21 @@ def spectrum_of(name: str) -> Spectrum:
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: there is no spectrum 'panel_21'; did you mean 'panel_20'?
     """
+    turned = name.endswith(":flakes" + _TURNED)
+    name = name.removesuffix(_TURNED) if turned else name
     generated = parse_name(name)
     if generated is not None:
         family, number, flakes = generated
         pigments = pigments_of(family, number)
         if flakes:
-            return _limited(pigments.flakes)
+            return _limited(functools.partial(pigments.flakes, turned=turned))
         # near normal, under the usual clear coat, mirror reflection excluded
         return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
     fleet = _FLEET.fullmatch(name)
     if fleet is not None:
         car = fleet_paint(int(fleet[1]))
-        return _limited(car.pigments.flakes) if fleet[2] else _fleet_base(car)
+        metal = functools.partial(car.pigments.flakes, turned=turned)
+        return _limited(metal) if fleet[2] else _fleet_base(car)
     if name in WEATHERED:
         return WEATHERED[name]
     if name in SPECTRA:

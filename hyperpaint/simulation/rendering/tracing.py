@@ -84,10 +84,11 @@ def _surfaces(record: SceneRecord) -> Surfaces:
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     base_factor = np.full(len(coats), -1, np.int32)
-    flake_factor, through_factor = (np.full(len(coats), -1, np.int32) for _ in range(2))
+    flake_factor, through_factor, turned_factor = (np.full(len(coats), -1, np.int32) for _ in range(3))
     for number, factor in enumerate(record.factors):
         plate = through_factor if factor.through else base_factor
-        (flake_factor if factor.flakes else plate)[factor.material] = number
+        metal = turned_factor if factor.turned else flake_factor
+        (metal if factor.flakes else plate)[factor.material] = number
     return surfaces_of(
         np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
@@ -97,6 +98,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         base_factor,
         flake_factor,
         through_factor,
+        turned_factor=turned_factor,
     )
 
 

@@ -43,6 +43,7 @@ from .surfaces import (
     scatter_body,
     scatter_coat,
     sun_weights,
+    turned_part,
 )
 from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
 
@@ -53,7 +54,7 @@ __all__ = ["Block", "Rays", "Settings", "Sources", "trace_lines"]
 _PIXEL, _TIME, _BODY, _COAT, _SECOND, _SUN = 0, 1, 2, 3, 4, 6
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
 _BEHIND = 64  # added to the number of a scattering: draws for the sun behind a plate
-_LOBES = 5  # codes that a sun adds at a surface
+_LOBES = 6  # codes that a sun adds at a surface
 
 
 class _Room(NamedTuple):
@@ -107,6 +108,7 @@ class _Codes(NamedTuple):
     flakes: int
     recycled: int  # by flakes, then by the base; -1 where the code has no room for both
     twice: int  # by flakes, then by flakes
+    turned: int  # flakes at right angles to the light; as ``flakes`` where angles do not matter
 
 
 def trace_lines(
@@ -364,7 +366,7 @@ def _trace_sample(
             _follow(scene, room, path, place, settings, 1)
     u, v = even_pair(place.key, place.sample, _BODY, place.mask)
     kind, local, weight = scatter_body(surfaces.numbers, lobes, u, v)
-    code, spent = _code_of(codes, kind, 0)
+    code, spent = _code_of(codes, kind, 0, lobes, local, place, 0)
     towards = from_frame(hit.frame, local)
     if kind != ENDED and code >= 0 and leaves(hit, towards):
         _follow(
@@ -380,25 +382,32 @@ def _codes_after(
 ) -> _Codes:
     """Return the codes of a path after each lobe of a surface; ``mirrored`` is that after its coat."""
     bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
-    by_flakes = with_factor(code, flakes, bits)
+    by_flakes = turned = with_factor(code, flakes, bits)
     recycled = twice = -1
+    if surfaces.turned_factor[material] >= 0:
+        turned = with_factor(code, surfaces.turned_factor[material], bits)
     if flakes >= 0 and spent + 2 <= settings.depth:
         recycled, twice = with_factor(by_flakes, base, bits), with_factor(by_flakes, flakes, bits)
-    return _Codes(with_factor(code, base, bits), mirrored, by_flakes, recycled, twice)
+    return _Codes(with_factor(code, base, bits), mirrored, by_flakes, recycled, twice, turned)
 
 
 @borrowing_kernel
 def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
     """Return the codes of a path that has passed a plate, which has one lobe."""
     through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
-    return _Codes(through, through, through, -1, -1)
+    return _Codes(through, through, through, -1, -1, through)
 
 
 @borrowing_kernel
-def _code_of(codes: _Codes, kind: int, spent: int) -> tuple[int, int]:
-    """Return the code of the lobe that was followed, and how many factors it has then."""
+def _code_of(
+    codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, place: _Place, turn: int
+) -> tuple[int, int]:
+    """Return the code of the lobe that was followed (turned flakes by chance), and its number of factors."""
     if kind == COAT:
         return codes.coat, spent
+    if kind == FLAKES and codes.turned != codes.flakes:
+        _, _, _, draw = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+        return codes.turned if draw < turned_part(lobes, local) else codes.flakes, spent + 1
     if kind == FLAKES:
         return codes.flakes, spent + 1
     if kind == RECYCLED:
@@ -442,7 +451,7 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
             if side > 0.5:
                 hit, codes = rear, through
         kind, local, weight = scatter(surfaces.numbers, lobes, u, v)
-        code, spent = _code_of(codes, kind, spent)
+        code, spent = _code_of(codes, kind, spent, lobes, local, place, turn)
         origin, direction = hit.point, from_frame(hit.frame, local)
         if kind == ENDED or code < 0 or not leaves(hit, direction):
             return
@@ -481,7 +490,9 @@ def _record_suns(
         )
         add_path(room.table, codes.base | FIRST_SUN + sun, beta * base)
         add_path(room.table, codes.coat | FIRST_SUN + sun, beta * coat)
-        add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes)
+        part = turned_part(lobes, light) if codes.turned != codes.flakes else 0.0
+        add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes * (1.0 - part))
+        add_path(room.table, codes.turned | FIRST_SUN + sun, beta * flakes * part)
         if codes.recycled >= 0:
             add_path(room.table, codes.recycled | FIRST_SUN + sun, beta * recycled * (1.0 - lobes.share))
             add_path(room.table, codes.twice | FIRST_SUN + sun, beta * recycled * lobes.share)

@@ -27,7 +27,7 @@ __all__ = [
     "BASE", "BLURRED_ALPHA", "COAT", "ENDED", "FLAKES", "RECYCLED", "SMALLEST_ALPHA", "TWICE",
     "WAVINESS", "WIDENED_ALPHA", "Lobes", "Surfaces", "facet_density", "facet_lambda", "fresnel", "lobes_at",
     "refracted_cosine", "sample_cosine", "sample_facet", "scatter", "scatter_body", "scatter_coat",
-    "sun_weights", "surfaces_of",
+    "sun_weights", "surfaces_of", "turned_part",
 ]  # fmt: skip
 
 
@@ -62,12 +62,16 @@ class Surfaces(NamedTuple):
         Number of the spectrum of the flakes; -1 without them.
     through_factor : (material,) int32
         Number of the spectrum that a thin plate, such as a leaf, passes diffusely; -1 of what is opaque.
+    turned_factor : (material,) int32
+        Number of the spectrum of flakes where light and view are at right angles; -1 where angles do not
+        matter.
     """
 
     numbers: Array
     base_factor: Array
     flake_factor: Array
     through_factor: Array
+    turned_factor: Array
 
 
 def surfaces_of(
@@ -79,6 +83,8 @@ def surfaces_of(
     base_factor: Array,
     flake_factor: Array,
     through_factor: Array | None = None,
+    *,
+    turned_factor: Array | None = None,
 ) -> Surfaces:
     """Return surfaces with their tables of lost light.
 
@@ -88,8 +94,9 @@ def surfaces_of(
         Of the coats, shape (material,): index 0 without one, GGX alpha, slope [rad].
     flake_share, flake_alpha
         Of the flakes.
-    base_factor, flake_factor, through_factor
-        Numbers of the spectra; -1 without flakes, and of what passes no light; None where nothing does.
+    base_factor, flake_factor, through_factor, turned_factor
+        Numbers of the spectra; -1 without flakes, of what passes no light, of flakes of one spectrum; None
+        where nothing does.
 
     Examples
     --------
@@ -111,9 +118,12 @@ def surfaces_of(
             tables[key] = row[_ENTERING:].copy()
             _fill_tables(*key, tables[key])
         row[_ENTERING:] = tables[key]
-    if through_factor is None:
-        through_factor = np.full_like(flake_factor, -1)
-    rest = (np.ascontiguousarray(part, np.int32) for part in (base_factor, flake_factor, through_factor))
+    none = np.full_like(flake_factor, -1)
+    through_factor, turned_factor = (
+        none if part is None else part for part in (through_factor, turned_factor)
+    )
+    factors = (base_factor, flake_factor, through_factor, turned_factor)
+    rest = (np.ascontiguousarray(part, np.int32) for part in factors)
     return Surfaces(numbers, *rest)
 
 
@@ -305,6 +315,20 @@ def _mirror(view: Vector, light: Vector, alpha: float, radius: float) -> tuple[f
 def _refracted(direction: Vector, index: float) -> Vector:
     """Return the direction under a smooth coat."""
     return direction[0] / index, direction[1] / index, refracted_cosine(direction[2], index)
+
+
+@borrowing_kernel
+def turned_part(lobes: Lobes, light: Vector) -> float:
+    r"""Return the part of turned flakes' spectrum in what flakes send from a direction to the view, 0 to 1.
+
+    A film of optical thickness d on a flake has the phase :math:`2 \pi d \cos\theta_f / \lambda`, with
+    :math:`1 - \cos\theta_f \approx \sin^2\theta_f / 2` in proportion to :math:`\sin^2\theta` of light that
+    meets the flake at an angle :math:`\theta`; that is half the angle between light and view in the coat,
+    :math:`2 \sin^2\theta = 1 - \cos 2\theta`. Spectra are mixed in this proportion, so that no light is
+    lost, and light and view may change places.
+    """
+    inside = dot(_refracted(lobes.outgoing, lobes.refraction), _refracted(light, lobes.refraction))
+    return min(1.0, max(0.0, 1.0 - inside))
 
 
 @borrowing_kernel
