@@ -33,6 +33,7 @@ METHODS = {
     "survey": "surroundings",
     "flag": "surroundings",
     "remove_mirrored_sky": "surroundings",
+    "correct_coat": "surroundings",
     "correct_light": "surroundings",
     "locate": "geometry",
     "orthorectify": "geometry",

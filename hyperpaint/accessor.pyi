@@ -131,6 +131,19 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Subtract the sky that a clear coat mirrors, as seen from above."""
+    def correct_coat(
+        self,
+        *,
+        index: float = 1.5,
+        index_u: float = 0.03,
+        lean_u: float = 2.0,
+        diffuse: Any = None,
+        sun_zenith: float | None = None,
+        view_zenith: float | None = None,
+        sky: str | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Divide by what a clear coat lets through, over what it lets through near the normal."""
     def correct_light(
         self,
         *,
@@ -206,6 +219,8 @@ class PaintAccessor:
         specular_sky: bool = False,
         sun_zenith: float | None = None,
         diffuse: Any = None,
+        coat: bool | None = None,
+        coat_index: float = 1.5,
         min_pixels: int = 5,
         drop_small: bool = False,
         seed: int = 0,

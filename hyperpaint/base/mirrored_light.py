@@ -6,10 +6,19 @@ import xarray as xr
 
 from .errors import SchemaError
 
-__all__ = ["EXCLUDED", "INCLUDED", "mirror_reflection"]
+__all__ = ["BODY", "EXCLUDED", "INCLUDED", "OUTSIDE", "THROUGH_COAT", "mirror_reflection"]
 
 INCLUDED, EXCLUDED = "included", "excluded"
 """What the attribute ``mirror_reflection`` may say."""
+
+BODY = "body reflectance factor under the clear coat"
+"""Attribute ``quantity``: what a panel shows, lit and seen near its normal, without its mirror image."""
+
+THROUGH_COAT = "reflectance factor of the body through its clear coat"
+"""The same without its mirror image, but lit as it was: less what the coat keeps of a low sun."""
+
+OUTSIDE = "reflectance factor of the outside of the coat"
+"""All that comes off the panel, its mirror image of the sky among it."""
 
 _SAID = "mirror_reflection"
 _REMOVED = "mirrored_sky_removed"

@@ -145,13 +145,14 @@ def diffuse_from_record(
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
     """Return one of `SPLIT` with its attributes of the table; a state's numbers say what they mean."""
-    words = {}
-    if array.name == "sky_state":
-        words = {
-            "flag_values": np.arange(len(SKY_STATES), dtype=np.int8),
-            "flag_meanings": " ".join(SKY_STATES),
-        }
+    words = sky_state_attrs() if array.name == "sky_state" else {}
     return schema.label(array, str(array.name), **words)
+
+
+def sky_state_attrs() -> dict[str, Any]:
+    """Return the CF attributes that say what the numbers of ``sky_state`` mean."""
+    numbers = np.arange(len(SKY_STATES), dtype=np.int8)
+    return {"flag_values": numbers, "flag_meanings": " ".join(SKY_STATES)}
 
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:

@@ -26,8 +26,8 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
-    "HORIZON_SHIFT", "clear_sky_shares", "facing_gain", "function_shapes", "relative_radiance",
-    "scattering_cosine", "sunward_gain", "zenith_radiance",
+    "HORIZON_SHIFT", "Dome", "clear_sky_shares", "dome", "facing_gain", "function_shapes",
+    "relative_radiance", "scattering_cosine", "sunward_gain", "zenith_radiance",
 ]  # fmt: skip
 
 
@@ -89,7 +89,7 @@ def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats
     return np.asarray(np.exp(power))
 
 
-class _Dome(NamedTuple):
+class Dome(NamedTuple):
     """Directions of the upper half, for integrals: Gauss's rule in the cosine, even steps in azimuth."""
 
     cosine: Floats  # (zenith, azimuth)
@@ -98,10 +98,11 @@ class _Dome(NamedTuple):
 
 
 @functools.cache
-def _dome() -> _Dome:
+def dome() -> Dome:
+    """Return the directions that integrals over the sky are taken at."""
     nodes, weights = np.polynomial.legendre.leggauss(32)
     cosine, azimuth = np.meshgrid(0.5 * (nodes + 1.0), (np.arange(48) + 0.5) / 48 * np.pi, indexing="ij")
-    return _Dome(cosine, azimuth, cosine * weights[:, None] / 48)
+    return Dome(cosine, azimuth, cosine * weights[:, None] / 48)
 
 
 @functools.lru_cache(maxsize=64)
@@ -124,12 +125,12 @@ def function_shapes(sun_zenith: float) -> Floats:
     """
     if not 0.0 <= sun_zenith < 90.0:
         raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
-    tables, dome = _tables(), _dome()
+    tables, sky = _tables(), dome()
     rows = _between(tables.suns, tables.shapes, sun_zenith)
-    from_sun = scattering_cosine(dome.cosine, dome.azimuth, sun_zenith)
+    from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
     shapes = np.concatenate([rows, np.zeros((2, 1))], axis=1)
     for shape in shapes:
-        shape[7] = -np.log((dome.level * relative_radiance(shape, dome.cosine, from_sun)).sum())
+        shape[7] = -np.log((sky.level * relative_radiance(shape, sky.cosine, from_sun)).sum())
     shapes.setflags(write=False)  # shared
     return shapes
 
@@ -189,13 +190,13 @@ def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 
     of :math:`\beta \int L \omega_x d\Omega / \int L \omega_z d\Omega` with :math:`\omega_x` level towards the
     sun.
     """
-    dome = _dome()
+    sky = dome()
     # with the sun straight above both are zero; their quotient is not
     zenith = max(float(sun_zenith), 5.0)
-    from_sun = scattering_cosine(dome.cosine, dome.azimuth, zenith)
-    sunward = np.sqrt(1.0 - dome.cosine**2) / dome.cosine * np.cos(dome.azimuth)
+    from_sun = scattering_cosine(sky.cosine, sky.azimuth, zenith)
+    sunward = np.sqrt(1.0 - sky.cosine**2) / sky.cosine * np.cos(sky.azimuth)
     sums = [
-        (dome.level * sunward * relative_radiance(shape, dome.cosine, from_sun)).sum()
+        (sky.level * sunward * relative_radiance(shape, sky.cosine, from_sun)).sum()
         for shape in function_shapes(zenith)
     ]
     return np.asarray(
@@ -230,9 +231,9 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     >>> print(facing_gain([450.0, 850.0], 60.0, 30.0, 0.0).round(1), facing_gain([450.0], 60.0, 0.0, 0.0))
     [1.3 1.8] [1.]
     """
-    dome = _dome()
-    azimuth = np.concatenate([dome.azimuth, -dome.azimuth], axis=1)
-    cosine, level = np.tile(dome.cosine, 2), np.tile(dome.level, 2)
+    sky = dome()
+    azimuth = np.concatenate([sky.azimuth, -sky.azimuth], axis=1)
+    cosine, level = np.tile(sky.cosine, 2), np.tile(sky.level, 2)
     slope, turn = np.radians(angle), azimuth - np.radians(from_sun)
     facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - cosine**2) / cosine * np.cos(turn)
     weight = level * np.maximum(facing, 0.0)

@@ -1,3 +1,4 @@
+from .coat_correction import correct_coat as correct_coat
 from .corrections import (
     correct_light as correct_light,
     remove_mirrored_sky as remove_mirrored_sky,

@@ -13,6 +13,7 @@ import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.mirrored_light import EXCLUDED, THROUGH_COAT
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
@@ -23,10 +24,18 @@ from .sun_and_sky import OVERCAST_ZENITH
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CORRECTIONS", "correct_light", "remove_mirrored_sky"]
+__all__ = [
+    "CORRECTIONS",
+    "LEVELS",
+    "WIDTHS",
+    "as_fractions",
+    "correct_light",
+    "remove_mirrored_sky",
+    "with_correction",
+]
 
 
-CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
+CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
 """Attributes of reflectance that say what was corrected."""
 
 MAX_TILT_GAIN = 0.3
@@ -37,14 +46,15 @@ NORMAL_REFLECTANCE = 0.04
 
 _MENDED = {
     "mirrored_sky_removed": "start from reflectance that is as it was seen",
+    "coat_corrected": "start from reflectance that is as it was seen, and correct the coat last",
     "light_corrected": "start from reflectance that is as it was seen, and remove the mirrored sky first",
     "tilt": "compute reflectance without tilt=, remove the mirrored sky first where it is to be removed, "
     "then call correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
 """How to go on where a correction was made before."""
 
-_LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
-_WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
+LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
+WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
 """Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 
@@ -90,6 +100,11 @@ def remove_mirrored_sky(
         divided by a tilted surface's light (`correct_light`, or ``tilt=`` of `hyperpaint.reflectance`), or
         the split or the sky is not known; all are listed.
 
+    Warns
+    -----
+    PaintWarning
+        Nothing says what the sky was, and a clear one is taken.
+
     Notes
     -----
     .. math:: \rho = \rho_{obs} - F_0 V f_{dif} L_z / \bar L
@@ -109,7 +124,7 @@ def remove_mirrored_sky(
     line = schema.rename_to_roles(line)
     # what a tilted surface mirrors is subtracted before all is divided by its light
     _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
-    line = _as_fractions(line)
+    line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     above: Any = 1.0
     if split.sky != "uniform":
@@ -120,8 +135,8 @@ def remove_mirrored_sky(
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
         f"x zenith of a sky ({split.sky})"
     )
-    corrected = {name: line[name] - taken for name in _LEVELS if name in line.variables}
-    return _with(line, corrected, "mirrored_sky_removed", text)
+    corrected = {name: line[name] - taken for name in LEVELS if name in line.variables}
+    return with_correction(line, corrected, "mirrored_sky_removed", text)
 
 
 @takes_quantities(direct="1", sky_view_factor="1", sun_zenith="degree")
@@ -168,6 +183,11 @@ def correct_light(
         ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the light was corrected before
         (here, or by ``tilt=`` of `hyperpaint.reflectance`), or the split is not known; all are listed.
 
+    Warns
+    -----
+    PaintWarning
+        Nothing says what the sky was, and a clear one is taken.
+
     Notes
     -----
     .. math:: \rho = \rho_{obs} / (c f_{dir} + V (1 + g (c - 1)) f_{dif} + (1 - V) \rho_n)
@@ -190,7 +210,7 @@ def correct_light(
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
     _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
-    line = _as_fractions(line)
+    line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
     if split.sky not in ("uniform", "overcast"):
@@ -200,14 +220,14 @@ def correct_light(
         seen = sky_view_factor * (1.0 + lean * gain) * share
         light = direct * (1.0 - share) + seen + (1.0 - sky_view_factor) * neighbour_reflectance
         light = light.where(light > 0)
-        corrected = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
+        corrected = {name: line[name] / light for name in (*LEVELS, *WIDTHS) if name in line.variables}
     factors = {
         name: f"{value:g}" if name in plain else "given"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     }
     parts = ", ".join(f"{name} {value}" for name, value in factors.items())
     text = f"{parts}, diffuse fraction ({split.source}), sky ({split.sky})"
-    return _with(line, corrected, "light_corrected", text)
+    return with_correction(line, corrected, "light_corrected", text)
 
 
 def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
@@ -240,9 +260,9 @@ def _same_pixels() -> Iterator[None]:
         ) from error
 
 
-def _as_fractions(line: xr.Dataset) -> xr.Dataset:
+def as_fractions(line: xr.Dataset) -> xr.Dataset:
     """Return the line with what is corrected in units of 1."""
-    names = [name for name in (*_LEVELS, *_WIDTHS) if name in line.variables]
+    names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
     return line.assign({name: convert(line[name], "1") for name in names})
 
 
@@ -258,13 +278,15 @@ def _on_bands(values: Any) -> xr.DataArray:
     return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 
-def _with(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
+def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
     """Return the line with what was corrected, and say so."""
     done = {
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
     }
-    said = {"mirror_reflection": "excluded"} if name == "mirrored_sky_removed" else {}
+    said = {}
+    if name == "mirrored_sky_removed":
+        said = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
     done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
     corrected = line.assign(done)
     if PAINT in line["reflectance"].dims:

@@ -30,7 +30,7 @@ from .sun_and_sky import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "split_of"]
+__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "says_its_split", "split_of"]
 
 
 CLEAR_SKY_TAKEN = (
@@ -41,6 +41,8 @@ CLEAR_SKY_TAKEN = (
 
 RECORDED = "as recorded"
 """Sky of a line whose ``sky_state`` says which it is."""
+
+UNKNOWN_SKY = SKY_STATES.index("contradictory")
 
 MODEL_U = 0.2
 """Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25."""
@@ -62,26 +64,25 @@ class LightSplit:
     source: str  #: Where the fraction is from, as attributes say it.
     sky: str  #: One of `SKIES`, or `RECORDED`.
     zenith: float
+    state: Any = UNKNOWN_SKY  #: Number of the sky's word, or of each line's.
     states: tuple[str, ...] = ()  #: Words of ``sky_state`` that occur; of a mean only.
 
-    def mean(self, line: xr.Dataset) -> LightSplit:
-        """Return the mean over lines; eager. ``line`` has ``sky_state``, or a record it follows from."""
+    def mean(self) -> LightSplit:
+        """Return the mean over lines; eager."""
         over = [dim for dim in self.fraction.dims if dim != BAND]
         if not over:
             return self
         import dask
-        import xarray as xr
 
-        own = _own(line)
-        numbers = own["sky_state"] if own is not None and "sky_state" in own else xr.DataArray(0)
-        fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, numbers)
-        words = tuple(SKY_STATES[number] for number in np.unique(state.values))
+        fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, self.state)
+        numbers = np.unique(state)
+        words = tuple(SKY_STATES[number] for number in numbers)
         # the sky's doubt is common to its lines
         spread = np.sqrt((u**2).mean(over) + fraction.var(over))
         weight = cloud.mean() if hasattr(cloud, "mean") else cloud
         return LightSplit(
             self.wavelength, fraction.mean(over), spread, float(weight), self.source, self.sky, self.zenith,
-            words,
+            state=int(numbers[0]), states=words,
         )  # fmt: skip
 
     def mirrored(self) -> tuple[Floats, Floats]:
@@ -149,12 +150,22 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
     name = sky or "clear"
     spread = MODEL_U * fraction * (1.0 - fraction)
-    return LightSplit(wavelength, fraction, spread, float(name == "overcast"), source, name, zenith)
+    cloud, state = float(name == "overcast"), SKY_STATES.index("overcast" if name == "overcast" else "clear")
+    return LightSplit(wavelength, fraction, spread, cloud, source, name, zenith, state)
+
+
+def says_its_split(line: xr.Dataset) -> bool:
+    """Return whether a line says itself how its light divides, or has a record that it follows from."""
+    return _own(line) is not None
 
 
 def _own(line: xr.Dataset) -> xr.Dataset | None:
     """Return what a line says of its light itself, or what its record says; None without either."""
-    if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
+    held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
+    # of paints it is small; one that is not known leaves nothing to go by
+    if held is not None and ALONG_TRACK not in held.dims and not np.isfinite(held).all():
+        held = None
+    if held is not None and BAND in held.dims:
         return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
     if PAINT in line.dims:
         return None
@@ -170,13 +181,15 @@ def _recorded(
     u = own["diffuse_fraction_u"].astype(np.float64) if "diffuse_fraction_u" in own else 0.0 * fraction
     zenith = sun_zenith_of(line, sun_zenith)
     cloud: Any = float(sky == "overcast")
+    state: Any = UNKNOWN_SKY
+    if "sky_state" in own:
+        state = own["sky_state"].reset_coords(drop=True)
     if sky is None and "sky_state" in own:
         middle = int(np.nanargmin(np.abs(wavelength - 550.0)))
         clear = float(diffuse_fraction(wavelength[[middle]], zenith)[0])
         share = ((fraction.isel({BAND: middle}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
-        state = own["sky_state"].reset_coords(drop=True)
         share = share.reset_coords(drop=True) if hasattr(share, "reset_coords") else share
         overcast, hazy = SKY_STATES.index("overcast"), SKY_STATES.index("hazy")
         cloud = share.where(state > hazy, 0.0).where(state != overcast, 1.0)
     source = "of the lines' own record"
-    return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith)
+    return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)

@@ -330,7 +330,7 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
 def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightSplit:
     """Return the split to start from, mean over lines."""
     try:
-        return split_of(line, diffuse, sun_zenith).mean(line)
+        return split_of(line, diffuse, sun_zenith).mean()
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise

@@ -93,7 +93,7 @@ def test_a_line_with_a_record_alone() -> None:
     own = split_of_lines(line)
     assert own is not None
     np.testing.assert_array_equal(whole.fraction, own.diffuse_fraction)
-    assert whole.mean(line).states == ("clear",)
+    assert whole.mean().states == ("clear",)
 
 
 def test_words_that_are_none() -> None:

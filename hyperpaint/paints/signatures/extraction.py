@@ -18,9 +18,11 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
 
+from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
 from .pixel_statistics import CENTRES
@@ -157,6 +159,8 @@ def extract_signatures(
     specular_sky: bool = False,
     sun_zenith: float | None = None,
     diffuse: Any = None,
+    coat: bool | None = None,
+    coat_index: float = COAT_INDEX,
     min_pixels: int = 5,
     drop_small: bool = False,
     seed: int = 0,
@@ -195,6 +199,13 @@ def extract_signatures(
         For that [degree]; by default from time and position of each line.
     diffuse
         For that, see `hyperpaint.surroundings.survey`; by default what each line says of its light.
+    coat
+        Divide by what the clear coat lets through of a low sun and of the sky, over what it lets through near
+        the normal, see `hyperpaint.surroundings.correct_coat`; needs reflectance without the mirrored sky. By
+        default where that is subtracted. Regions whose property ``kind`` or ``material`` says that they are
+        no paint, such as "asphalt", are left as they are.
+    coat_index
+        Refractive index of the coat [1].
     min_pixels
         Pixels that a region must have left.
     drop_small
@@ -213,10 +224,15 @@ def extract_signatures(
         band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded`` (paint) pixels;
         ``quality`` (paint), the flags of the pixels that were used; ``quality_share`` (paint, flag), how many
         of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``, ``view_zenith``, ``view_azimuth``,
-        ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint). Coordinates: ``paint``,
+        ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint); ``diffuse_fraction``,
+        ``diffuse_fraction_u`` (paint, band) [1], NaN where nothing says it, and ``sky_state`` (paint);
+        ``coat_transmission`` and ``coat_transmission_u`` (paint, band) [1] where the coat was corrected.
+        Coordinates: ``paint``,
         ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every
-        property of the regions. Attributes say how it was made; ``mirror_reflection`` of reflectance whether
-        it holds the sky that a coat mirrors ("included" or "excluded").
+        property of the regions. Attributes say how it was made; those of reflectance what it is: its
+        ``quantity``, that of the body under a coat, of the body through it, or of its outside;
+        ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat mirrors
+        ("included" or "excluded"); and ``geometry``.
 
     Raises
     ------
@@ -298,6 +314,8 @@ def extract_signatures(
         problems.raise_if_any()
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
+    if specular_sky if coat is None else coat:
+        library = without_coat(library, left, coat_index, sun_zenith)
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 

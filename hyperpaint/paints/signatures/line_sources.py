@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
@@ -20,6 +21,7 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
+from hyperpaint.surroundings.light_split import says_its_split, split_of
 
 from .map_cells import middle_of_map
 
@@ -222,6 +224,27 @@ _NOISE_KNOWN = {"counts", "electrons_per_count", "read_noise"}
 _SMALL = ("time", "latitude", "longitude", "irradiance_age")
 
 
+class SplitOfLines(NamedTuple):
+    """How the light of each line divides."""
+
+    fraction: Floats  # (along_track, band), diffuse part [1]
+    u: Floats  # (along_track, band), its standard uncertainty [1]
+    state: Array  # (along_track,), number of the sky's word
+
+    def mean(self, lines: Array) -> dict[str, Any]:
+        """Return the mean over some lines, with the spread in its uncertainty, and the commonest sky."""
+        rows = self.fraction[lines]
+        known = np.isfinite(rows).all(axis=1)
+        if not known.any():
+            return {}
+        rows, u = rows[known], self.u[lines][known]
+        return {
+            "diffuse_fraction": rows.mean(axis=0),
+            "diffuse_fraction_u": np.sqrt((u**2).mean(axis=0) + rows.var(axis=0)),
+            "sky_state": int(np.bincount(self.state[lines][known]).argmax()),
+        }
+
+
 @dataclass(frozen=True)
 class Source:
     """What is drawn from one flight line."""
@@ -237,6 +260,7 @@ class Source:
     wavelength: Floats
     fwhm: Floats
     good: Bools  #: (band,), bool:
+    light: SplitOfLines | None  #: How the light of each line divides; None where nothing says it.
     smoothing: str  #: How spectra are smoothed; "none".
     corrections: dict[str, str]  #: What was corrected, by name, see `CORRECTIONS`.
     components: dict[str, str]  #: What enters the uncertainties, by name.
@@ -288,6 +312,7 @@ def source_of(
             {name: variables[name] for name in ("wavelength", *_SMALL) if name in variables}
         )
         nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith, diffuse=diffuse)
+    light = _light_of(line, diffuse, sun_zenith, needed=specular_sky)
     if smoothing is not None:
         if before is not None:
             raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")
@@ -314,10 +339,31 @@ def source_of(
         wavelength=wavelength,
         fwhm=variables["fwhm"].values.astype(np.float64) if "fwhm" in variables else np.full(size, np.nan),
         good=variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool),
+        light=light,
         smoothing=str(cube.attrs.get("smoothing", before or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
     )
+
+
+def _light_of(
+    line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
+) -> SplitOfLines | None:
+    """Return how the light of each line divides, small and in memory; None where nothing says so."""
+    import dask
+    import xarray as xr
+
+    if not needed and (diffuse is None and not says_its_split(line)):
+        return None
+    with warnings.catch_warnings():  # the correction has warned already
+        warnings.simplefilter("ignore", PaintWarning)
+        split = split_of(line, diffuse, sun_zenith)
+    shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
+    state: Any = xr.DataArray(split.state, dims=()) if isinstance(split.state, int) else split.state
+    parts = dask.compute(split.fraction.variable, split.u.variable, state.variable)
+    fraction, u = (np.asarray(part.set_dims(shape).values, np.float64) for part in parts[:2])
+    states = parts[2].set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
+    return SplitOfLines(fraction, u, states.astype(np.int64))
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -19,6 +20,7 @@ from hyperpaint.base.schema import (
     numbers_of,
     quality_attrs,
 )
+from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
@@ -38,6 +40,8 @@ _CORRELATED_BANDS = 8
 """Good bands, spread over all, that the correlation of pixels is looked at in."""
 
 _NAT = np.datetime64("NaT", "ns")
+
+_UNKNOWN_SKY = SKY_STATES.index("contradictory")
 
 
 class Draft:
@@ -120,6 +124,10 @@ class Draft:
         of_lines = {name: values[self.cells[0][self._used]] for name, values in lines.items()}
         of_pixels = {name: values[self._used] for name, values in planes.items()}
         self.at = _geometry({**of_lines, **of_pixels})
+        split = {} if self._source.light is None else self._source.light.mean(self.cells[0][self._used])
+        unknown = np.full(bands, np.nan)
+        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": _UNKNOWN_SKY}
+        self.at |= split
         zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
         self.at |= {
             "view_zenith": zenith,
@@ -240,12 +248,16 @@ def paint_library(
     }
     library = xr.Dataset()
     for name, row in LIBRARY_VARIABLES.items():
-        flags = quality_attrs() if name == "quality" else {}
+        if name not in values:  # of a correction, which comes after
+            continue
+        flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
         attrs = {**flags, **row.attrs, **_uncertainty_attrs(name, sources)}
         # text of any length, as stores hold it
         array = np.array(values[name], object if row.dtype == "str" else row.dtype)
         library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
-    library = library.set_coords([name for name, row in LIBRARY_VARIABLES.items() if row.coordinate])
+    library = library.set_coords(
+        [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
+    )
     properties = {
         name: ("paint", column, {"long_name": f"Property {name} of the regions"})
         for name, column in _properties(regions).items()
@@ -253,8 +265,10 @@ def paint_library(
     library = library.assign_coords(properties)
     library["reflectance"].attrs |= {
         "centre": notes["centre"],
-        "mirror_reflection": _mirror_reflection(sources),
+        **_quantity(sources),
         **_corrections(sources),
+        "geometry": "sun and sky on a level surface, camera above: sun_zenith, view_zenith, "
+        "relative_azimuth, diffuse_fraction of every paint",
     }
     library.attrs = {
         "title": "Paint signatures",
@@ -300,10 +314,15 @@ def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
     }
 
 
-def _mirror_reflection(sources: Mapping[str, Source]) -> str:
-    """Return whether spectra hold what a coat mirrors; one line that does decides."""
-    removed = all("mirrored_sky_removed" in source.corrections for source in sources.values())
-    return "excluded" if removed else "included"
+def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
+    """Return attributes that say what spectra hold of a coat; the line that holds most decides."""
+
+    def all_have(name: str) -> bool:
+        return all(name in source.corrections for source in sources.values())
+
+    word = EXCLUDED if all_have("mirrored_sky_removed") else INCLUDED
+    quantity = OUTSIDE if word == INCLUDED else BODY if all_have("coat_corrected") else THROUGH_COAT
+    return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
 
 
 def _sources(sources: Mapping[str, Source]) -> str:

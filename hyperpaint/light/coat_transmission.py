@@ -1,0 +1,116 @@
+r"""What a clear coat lets through of sun and sky, and what it keeps of the light that leaves.
+
+A body of Lambert's kind under a coat of index n, lit from the angle i and seen at the angle v, sends
+:math:`T(i) T(v) b / (n^2 (1 - b F_i))` of a perfect diffuser's light, :math:`T = 1 - F` the interface's
+transmittance and :math:`F_i` what it throws back inside. What depends on the body, the albedo b and all
+returns from inside, is the same in every geometry: over what the same panel shows when it is lit and seen
+near its normal, as by a field spectrometer, there remains
+
+.. math:: C = \frac{f_{dir} T(\theta_s) + f_{dif} (1 - F_{sky})}{T(0)} \cdot \frac{T(\theta_v)}{T(0)}
+
+with :math:`F_{sky}` the mean of F over the sky as level ground is lit by it: 0.092 of a uniform sky, more of
+a clear one, which is bright at the horizon. Not for flakes, whose light leaves in a cone.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.arrays import Floats
+
+from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
+
+__all__ = ["COAT_INDEX", "COAT_INDEX_U", "interface_reflectance", "sky_reflectance", "transmitted_share"]
+
+COAT_INDEX, COAT_INDEX_U = 1.5, 0.03
+"""Refractive index of automotive clear coats, 1.48 to 1.55, and its standard uncertainty [1]."""
+
+
+def interface_reflectance(angle: npt.ArrayLike, index: float = COAT_INDEX) -> Floats:
+    """Return Fresnel's reflectance of unpolarised light from outside at an angle of incidence [degree].
+
+    Examples
+    --------
+    >>> print(interface_reflectance([0.0, 60.0, 75.0]).round(3))
+    [0.04  0.089 0.253]
+    """
+    cosine = np.cos(np.radians(np.asarray(angle, np.float64)))
+    return _reflectance(np.maximum(cosine, 0.0), index)
+
+
+def _reflectance(cosine: Floats, index: float) -> Floats:
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    crossed = ((cosine - index * inside) / (cosine + index * inside)) ** 2
+    along = ((inside - index * cosine) / (inside + index * cosine)) ** 2
+    return np.asarray(0.5 * (crossed + along))
+
+
+@functools.lru_cache(maxsize=64)
+def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
+    """Return the mean reflectance of the functions of a clear sky (3,), and of CIE's overcast sky."""
+    sky = dome()
+    reflected = sky.level * _reflectance(sky.cosine, index)
+    from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
+    parts = [relative_radiance(shape, sky.cosine, from_sun) for shape in function_shapes(sun_zenith)]
+    clear = [float(reflected.sum()), *(float((reflected * part).sum()) for part in parts)]
+    overcast = (1.0 + 2.0 * sky.cosine) * 3.0 / 7.0
+    return np.array(clear), float((reflected * overcast).sum())
+
+
+def sky_reflectance(
+    wavelength: npt.ArrayLike, sun_zenith: float | None, cloud: float = 0.0, index: float = COAT_INDEX
+) -> Floats:
+    """Return how much of the sky's light a level coat reflects (band,) [1].
+
+    Parameters
+    ----------
+    wavelength : (band,)
+        [nm]
+    sun_zenith
+        Below 90 [degree]; None for a uniform sky.
+    cloud
+        Weight of CIE's overcast sky, 0 to 1; the rest is clear.
+    index
+        Refractive index.
+
+    Examples
+    --------
+    >>> print(sky_reflectance([550.0], None).round(3), sky_reflectance([550.0], 60.0).round(3))
+    [0.092] [0.134]
+    """
+    nm = np.asarray(wavelength, np.float64)
+    functions, overcast = _of_functions(45.0 if sun_zenith is None else float(sun_zenith), float(index))
+    if sun_zenith is None:
+        return np.full(nm.shape, functions[0])
+    return np.asarray((1.0 - cloud) * (functions @ clear_sky_shares(nm, sun_zenith)) + cloud * overcast)
+
+
+def transmitted_share(
+    fraction: Any, sky: Any, incidence: float, view: float = 0.0, index: float = COAT_INDEX
+) -> Any:
+    """Return C, what a coat leaves of its body's light over what it leaves near the normal [1].
+
+    Parameters
+    ----------
+    fraction : (..., band)
+        Diffuse part of the irradiance [1]: an array, or a DataArray.
+    sky : (..., band)
+        `sky_reflectance` for the same index [1].
+    incidence, view
+        Angles of the sun and of the camera to the panel's normal [degree].
+    index
+        Refractive index.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> print(transmitted_share(np.array([0.12, 1.0]), 0.0918, 60.0).round(3))
+    [0.948 0.946]
+    """
+    normal, sun, leaving = 1.0 - interface_reflectance([0.0, incidence, view], index)
+    entering = (1.0 - fraction) * sun + fraction * (1.0 - sky)
+    return entering / normal * leaving / normal

@@ -1,0 +1,56 @@
+"""Signatures of the body under a clear coat, of those regions that are paint."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperpaint.base.schema import PAINT
+from hyperpaint.regions import Regions
+from hyperpaint.surroundings.coat_correction import correct_coat
+from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["without_coat"]
+
+_NO_PAINT = frozenset({
+    "asphalt", "concrete", "glass", "grass", "ground", "leaf", "line", "soil", "target", "tyre", "vegetation",
+    "wall", "white panel", "window",
+})  # fmt: skip
+"""Words of a region's ``kind`` or ``material`` that say it has no clear coat."""
+
+
+def without_coat(
+    library: xr.Dataset,
+    regions: Regions,
+    index: float,
+    sun_zenith: float | None,
+) -> xr.Dataset:
+    """Return a library without the share of a coat of some index; regions that are no paint stay."""
+    import xarray as xr
+
+    words = [
+        {str(region.properties.get(name, "")).lower() for name in ("kind", "material")} for region in regions
+    ]
+    is_paint = np.array([not own & _NO_PAINT for own in words])
+    if not is_paint.any():
+        return library
+    corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
+    if is_paint.all():
+        return corrected
+    paint = xr.DataArray(is_paint, dims=PAINT)
+    as_seen = library.assign(
+        coat_transmission=xr.ones_like(corrected["coat_transmission"]),
+        coat_transmission_u=xr.zeros_like(corrected["coat_transmission_u"]),
+    )
+    changed = (*LEVELS, *WIDTHS, "coat_transmission", "coat_transmission_u")
+    return corrected.assign(
+        {
+            name: corrected[name].where(paint, as_seen[name]).transpose(*corrected[name].dims)
+            for name in changed
+            if name in corrected
+        }
+    )

@@ -1,0 +1,82 @@
+"""What a clear coat lets through: Fresnel's equations, a Monte Carlo's sky, the renderer's coat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.scattered_sky import sky_radiance
+
+from hyperpaint.light.coat_transmission import interface_reflectance, sky_reflectance, transmitted_share
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.simulation.rendering.materials import (
+    base_albedo,
+    coated_reflectance,
+    fresnel_reflectance,
+    hemispherical_reflectance,
+    internal_reflectance,
+)
+
+
+def plain_fresnel(angle: float, index: float) -> float:
+    """Return the mean of both polarisations by Snell's law and the tangent and sine laws."""
+    outside = np.radians(angle)
+    inside = np.arcsin(np.sin(outside) / index)
+    s = np.sin(outside - inside) ** 2 / np.sin(outside + inside) ** 2
+    p = np.tan(outside - inside) ** 2 / np.tan(outside + inside) ** 2
+    return float(0.5 * (s + p))
+
+
+@pytest.mark.parametrize("index", [1.47, 1.5, 1.55])
+def test_the_interface_is_fresnels(index: float) -> None:
+    for angle in (5.0, 30.0, 56.0, 75.0, 88.0):
+        assert interface_reflectance(angle, index) == pytest.approx(plain_fresnel(angle, index), rel=1e-9)
+    assert interface_reflectance(0.0, index) == pytest.approx(((index - 1.0) / (index + 1.0)) ** 2)
+    assert sky_reflectance([550.0], None, index=index) == pytest.approx(
+        hemispherical_reflectance(index), abs=2e-5
+    )
+    # CIE: radiance over that of the mean, 3 (1 + 2 cos) / 7
+    cosine = (np.arange(20_000) + 0.5) / 20_000
+    overcast = np.sum(fresnel_reflectance(cosine, index) * cosine * (1 + 2 * cosine)) / np.sum(
+        cosine * (1 + 2 * cosine)
+    )
+    assert sky_reflectance([550.0], 40.0, 1.0, index) == pytest.approx(overcast, abs=2e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sun", [25.0, 60.0, 75.0])
+def test_a_clear_sky_loses_more_than_a_uniform_one(sun: float) -> None:
+    for nm in (450.0, 850.0):
+        sky = sky_radiance(nm, sun, photons=2500, zeniths=20, azimuths=12)
+        fresnel = fresnel_reflectance(sky.cosine)[:, None]
+        truth = sky.mean(sky.relative * fresnel)
+        assert sky_reflectance([nm], sun) == pytest.approx(truth, rel=0.08)
+        assert truth > hemispherical_reflectance()
+
+
+@pytest.mark.parametrize("albedo", [0.05, 0.5, 0.95])
+def test_returns_inside_the_coat_are_common_to_all_geometries(albedo: float) -> None:
+    """The renderer's coat with all its returns, over its near-normal factor, is C for any body."""
+    near = float(coated_reflectance(np.array([albedo]))[0])
+    body = float(base_albedo(np.array([near]))[0])
+    assert body == pytest.approx(albedo)
+    for sun, f in ((0.0, 0.1), (60.0, 0.12), (75.0, 0.3)):
+        into = (1 - f) * (1 - fresnel_reflectance(np.cos(np.radians(sun)))) + f * (
+            1 - hemispherical_reflectance()
+        )
+        out = 0.96 / 1.5**2 * body / (1.0 - body * internal_reflectance())
+        ratio = transmitted_share(np.array([f]), sky_reflectance([550.0], None), sun)
+        assert float(into * out / near) == pytest.approx(float(ratio[0]), rel=1e-4)
+
+
+def test_levels_of_white_and_silver_close() -> None:
+    """Panels that were seen at 60, 65 and 45 degrees, issue 16: 0.917 to 0.980 of their own."""
+
+    def share(sun: float, nm: float = 600.0) -> float:
+        f, sky = diffuse_fraction([nm], sun), sky_reflectance([nm], sun)
+        return float(transmitted_share(f, sky, sun)[0])
+
+    assert 0.935 / share(60.0) == pytest.approx(0.99, abs=0.012)
+    assert 0.950 / share(60.0) == pytest.approx(1.00, abs=0.012)
+    assert 0.917 / share(65.0) == pytest.approx(0.995, abs=0.012)
+    assert 0.980 / share(45.0) == pytest.approx(0.996, abs=0.012)
+    assert share(0.0) > 0.98

@@ -1,0 +1,132 @@
+"""Signatures of the body under a clear coat: what is put into a line by plain arithmetic comes back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.sky_functions import zenith_radiance
+from hyperpaint.light.sun import diffuse_fraction, solar_position
+
+NM = np.linspace(420.0, 980.0, 12)
+BODY = 0.3 + 0.4 * (NM - 420.0) / 560.0
+STAMP, PLACE = np.datetime64("2024-06-21T16:20", "ns"), (50.0, 0.0)
+SUN = float(solar_position(STAMP, *PLACE)[0])
+CORNERS = [(0, 0), (0, 7), (7, 7), (7, 0)]
+
+
+def fresnel(angle: float, n: float) -> float:
+    c = np.cos(np.radians(angle))
+    t = np.sqrt(1.0 - (1.0 - c**2) / n**2)
+    return float(0.5 * (((c - n * t) / (c + n * t)) ** 2 + ((t - n * c) / (t + n * c)) ** 2))
+
+
+def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
+    """Return a coated panel under a clear sky of which the coat reflects ``sky``."""
+    f = diffuse_fraction(NM, SUN)
+    share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
+    seen = share * body + 0.04 * f * zenith_radiance(NM, SUN)
+    cube = np.broadcast_to(seen[:, None].astype(np.float32), (8, NM.size, 8)).copy()
+    rows = {name: ("along_track", np.full(8, value), {"units": "degree"})
+            for name, value in zip(("latitude", "longitude"), PLACE, strict=True)}  # fmt: skip
+    return xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), cube, {"units": "1"})},
+        {"wavelength": ("band", NM, {"units": "nm"}), "time": ("along_track", np.full(8, STAMP)), **rows},
+    )
+
+
+def signature(seen: xr.Dataset, **options: Any) -> xr.Dataset:
+    regions = hp.Regions((hp.Region("hood", CORNERS, properties={"kind": "panel"}),))
+    return hp.extract_signatures(seen, regions, specular_sky=True, diffuse="model", **options)
+
+
+def mean_sky(n: float) -> np.ndarray:
+    """Return a clear sky's mean of Fresnel's reflectance, by sums over its functions in steps of a degree."""
+    from hyperpaint.light.sky_functions import clear_sky_shares, function_shapes, relative_radiance
+
+    zenith, azimuth = np.meshgrid(np.arange(0.5, 90.0), np.arange(1.0, 360.0, 2.0), indexing="ij")
+    z, a, s = np.radians(zenith), np.radians(azimuth), np.radians(SUN)
+    from_sun = np.cos(z) * np.cos(s) + np.sin(z) * np.sin(s) * np.cos(a)
+    weight = np.cos(z) * np.sin(z)
+    functions = [np.ones(z.shape), *(relative_radiance(c, np.cos(z), from_sun) for c in function_shapes(SUN))]
+    lost = np.vectorize(lambda angle: fresnel(angle, n))(zenith[:, 0])[:, None]
+    means = [(weight * each * lost).sum() / (weight * each).sum() for each in functions]
+    return np.array(means) @ clear_sky_shares(NM, SUN)
+
+
+@pytest.mark.parametrize("n", [1.5, 1.47])
+def test_the_body_comes_back(n: float) -> None:
+    seen = line(mean_sky(n), n=n)
+    body = signature(seen, coat_index=n)
+    assert SUN > 50.0
+    np.testing.assert_allclose(body.reflectance[0], BODY, rtol=2e-3)
+    np.testing.assert_allclose(body.member_reflectance[0, 0], BODY, rtol=2e-3)
+    attrs = body.reflectance.attrs
+    assert attrs["quantity"] == "body reflectance factor under the clear coat"
+    assert attrs["specular_component"] == attrs["mirror_reflection"] == "excluded"
+    assert attrs["coat_corrected"].startswith(f"clear coat of index {n:g}")
+    assert "coat_corrected" in body.attrs["corrections"]
+    through = signature(seen, coat=False)
+    assert through.reflectance.attrs["quantity"] == "reflectance factor of the body through its clear coat"
+    np.testing.assert_allclose(through.reflectance / body.reflectance, body.coat_transmission, rtol=1e-5)
+    assert "coat_transmission" not in through
+    # what of the index, the lean and the sky is not known
+    assert 0.001 < float(body.coat_transmission_u.min()) < float(body.coat_transmission_u.max()) < 0.02
+
+
+def test_ground_has_no_coat() -> None:
+    seen = line(0.1)
+    corners = {"hood": {}, "road": {"kind": "asphalt"}}
+    regions = hp.Regions(tuple(hp.Region(name, CORNERS, properties=own) for name, own in corners.items()))
+    both = hp.extract_signatures(seen, regions, specular_sky=True, diffuse="model")
+    assert float((both.reflectance[0] / both.reflectance[1]).min()) > 1.02
+    assert (both.coat_transmission[1] == 1.0).all()
+    assert (both.coat_transmission_u[1] == 0.0).all()
+    assert both.reflectance.dtype == np.float32
+
+
+def test_a_library_is_corrected_as_an_extraction() -> None:
+    seen = line(0.1)
+    once = signature(seen)
+    again = hp.surroundings.correct_coat(signature(seen, coat=False))
+    np.testing.assert_allclose(again.reflectance, once.reflectance, rtol=1e-6)
+    of_line = hp.surroundings.correct_coat(
+        hp.surroundings.remove_mirrored_sky(seen, diffuse="model"), diffuse="model"
+    )
+    np.testing.assert_allclose(of_line.reflectance[3, :, 3], once.reflectance[0], rtol=1e-5)
+    uncertain = signature(seen, coat=False).assign(
+        reflectance_u_systematic=(("paint", "band"), np.full((1, NM.size), 0.003, np.float32), {"units": "1"})
+    )
+    u = hp.surroundings.correct_coat(uncertain)
+    c, uc = u.coat_transmission, u.coat_transmission_u
+    np.testing.assert_allclose(
+        u.reflectance_u_systematic, np.hypot(0.003 / c, u.reflectance * uc / c), rtol=1e-5
+    )
+
+
+def test_refusals() -> None:
+    seen = line(0.1)
+    with pytest.raises(SchemaError, match="call remove_mirrored_sky first"):
+        hp.surroundings.correct_coat(seen)
+    bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    body = hp.surroundings.correct_coat(bare, diffuse="model")
+    with pytest.raises(SchemaError, match="it was before"):
+        hp.surroundings.correct_coat(body)
+    with pytest.raises(SchemaError, match="correct the coat last"):
+        hp.surroundings.remove_mirrored_sky(body)
+    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1 to 3"):
+        hp.surroundings.correct_coat(bare, index=0.9)
+
+
+def test_the_coat_is_corrected_lazily(no_compute: Any) -> None:
+    seen = line(0.1)
+    seen = seen.assign(reflectance=seen.reflectance.chunk(along_track=4))
+    seen = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    with no_compute():
+        body = hp.surroundings.correct_coat(seen, diffuse="model")
+    assert body.reflectance.dtype == np.float32
