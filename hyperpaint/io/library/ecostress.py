@@ -21,6 +21,7 @@ from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.files.reading import decoded_text, number, numbers, unique_names
 
+from .column_quantities import without_repeats
 from .library_spectra import Spectra, reflectances, text_column
 from .metadata import paint_columns, typed_values
 from .records import CENTRE, names_of
@@ -83,12 +84,16 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     factor, note = wavelength_factor(fields["X Units"], table[:, 0], source)
     if np.isnan(table[:, 0]).any():
         raise FormatError(f"{source}: a wavelength is not a number")
+    nm, values = table[:, 0], table[:, 1:]
+    if wavelength is None:
+        nm, values, repeats = without_repeats(nm, values, source)
+        notes = [*notes, *repeats]
     return Spectra(
         source=source,
         form=f"{'ASTER' if wrapped else 'ECOSTRESS'} library text",
         names=[fields["Name"]],
-        wavelength=in_nanometres(table[:, 0], factor) if wavelength is None else wavelength,
-        reflectance=reflectances(table[None, :, 1], source, said=said, given=scale),
+        wavelength=in_nanometres(nm, factor) if wavelength is None else wavelength,
+        reflectance=reflectances(values.T, source, said=said, given=scale),
         columns=_columns(fields, source),
         notes=[*notes, *([note] if note else [])],
     )

@@ -18,6 +18,7 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.files.reading import head_of
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 
+from .column_quantities import warn_of_light
 from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
@@ -48,6 +49,7 @@ class _Options:
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
+    sure: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
         """Refuse them where the library says all of it.
@@ -64,6 +66,7 @@ def open_library(
     wavelength: Path_ | Any | None = None,
     fwhm: Path_ | Any | None = None,
     scale: float | None = None,
+    quantity: str | None = None,
 ) -> xr.Dataset:
     r"""Open a spectral library as a paint library.
 
@@ -85,6 +88,9 @@ def open_library(
     scale
         Stored value of a reflectance of one (100 for percent). By default what the file says: its scale
         factor, units or headings. Values that are no fractions, of a file that says nothing, are refused.
+    quantity
+        ``"reflectance"``, to say so of a text whose headings or values look like another quantity, or whose
+        third column without a heading looks like a standard deviation.
 
     Returns
     -------
@@ -98,15 +104,16 @@ def open_library(
     Raises
     ------
     FormatError
-        A file is damaged, of no known kind, no reflectance, without wavelengths or of unknown scale; or
-        several files have different wavelengths. All problems are listed.
+        A file is damaged, of no known kind, no reflectance by its words or values, without wavelengths or of
+        unknown scale; or several files have different wavelengths. All problems are listed.
     StoreError
         A Zarr store was never finished, or is none.
 
     Warns
     -----
     PaintWarning
-        Names or metadata are missing, or something was inferred that may make values wrong.
+        Names or metadata are missing, or something was inferred that may make values wrong. Spectra have
+        the oxygen band of sunlight, as radiance and irradiance do.
 
     Examples
     --------
@@ -121,7 +128,10 @@ def open_library(
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise FormatError(f"scale is {scale}, expected the stored value of a reflectance of one, such as 100")
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale)
+    if quantity not in (None, "reflectance"):
+        raise FormatError(f"quantity={quantity!r}: a paint library holds reflectance; leave quantity= out")
+    sure = quantity is not None
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, sure)
     if isinstance(path, str | os.PathLike) and _is_store(path):
         options.refuse_for(path)
         return _read_store(path)
@@ -230,7 +240,6 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
 
 
 def _by_content(path: Path, options: _Options) -> xr.Dataset:
-    nm, scale = options.wavelength, options.scale
     suffix, head = path.suffix.lower(), _head(path)
     if suffix == ".ems":
         from hyperpaint.io.dirsig import open_emissivity
@@ -239,12 +248,23 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
     if suffix not in _ENVI_SUFFIXES and is_csv_library(head):
         options.refuse_for(path)
         return read_csv_library(path)
+    library = _foreign(path, suffix, head, options)
+    if not options.sure and "hyperpaint" not in str(library.attrs.get("format", "")):
+        warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
+    return library
+
+
+def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
+    """Open a library of other programs, or ours in the format of ENVI."""
+    nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
     if is_usgs(head):
         return library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=options.fwhm))
-    read = read_ecostress if is_ecostress(head) else read_plain_table
-    spectra = read(path, scale=scale, wavelength=nm)
+    if is_ecostress(head):
+        spectra = read_ecostress(path, scale=scale, wavelength=nm)
+    else:
+        spectra = read_plain_table(path, scale=scale, wavelength=nm, sure=options.sure)
     return library_of(spectra if options.fwhm is None else replace(spectra, fwhm=options.fwhm))
 
 

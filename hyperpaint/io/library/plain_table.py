@@ -10,25 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import numbers
 
+from .column_quantities import IS_SPREAD, check_words, spread_columns, without_repeats
 from .library_spectra import Spectra, reflectances
-from .text_spectra import (
-    PERCENT,
-    in_nanometres,
-    lines_of,
-    numbers_of_lines,
-    other_quantity,
-    wavelength_factor,
-)
+from .text_spectra import PERCENT, in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
 __all__ = ["read_plain_table"]
 
 _MOST_PREAMBLE = 500
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
-_SPREAD = re.compile(r"standard.dev|std|\bsd\b|sigma", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -55,18 +48,22 @@ _DIALECTS = (
 )  # fmt: skip
 
 
-def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
+def read_plain_table(
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, sure: bool = False
+) -> Spectra:
     """Read spectra from a table of two or more columns.
 
     Cells are separated by commas, semicolons, tabs or blanks; decimal commas are understood where no comma
     separates. Lines above the numbers are headings, the last of them names the columns; lines that begin with
     ``#`` are comments. Where there is one spectrum and its heading says no more than "reflectance", it has
-    the name of the file. The third of three columns is a standard deviation where its heading says so.
+    the name of the file. A column whose heading says so is the standard deviation of the one before it.
 
     scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
     wavelength: To be used in place of the first column [nm].
+    sure: The caller says that it is reflectance, whatever words and values look like.
     Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
         are no reflectance.
+    Warns PaintWarning: Wavelengths stand twice in a row; or a column is a standard deviation by its values.
     """
     source = path.name
     lines = lines_of(path, "a table of wavelengths and reflectance")
@@ -77,22 +74,32 @@ def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floa
         table, columns = table[:, :-1], columns - 1
     _check_order(table[:, 0], source)
     preamble = lines[:first]
-    names, spread = _names(preamble, dialect, columns, path.stem)
+    headings = _headings(preamble, dialect, columns)
     said = " ".join(preamble)
-    heading = preamble[-1] if preamble else ""
-    if (quantity := other_quantity(heading)) and "reflect" not in said.lower():
-        raise FormatError(f"{source}: its heading says {quantity!r}, expected reflectance")
+    if not sure:
+        check_words(preamble, headings, source)
     factor, note = wavelength_factor(said, table[:, 0], source)
-    percent = 100.0 if PERCENT.search(heading) else None
-    values = reflectances(table[:, 1:].T, source, said=percent, given=scale)
+    percent = 100.0 if PERCENT.search(preamble[-1] if preamble else "") else None
+    nm, values, notes = table[:, 0], table[:, 1:], [note] if note else []
+    if wavelength is None:
+        nm, values, repeats = without_repeats(nm, values, source)
+        notes += repeats
+    spread = spread_columns(headings, values.T, source, sure=sure)
+    names = _names(headings, spread, path.stem)
+    paints = np.flatnonzero(spread != IS_SPREAD)
+    reflectance = reflectances(values.T[paints], source, said=percent, given=scale, sure=sure)
+    others = {}
+    if (spread >= 0).any():
+        sd = reflectances(values.T[spread[paints]], source, said=percent or 1.0, given=scale)
+        others["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
     return Spectra(
         source=source,
         form="table of text",
         names=names,
-        wavelength=in_nanometres(table[:, 0], factor) if wavelength is None else wavelength,
-        reflectance=values[:1] if spread else values,
-        others={"reflectance_sd": values[1:]} if spread else {},
-        notes=[note] if note else [],
+        wavelength=in_nanometres(nm, factor) if wavelength is None else wavelength,
+        reflectance=reflectance,
+        others=others,
+        notes=notes,
     )
 
 
@@ -120,16 +127,14 @@ def _check_order(wavelength: Floats, source: str) -> None:
         )
 
 
-def _names(preamble: Sequence[str], dialect: _Dialect, columns: int, stem: str) -> tuple[list[str], bool]:
-    """Return the names of the spectra, and whether the third column is the spread of the second."""
-    headings = _headings(preamble, dialect, columns)
-    spread = columns == 3 and bool(headings) and _SPREAD.search(headings[2]) is not None
-    count = 1 if spread else columns - 1
-    names = [heading.strip() for heading in headings[1 : count + 1]]
-    if count == 1:
-        return [stem if not names or _GENERIC.fullmatch(names[0]) else names[0]], spread
-    names = names or [""] * count
-    return [name or f"column {at}" for at, name in enumerate(names, 2)], spread
+def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
+    """Return the names of the spectra; ``spread`` as `spread_columns` returns it."""
+    paints = np.flatnonzero(spread != IS_SPREAD)
+    names = [headings[at + 1].strip() for at in paints.tolist()] if headings else []
+    if paints.size == 1:
+        return [stem if not names or _GENERIC.fullmatch(names[0]) else names[0]]
+    names = names or [""] * paints.size
+    return [name or f"column {at + 2}" for at, name in zip(paints, names, strict=True)]
 
 
 def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:

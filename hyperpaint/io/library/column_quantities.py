@@ -1,0 +1,193 @@
+"""What the columns of a table of spectra are: reflectance, its spread, or another quantity taken for it."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats, Floats32, Ints
+from hyperpaint.base.errors import FormatError, PaintWarning
+
+from .text_spectra import other_quantity
+
+__all__ = ["IS_SPREAD", "check_words", "spread_columns", "warn_of_light", "without_repeats"]
+
+
+@dataclass(frozen=True)
+class QuantityRules:
+    """From where on numbers of a table are taken for something else than reflectance.
+
+    min_oxygen_depth
+        Depth of the band of oxygen at 760 nm [1], below the line between 751 and 775 nm, from which on
+        values look like light: sun through air has 0.5 to 0.9 at 1 to 5 nm and 0.2 at 15 nm; thirty real
+        libraries of reflectance have 0.023 at the most.
+    oxygen_step_nm
+        Widest spacing of wavelengths at which that is judged [nm].
+    max_spread_ratio
+        Median of a third column over the second, up to which it is a spread where nothing names it [1]. Of a
+        real lawn it is 0.2; a pair of paints that differ more than twice asks for headings.
+    max_repeats
+        Share of wavelengths that occur twice apart from each other, up to which these are detectors that
+        overlap [1]: 0.002 in exports of SVC; two spectra one below the other have 0.5.
+    """
+
+    min_oxygen_depth: float = 0.1
+    oxygen_step_nm: float = 6.0
+    max_spread_ratio: float = 0.5
+    max_repeats: float = 0.05
+
+
+RULES = QuantityRules()
+NO_SPREAD, IS_SPREAD = -1, -2
+SAY_SO = "pass quantity='reflectance' if it is reflectance after all"
+
+_SPREAD = re.compile(
+    r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
+)
+_STATISTIC = re.compile(
+    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|std ?err\w*|sem|cov|snr|flags?|qc|weights?|"
+    r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
+    re.I,
+)
+_OF_LIGHT = re.compile(
+    r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
+)
+_COUNTED = re.compile(r"irrad|digital (?:number|count)s?|photons?\b|volts?\b", re.I)
+_TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivity", re.I)
+
+
+def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
+    """Refuse a table whose headings or units say another quantity.
+
+    preamble: Lines above the numbers; headings: names of the columns, as many as there are, or none.
+
+    Raises FormatError: A column is named after light, counts, transmittance or a statistic; or the lines
+        above say so and none of them says reflectance.
+    """
+    foreign = [name.strip() for name in headings[1:] if _foreign(name) or _STATISTIC.fullmatch(name.strip())]
+    if foreign:
+        raise FormatError(
+            f"{source}: its heading says {', '.join(map(repr, foreign[:5]))}, expected reflectance; "
+            f"leave those columns out, or {SAY_SO}"
+        )
+    said = " ".join(preamble)
+    last = preamble[-1] if preamble else ""
+    word = _foreign(last)
+    if (
+        not word
+        and "reflect" not in said.lower()
+        and (title := _TITLE.search(said) or _OF_LIGHT.search(said))
+    ):
+        word = title[0]
+    if word:
+        raise FormatError(f"{source}: its heading says {word!r}, expected reflectance; {SAY_SO}")
+
+
+def _foreign(text: str) -> str:
+    """Return the word or unit that says that values are no reflectance; empty where there is none."""
+    if word := other_quantity(text):
+        return word
+    if "reflect" in text.lower():
+        return ""
+    match = _OF_LIGHT.search(text) or _COUNTED.search(text)
+    return match[0].strip() if match else ""
+
+
+def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure: bool) -> Ints:
+    """Return for each column the one that holds its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
+
+    headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
+    sure: Columns without headings are reflectance, whatever they look like.
+
+    Raises FormatError: The first column is named a standard deviation.
+    Warns PaintWarning: Nothing names three columns, and the last looks like the spread of the one before.
+    """
+    roles = np.full(len(values), NO_SPREAD)
+    if headings:
+        is_spread = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
+        if is_spread[0]:
+            raise FormatError(
+                f"{source}: its first spectrum is named {headings[1].strip()!r}, expected reflectance before "
+                "its standard deviation"
+            )
+        roles[is_spread] = IS_SPREAD
+        for at in np.flatnonzero(is_spread):
+            owner = np.flatnonzero(~is_spread[:at])[-1]
+            roles[owner] = at if roles[owner] == NO_SPREAD else roles[owner]
+    elif len(values) == 2 and not sure and _looks_like_spread(*values):
+        text = (
+            f"{source}: three columns without headings; the third is taken for the standard deviation of the "
+            "second; name the columns, or pass quantity='reflectance' if it is a paint"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=6)
+        roles[:] = 1, IS_SPREAD
+    return roles
+
+
+def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
+    both = np.isfinite(mean) & np.isfinite(spread) & (mean > 0)
+    if not both.any() or (spread[both] < 0).any():
+        return False
+    return bool(np.median(spread[both] / mean[both]) <= RULES.max_spread_ratio)
+
+
+def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Floats, Floats, list[str]]:
+    """Return wavelengths and values (band, spectrum) without repeats in a row, and notes of what was done.
+
+    Rows that are the same count once; values that differ are averaged.
+
+    Raises FormatError: Many wavelengths occur twice apart from each other, as of two spectra one below the
+        other.
+    Warns PaintWarning: Values were averaged.
+    """
+    starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)
+    apart = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    doubled = wavelength.size - starts.size
+    if apart > RULES.max_repeats or 2 * doubled >= wavelength.size:
+        twice = wavelength.size - np.unique(wavelength).size
+        raise FormatError(
+            f"{source}: {twice} of {wavelength.size} wavelengths occur twice; are spectra one below the "
+            "other, or wavelengths rounded? Spectra belong in columns"
+        )
+    if not doubled:
+        return wavelength, values, []
+    counts = np.diff(np.append(starts, wavelength.size))
+    means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
+    apart = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
+    first = wavelength[starts[counts > 1][0]]
+    text = f"{doubled} wavelengths stand twice in a row, such as {first:g}"
+    if apart <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
+        return wavelength[starts], values[starts], [f"{text}: the same rows count once"]
+    text = f"{text}: their values, up to {apart:.3g} apart, are averaged"
+    warnings.warn(f"{source}: {text}", PaintWarning, stacklevel=6)
+    return wavelength[starts], means, [text]
+
+
+def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> None:
+    """Warn of spectra with the oxygen band of sunlight, which reflectance does not have.
+
+    wavelength: (band,) [nm]; reflectance: (paint, band) [1].
+
+    Warns PaintWarning: One has it.
+    """
+    order = np.argsort(wavelength, kind="stable")
+    nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
+    below, inside, above = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
+    near = nm[(nm >= 745) & (nm <= 781)]
+    sampled = below.any() and inside.any() and above.any()
+    if not sampled or np.diff(near).max() > RULES.oxygen_step_nm:
+        return
+    shoulder = 0.5 * (values[:, below].mean(axis=1) + values[:, above].mean(axis=1))
+    dip = shoulder - values[:, inside].min(axis=1)
+    light = np.flatnonzero(dip > RULES.min_oxygen_depth * np.maximum(shoulder, 1e-6))
+    if light.size:
+        depth = dip[light[0]] / shoulder[light[0]] if shoulder[light[0]] > 0 else np.inf
+        text = (
+            f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
+            f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {SAY_SO}"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=6)
