@@ -22,6 +22,9 @@ _NO_PAINT = frozenset({
 })  # fmt: skip
 """Words of a region's ``kind`` or ``material`` that say it has no clear coat."""
 
+_AT_A_GEOMETRY = frozenset({"metallic", "pearl"})
+"""Words of a region's ``finish``, or ``kind``: what these send holds at its geometry, the coat included."""
+
 
 def without_coat(
     library: xr.Dataset,
@@ -29,13 +32,17 @@ def without_coat(
     index: float,
     sun_zenith: float | None,
 ) -> xr.Dataset:
-    """Return a library without the share of a coat of some index; regions that are no paint stay."""
+    """Return a library without the share of a coat of some index.
+
+    Regions that are no paint, and those of metallic paint, stay as they are.
+    """
     import xarray as xr
 
     words = [
-        {str(region.properties.get(name, "")).lower() for name in ("kind", "material")} for region in regions
+        {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
+        for region in regions
     ]
-    is_paint = np.array([not own & _NO_PAINT for own in words])
+    is_paint = np.array([not own & (_NO_PAINT | _AT_A_GEOMETRY) for own in words])
     if not is_paint.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)

@@ -25,6 +25,7 @@ from hyperpaint.regions import Regions, pixels_of, regions_from
 from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
+from .panel_geometry import with_panel_geometry
 from .pixel_statistics import CENTRES
 from .signature_library import Draft, paint_library
 
@@ -226,13 +227,15 @@ def extract_signatures(
         of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``, ``view_zenith``, ``view_azimuth``,
         ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint); ``diffuse_fraction``,
         ``diffuse_fraction_u`` (paint, band) [1], NaN where nothing says it, and ``sky_state`` (paint);
-        ``coat_transmission`` and ``coat_transmission_u`` (paint, band) [1] where the coat was corrected.
-        Coordinates: ``paint``,
-        ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every
-        property of the regions. Attributes say how it was made; those of reflectance what it is: its
-        ``quantity``, that of the body under a coat, of the body through it, or of its outside;
-        ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat mirrors
-        ("included" or "excluded"); and ``geometry``.
+        ``coat_transmission`` and ``coat_transmission_u`` (paint, band) [1] where the coat was corrected;
+        ``aspecular_angle``, between the view and the direction in which a level panel mirrors the sun, and
+        ``aspecular_range``, by how much that may differ over the panel (paint) [degree]; ``flop`` (paint,
+        band), how reflectance changes from the dark to the bright end of the panel, relative [1].
+        Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as
+        GeoJSON), and every property of the regions. Attributes say how it was made; those of reflectance
+        what it is: its ``quantity``, that of the body under a coat, of the body through it, or of its
+        outside; ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat
+        mirrors ("included" or "excluded"); and ``geometry``.
 
     Raises
     ------
@@ -245,6 +248,10 @@ def extract_signatures(
 
     Notes
     -----
+    A metallic or pearl paint (regions whose ``finish`` or ``kind`` says so) has no reflectance but at a
+    geometry: its signature holds at its ``aspecular_angle`` under its sun and sky, the coat's share is not
+    divided out of it, and ``flop`` shows what changes with the angle.
+
     Of a map that says which pixel of the flight line a cell shows, every pixel counts once, and members are
     named by their places in the flight line; a map of nearest pixels leaves some out, so that more are had
     of the located line itself.
@@ -316,6 +323,7 @@ def extract_signatures(
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
     if specular_sky if coat is None else coat:
         library = without_coat(library, left, coat_index, sun_zenith)
+    library = with_panel_geometry(library, sun_zenith)
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 

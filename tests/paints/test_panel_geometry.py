@@ -1,0 +1,117 @@
+"""Aspecular angles, and what changes from the dark to the bright end of a panel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+import hyperpaint as hp
+from hyperpaint.paints.signatures.panel_geometry import aspecular_angle, lean_range, panel_flop
+from hyperpaint.regions import Region, Regions
+from hyperpaint.simulation import simulate_line
+from hyperpaint.simulation.rendering.appearance import flakes_of_flop, reflectance_factor
+from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, fresnel_reflectance
+
+_ZENITH = st.floats(0.0, 85.0)
+
+
+@given(_ZENITH, _ZENITH, st.floats(0.0, 180.0))
+def test_the_angle_is_that_between_vectors(sun: float, view: float, turn: float) -> None:
+    def towards(zenith: float, azimuth: float) -> np.ndarray:
+        a, b = np.radians([zenith, azimuth])
+        return np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+
+    mirrored = towards(sun, 0.0) * (-1.0, -1.0, 1.0)
+    # well-conditioned for small angles too
+    seen = towards(view, turn)
+    expected = np.degrees(np.arctan2(np.linalg.norm(np.cross(mirrored, seen)), mirrored @ seen))
+    assert float(aspecular_angle(sun, view, turn)) == pytest.approx(expected, abs=2e-5)
+
+
+NM = np.linspace(400.0, 1000.0, 40)
+GOOD = (NM > 420.0) & (NM < 950.0)
+BODY = 0.05 + 0.4 / (1.0 + np.exp(-(NM - 600.0) / 15.0))
+
+
+def leaning_panel(lobe: Flakes | None, metal: float, leans: np.ndarray, direct: np.ndarray) -> np.ndarray:
+    """Return what pixels (pixel, band) of a panel send that lean towards the sun, seen from above."""
+    material, sun = Material("m", "m", "paint", Coat(), lobe), 45.0
+    seen = []
+    for lean in leans:
+        # of a panel that leans towards the sun, the vertical is on the side of the mirror direction
+        angles = {"light": sun - lean, "view": abs(lean), "azimuth": 180.0 if lean > 0 else 0.0}
+        factor = reflectance_factor(material, BODY, metal, **angles)
+        turned = np.cos(np.radians(sun - lean)) / np.cos(np.radians(sun))
+        seen.append(direct * turned * factor + (1.0 - direct) * BODY)
+    return np.array(seen)
+
+
+def test_solid_paint_changes_with_the_light_and_flakes_with_their_own_colour() -> None:
+    direct = np.interp(NM, [400.0, 1000.0], [0.6, 0.9])
+    leans = np.random.default_rng(3).permutation(np.linspace(-3.0, 3.0, 200))
+    solid = panel_flop(leaning_panel(None, 0.0, leans, direct), GOOD)
+    # the means of the outer fifths lean 2.4 degrees either way; the coat lets more light in the steeper it is
+    away, towards = 1.0 - fresnel_reflectance(np.cos(np.radians([47.4, 42.6])), 1.5)
+    expected = direct * (2 * np.tan(np.radians(2.4)) + (towards - away) / 0.95)
+    np.testing.assert_allclose(solid.spectrum, expected, rtol=0.01)
+    lobe = flakes_of_flop(9.0, Material("m", "m", "paint", Coat(), Flakes(0.5)), NM, BODY, 0.85)
+    flakes = panel_flop(leaning_panel(lobe, 0.85, leans, direct), GOOD)
+    # flakes are neutral here, and weigh most where the pigment is dark
+    assert flakes.contrast > 1.5 * solid.contrast
+    assert flakes.spectrum[NM < 550].mean() > 1.2 * flakes.spectrum[NM > 700].mean()
+    # a bound on the lean, which is close for solid paint and generous for flakes
+    middle = float(direct[GOOD].mean())
+    assert 4.8 < lean_range(solid.contrast, 45.0, middle) < 5.6
+    assert lean_range(flakes.contrast, 45.0, middle) > 5.6
+
+
+def test_noise_makes_no_flop() -> None:
+    noisy = BODY * (1.0 + 0.01 * np.random.default_rng(1).normal(size=(256, NM.size)))
+    flop = panel_flop(noisy, GOOD)
+    assert abs(flop.contrast) < 0.006
+    assert np.abs(flop.spectrum).max() < 0.012
+
+
+def test_what_tells_nothing_is_nan() -> None:
+    few = np.tile(BODY, (19, 1))
+    assert np.isnan(panel_flop(few, GOOD).spectrum).all()
+    padded = np.full((60, NM.size), np.nan)
+    padded[:19] = few
+    assert np.isnan(panel_flop(padded, GOOD).contrast)
+    assert np.isnan(panel_flop(np.tile(BODY, (60, 1)), np.zeros(NM.size, bool)).contrast)
+    dead = np.tile(BODY, (60, 1))
+    dead[:, 3] = np.nan  # a band without values among good ones leaves its pixels out, so it is not good
+    flop = panel_flop(dead, GOOD & np.isfinite(dead[0]))
+    assert np.isnan(flop.spectrum[3])
+    assert flop.contrast == 0.0
+    assert np.isnan(lean_range(np.nan, 30.0, 0.8))
+
+
+def test_a_library_says_its_geometry() -> None:
+    line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+    corners = [(0, 0), (0, 31), (6, 31), (6, 0)]
+    paints = hp.extract_signatures(
+        line, Regions((Region("bonnet", corners, properties={"finish": "metallic"}),))
+    )
+    angles = [float(paints[name][0]) for name in ("sun_zenith", "view_zenith", "relative_azimuth")]
+    assert float(paints.aspecular_angle[0]) == pytest.approx(float(aspecular_angle(*angles)))
+    expected = panel_flop(paints.member_reflectance.values[0], paints.good.values)
+    np.testing.assert_allclose(paints.flop.values[0], expected.spectrum, rtol=1e-6)
+    assert 0.0 < float(paints.aspecular_range[0]) <= 30.0
+    assert paints.finish.item() == "metallic"
+    told = hp.extract_signatures(
+        line, Regions((Region("bonnet", corners),)), sun_zenith=30.0, specular_sky=True
+    )
+    angles[0] = 30.0
+    assert float(told.aspecular_angle[0]) == pytest.approx(float(aspecular_angle(*angles)))
+
+
+def test_the_coat_is_not_divided_out_of_a_metallic_paint() -> None:
+    line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+    corners = [(0, 0), (0, 31), (6, 31), (6, 0)]
+    regions = [Region(name, corners, properties={"finish": name}) for name in ("solid", "metallic")]
+    paints = hp.extract_signatures(line, Regions(tuple(regions)), specular_sky=True, diffuse="model")
+    assert (paints.coat_transmission.values[0] < 0.999).all()
+    np.testing.assert_array_equal(paints.coat_transmission.values[1], 1.0)
+    assert (paints.reflectance.values[0] > paints.reflectance.values[1]).all()
