@@ -22,7 +22,7 @@ class QuantityRules:
     """From where on numbers of a table are taken for something else than reflectance.
 
     min_oxygen_depth
-        Depth of the band of oxygen at 760 nm [1], below the line between 751 and 775 nm, from which on
+        Depth of the band of oxygen at 760 nm [1], below the lower of both sides, from which on
         values look like light: sun through air has 0.5 to 0.9 at 1 to 5 nm and 0.2 at 15 nm; thirty real
         libraries of reflectance have 0.023 at the most.
     oxygen_step_nm
@@ -181,7 +181,8 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     sampled = below.any() and inside.any() and above.any()
     if not sampled or np.diff(near).max() > RULES.oxygen_step_nm:
         return
-    shoulder = 0.5 * (values[:, below].mean(axis=1) + values[:, above].mean(axis=1))
+    # the lower one: paint that is black to the eye alone rises from one to the other
+    shoulder = np.minimum(values[:, below].mean(axis=1), values[:, above].mean(axis=1))
     dip = shoulder - values[:, inside].min(axis=1)
     light = np.flatnonzero(dip > RULES.min_oxygen_depth * np.maximum(shoulder, 1e-6))
     if light.size:
