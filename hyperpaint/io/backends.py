@@ -58,6 +58,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         *,
         drop_variables: str | Iterable[str] | None = None,
         keep_whole_lines: bool = False,
+        quantity: str | None = None,
     ) -> xr.Dataset:
         """Open an ENVI cube lazily.
 
@@ -69,11 +70,13 @@ class EnviBackendEntrypoint(BackendEntrypoint):
             Names left out of the dataset.
         keep_whole_lines
             Open recordings that were cut short; see `hyperpaint.io.envi.envi_cubes.open_envi`.
+        quantity
+            What the samples are where the header does not say it, such as ``"counts"``.
 
         Raises
         ------
         FormatError
-            The header is damaged, contradicts itself or does not fit the size of the data file.
+            The header is damaged, contradicts itself or ``quantity``, or does not fit the size of the file.
         FileNotFoundError
             There is no such file.
         """
@@ -81,7 +84,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
 
         from .envi.envi_cubes import open_envi
 
-        cube = open_envi(filename_or_obj, keep_whole_lines=keep_whole_lines)
+        cube = open_envi(filename_or_obj, keep_whole_lines=keep_whole_lines, quantity=quantity)
         return with_numbers(_without(cube, drop_variables))
 
 

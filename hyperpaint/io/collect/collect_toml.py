@@ -37,6 +37,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "gps_leap_seconds": check.whole(-100, 100),
         "fwhm_nm": check.positive,
         "radiance_units": check.text,
+        "quantity": check.one_of("counts", "radiance"),
     },
     "navigation": {
         "roll_positive": check.one_of("right_wing_down", "right_wing_up"),
@@ -184,7 +185,7 @@ def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
 def _camera(reader: _Reader) -> dict[str, Any]:
     """Return what holds for all flight lines."""
     table, dark = reader.one("camera"), _dark(reader)
-    same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units")
+    same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
     convention = {key: value for key, value in reader.one("navigation").items() if key != "?"}
     return {key: table[key] for key in same if key in table} | {"dark": dark, "convention": convention}
 

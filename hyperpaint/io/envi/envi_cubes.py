@@ -28,18 +28,22 @@ from .envi_header import EnviHeader, MapInfo, read_header
 
 __all__ = ["find_pair", "open_envi"]
 
-_DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".sli")
+_DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
-_LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance)\s*(?=$|[\],\[])", re.IGNORECASE)
+_LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
+# Headwall's recorder names itself, and a level beside it in what its software made of the counts
+_RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
+_COUNT_UNITS = ("count", "counts", "dn", "digital number", "digital numbers", "digital counts", "adu")
+_QUANTITIES = ("counts", "radiance", "reflectance", "values")
 
 
 def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Find the header and the data file that belong together.
 
     ``path``: either of the two. A header ``raw_0.hdr`` goes with ``raw_0``, or with that name and one of the
-    suffixes .img .dat .raw .bil .bip .bsq .sli; a data file goes with its name and ``.hdr``, with its own
-    suffix or without.
+    suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file goes with its name and ``.hdr``, with its
+    own suffix or without.
 
     Returns header, data: Paths as they were spelled.
 
@@ -85,7 +89,10 @@ def _existing(candidates: list[Path]) -> list[Path]:
     return files
 
 
-def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -> xr.Dataset:
+def open_envi(
+    path: str | os.PathLike[str], *, keep_whole_lines: bool = False, quantity: str | None = None,
+    unsaid: str = "values",
+) -> xr.Dataset:  # fmt: skip
     """Open an ENVI cube lazily.
 
     Parameters
@@ -98,12 +105,18 @@ def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -
         short file is dropped; a file longer than declared must hold whole lines exactly, since a remainder
         there means that the header describes another cube. Not possible for ``bsq``: a short file lacks
         bands.
+    quantity
+        ``counts``, ``radiance``, ``reflectance`` or ``values``: what the samples are, where the header does
+        not say it. A header that says otherwise is refused.
+    unsaid
+        As ``quantity``, of integers only, and of no account where the header says what they are: what a
+        reader of darks takes them for.
 
     Returns
     -------
     xarray.Dataset
-        One variable: ``counts`` (integers without a scale), ``radiance`` or ``reflectance`` (where the header
-        says so), else ``values``; dims (along_track, band, cross_track), or (y, x, band) with map info.
+        One variable: ``counts`` (integers), ``radiance`` or ``reflectance``, where the header or ``quantity``
+        says so, else ``values``; dims (along_track, band, cross_track), or (y, x, band) with map info.
         Radiance and reflectance are float32, a reflectance scale factor or band gains and offsets applied and
         the ignore value, compared with what is stored, NaN. Integers without a scale keep their type, and
         the attribute ``data_ignore_value``. Coordinates ``wavelength`` [nm], ``fwhm`` [nm] and ``good`` on
@@ -114,7 +127,7 @@ def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -
     Raises
     ------
     FormatError
-        The header is damaged, contradicts itself or does not fit the size of the data file.
+        The header is damaged, contradicts itself or ``quantity``, or does not fit the size of the data file.
     FileNotFoundError
         There is no such file.
 
@@ -127,7 +140,9 @@ def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -
     -----
     A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) wins over Headwall's
     ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
-    Integers called reflectance without a scale are ``values``.
+    Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
+    counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
+    a level: a product of other software, scaled and without a word, is none.
 
     Examples
     --------
@@ -137,6 +152,7 @@ def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -
     >>> np.arange(24, dtype="u2").tofile(folder / "raw_0")
     >>> _ = (folder / "raw_0.hdr").write_text('''ENVI
     ... samples = 4
+    ... description = {raw}
     ... lines = 3
     ... bands = 2
     ... data type = 12
@@ -158,7 +174,7 @@ def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
     _warn(header, data_path, lines)
 
-    name, attrs = _quantity(header)
+    name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = _FILE_AXES[header.interleave]
     shown = "lbs" if header.map_info is None else "lsb"
@@ -271,27 +287,70 @@ def _comment_units(header: EnviHeader) -> str | None:
     return None
 
 
-def _quantity(header: EnviHeader) -> tuple[str, dict[str, Any]]:
+def _quantity(header: EnviHeader, given: str | None, unsaid: str, path: Path) -> tuple[str, dict[str, Any]]:
     """Return the name and the attributes of the variable."""
+    name, units_said = _said(header)
+    plain = header.dtype.kind in "iu" and not _has_gain(header)
+    if name is None and given is None and plain and header.file_type in _CUBE_TYPES:
+        given = unsaid
+    elif given is not None:
+        _check_quantity(header, name, given, path)
+    name = name or given or "values"
+    if name == "values":
+        return name, {}
+    attrs = schema.VARIABLES[name].attrs
+    if name == "radiance":
+        attrs = {key: value for key, value in attrs.items() if key != "units"}
+        return name, attrs | ({"units": units_said} if units_said else {})
+    return name, attrs
+
+
+_CUBE_TYPES = ("", "envi", "envi standard")
+
+
+def _check_quantity(header: EnviHeader, said: str | None, given: str, path: Path) -> None:
+    """Refuse what the caller says of the samples where header or samples say otherwise."""
+    if given not in _QUANTITIES:
+        raise FormatError(f"quantity={given!r}: expected one of {', '.join(_QUANTITIES)}")
+    reason = ""
+    if said not in (None, given):
+        reason = f"its header says {said}; correct the header, or leave quantity= out"
+    elif given == "counts" and (header.dtype.kind not in "iu" or _has_gain(header)):
+        reason = f"samples are {header.dtype.name}{', with gains' if _has_gain(header) else ''}, no counts"
+    elif given == "reflectance" and header.dtype.kind in "iu" and not (said or _has_gain(header)):
+        reason = "integers without a scale; add for example 'reflectance scale factor = 10000' to its header"
+    if reason:
+        raise FormatError(f"{path.name}: quantity={given!r}, but {reason}")
+
+
+def _said(header: EnviHeader) -> tuple[str | None, str | None]:
+    """Return the quantity that the header names, and its units of radiance; None where it does not."""
     if _is_unscaled(header):
-        return "values", {}
+        return "values", None
     level = _level(header)
-    said = _comment_units(header)
-    is_radiance = said is not None and units.same_dimension(said, schema.VARIABLES["radiance"].units)
+    units_said = _comment_units(header)
+    is_radiance = units_said is not None and units.same_dimension(
+        units_said, schema.VARIABLES["radiance"].units
+    )
     integer = header.dtype.kind in "iu"
     scale = header.reflectance_scale_factor
     if level is None and scale is not None and (scale != 1.0 or not integer):
         level = "reflectance"
     if level is None and is_radiance:
         level = "radiance"
-    if level == "reflectance":
-        return level, schema.VARIABLES[level].attrs
-    if level == "radiance":
-        attrs = {key: value for key, value in schema.VARIABLES[level].attrs.items() if key != "units"}
-        return level, {**attrs, "units": said} if is_radiance else attrs
-    if integer and not _has_gain(header) and header.file_type in ("", "envi", "envi standard"):
-        return "counts", schema.VARIABLES["counts"].attrs
-    return "values", {}
+    if level in ("reflectance", "radiance"):
+        return level, units_said if is_radiance else None
+    if integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and _is_raw(header):
+        return "counts", None
+    return None, None
+
+
+def _is_raw(header: EnviHeader) -> bool:
+    """Whether words of the header say that integers are what the converter gave."""
+    said = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
+    said = header.fields.get("data units", said)
+    in_words = said.strip().lower() in _COUNT_UNITS or _RAW.search(header.description[:10_000])
+    return bool(in_words) or _level(header) == "counts"
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:

@@ -313,3 +313,21 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
         raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {held}")
     names = [name for name in SWEEP_VARIABLES if name in opened.variables]
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
+
+
+def saturation_of(given: float | None, bit_depth: int, calibration: xr.Dataset | None) -> xr.DataArray:
+    """Return ``saturation_count``: as given, that of the calibration, or the converter's last count.
+
+    Raises `SchemaError`: The count or the converter's bits are out of range.
+    """
+    import xarray as xr
+
+    if given is None and calibration is not None and "saturation_count" in calibration:
+        return calibration["saturation_count"].reset_coords(drop=True)
+    if given is None:
+        if not 1 <= bit_depth <= 16:
+            raise SchemaError(f"bit_depth {bit_depth}, expected 1 to 16")
+        given = 2**bit_depth - 1
+    if not 0 < given <= 65535:
+        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
+    return label(xr.DataArray(np.float32(given)), "saturation_count")

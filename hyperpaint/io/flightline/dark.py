@@ -153,7 +153,7 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         name = str(source.attrs.get("source", "dark"))
     else:
         path = Path(source)
-        opened, name = open_envi(path), path.name
+        opened, name = open_envi(path, unsaid="counts"), path.name
     if "counts" not in opened:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
         raise FormatError(f"{name}: holds {held}, expected a dark cube of raw counts")

@@ -19,7 +19,7 @@ from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARI
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
-from .calibration_store import calibration_parts, open_calibration, scale_attrs
+from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
 from .dark import Dark, open_dark
 from .headwall import find_exposure
 from .timing import LineTimes, Timing, line_times
@@ -50,6 +50,7 @@ class FlightlineInputs:
     bit_depth: int = 12
     saturation_count: float | None = None
     radiance_units: str | None = None
+    quantity: str | None = None
     fwhm_nm: float | None = None
     chunks: Any = "auto"
     name: str | None = None
@@ -91,6 +92,7 @@ def open_flightline(
     bit_depth: int = 12,
     saturation_count: float | None = None,
     radiance_units: str | None = None,
+    quantity: Literal["counts", "radiance"] | None = None,
     fwhm_nm: float | None = None,
     chunks: Any = "auto",
     name: str | None = None,
@@ -143,6 +145,10 @@ def open_flightline(
         ``2**bit_depth - 1``.
     radiance_units
         Units of a radiance cube whose header does not say them.
+    quantity
+        ``counts`` or ``radiance``: what the samples of an ENVI cube are whose header does not say it. By
+        default integers are counts where there is a ``dark``, and radiance where there are
+        ``radiance_units``.
     fwhm_nm
         Width of the bands [nm] where neither calibration nor header gives it.
     chunks
@@ -216,6 +222,7 @@ def open_flightline(
         bit_depth=bit_depth,
         saturation_count=saturation_count,
         radiance_units=radiance_units,
+        quantity=quantity,
         fwhm_nm=fwhm_nm,
         chunks=chunks,
         name=name,
@@ -276,7 +283,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         meaning = _navigation_attrs(inputs.convention, timing) if timing.nav is not None else {}
     saturation: xr.DataArray | None = None
     with findings.step():
-        saturation = _saturation(inputs, calibration)
+        saturation = saturation_of(inputs.saturation_count, inputs.bit_depth, calibration)
     if findings.errors or cube is None or times is None:
         return xr.Dataset()
     parts: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
@@ -317,7 +324,10 @@ def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
     from hyperpaint.io.envi.envi_cubes import open_envi
 
     if isinstance(inputs.cube, Path):
-        opened = open_envi(inputs.cube, keep_whole_lines=inputs.keep_whole_lines)
+        opened = open_envi(
+            inputs.cube, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity,
+            unsaid="counts" if inputs.dark is not None else "values",
+        )  # fmt: skip
     else:
         opened = rename_to_roles(inputs.cube)
     return opened.rename(values="radiance") if "values" in opened and inputs.radiance_units else opened
@@ -329,6 +339,11 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        if "values" in opened and opened["values"].dtype.kind in "iu":
+            raise FormatError(
+                f"{path}: integers, and neither header nor dark says that they are counts; give dark=, or "
+                "quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), or radiance_units"
+            )
         raise FormatError(f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)")
     cube = opened[name]
     if set(cube.dims) != set(CUBE):
@@ -386,22 +401,6 @@ def _blank(
         block = block.copy()
         block[inside] = BLANK_COUNT if block.dtype == np.uint16 else np.nan
     return block
-
-
-def _saturation(inputs: FlightlineInputs, calibration: xr.Dataset | None) -> xr.DataArray:
-    """Return ``saturation_count``: the argument, that of the calibration, or the converter's last count."""
-    import xarray as xr
-
-    given = inputs.saturation_count
-    if given is None and calibration is not None and "saturation_count" in calibration:
-        return calibration["saturation_count"].reset_coords(drop=True)
-    if given is None:
-        if not 1 <= inputs.bit_depth <= 16:
-            raise SchemaError(f"bit_depth {inputs.bit_depth}, expected 1 to 16")
-        given = 2**inputs.bit_depth - 1
-    if not 0 < given <= 65535:
-        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
-    return label(xr.DataArray(np.float32(given)), "saturation_count")
 
 
 # --- calibration -------------------------------------------------------------------------------------------

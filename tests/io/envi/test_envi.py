@@ -54,7 +54,7 @@ def test_toy_cube_in_every_layout(tmp_path: Path, interleave: str, order: str, d
     header = write_cube(tmp_path / "toy", cube, interleave=interleave, order=order, offset=7)
     line = open_envi(header)
     (name,) = line.data_vars
-    assert name == ("counts" if np.dtype(dtype).kind in "iu" else "values")
+    assert name == "values"  # nothing says that integers are counts
     array = line[name]
     assert array.dims == schema.CUBE
     assert array.dtype == np.dtype(dtype)
@@ -89,7 +89,7 @@ def test_any_index_equals_numpy(
     monkeypatch.setattr(envi_array, "_BOX", 100)
     cube = toy("u2")
     header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
-    line = open_envi(header).counts
+    line = open_envi(header)["values"]
 
     @settings(max_examples=60)
     @given(st.tuples(*map(_index, _LENGTHS)))
@@ -106,7 +106,7 @@ def test_any_index_equals_numpy(
 
 def test_pointwise_index(tmp_path: Path) -> None:
     cube = toy("u2")
-    line = open_envi(write_cube(tmp_path / "toy", cube, interleave="bip")).counts
+    line = open_envi(write_cube(tmp_path / "toy", cube, interleave="bip"))["values"]
     i, j = xr.DataArray([4, 0, 2], dims="pixel"), xr.DataArray([3, 3, 0], dims="pixel")
     np.testing.assert_array_equal(line.isel(along_track=i, cross_track=j), cube[[4, 0, 2], :, [3, 3, 0]])
 
@@ -117,8 +117,8 @@ def test_dask_chunks_of_any_shape(tmp_path: Path, interleave: str) -> None:
     header = write_cube(tmp_path / "cube", cube, interleave=interleave)
     for chunks in ({"along_track": 32}, {"band": 1}, {"along_track": 7, "band": 4, "cross_track": 5}):
         line = open_envi(header).chunk(chunks)
-        assert line.counts.dtype == np.uint16
-        np.testing.assert_array_equal(line.counts.compute(scheduler="threads", num_workers=2), cube)
+        assert line["values"].dtype == np.uint16
+        np.testing.assert_array_equal(line["values"].compute(scheduler="threads", num_workers=2), cube)
     assert line.chunks["along_track"][0] == 7
 
 
@@ -126,7 +126,7 @@ def test_default_chunks_are_whole_lines(tmp_path: Path) -> None:
     header = write_cube(tmp_path / "cube", np.zeros((70, 6, 9), "u2"))
     line = xr.open_dataset(header, engine=EnviBackendEntrypoint, chunks={})
     assert dict(line.chunks) == {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}
-    assert line.counts.encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
+    assert line["values"].encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
 
 
 # --- the size of the file ----------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def test_whole_lines_are_kept_on_request(tmp_path: Path, interleave: str, change
     assert line.attrs["lines_declared"] == 5
     expected = np.zeros((lines, 20, 4), "u2")
     expected[:5] = toy("u2")[:lines]
-    np.testing.assert_array_equal(line.counts, expected)
+    np.testing.assert_array_equal(line["values"], expected)
 
 
 def test_keep_whole_lines_changes_nothing_for_a_sound_file(tmp_path: Path) -> None:
@@ -209,19 +209,19 @@ def test_file_cut_after_opening_is_noticed(tmp_path: Path) -> None:
     line = open_envi(header)
     _resize(header, -10)
     with pytest.raises(FormatError, match=r"790 bytes of .* expected 800 bytes"):
-        line.counts.load()
+        line["values"].load()
 
 
 def test_file_rewritten_at_the_same_length_is_noticed(tmp_path: Path) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"))
     line = open_envi(header)
-    np.testing.assert_array_equal(line.counts[3], toy("u2")[3])
+    np.testing.assert_array_equal(line["values"][3], toy("u2")[3])
     data = tmp_path / "toy"
     before = data.stat()
     data.write_bytes(bytes(before.st_size))
     os.utime(data, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
     with pytest.raises(FormatError, match=r"has changed since it was opened.*open it again"):
-        line.counts.isel(along_track=3).load()
+        line["values"].isel(along_track=3).load()
 
 
 def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,7 +229,7 @@ def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytes
     line = open_envi(header)
     monkeypatch.setattr(EnviArray, "_refuse_changed", lambda *_: _resize(header, -10))
     with pytest.raises(FormatError, match="10 bytes early"):
-        line.counts.load()
+        line["values"].load()
 
 
 # --- laziness ----------------------------------------------------------------------------------------------
@@ -251,18 +251,18 @@ def long_header(tmp_path: Path) -> Path:
 def test_long_cube_opens_without_reading(long_header: Path, bytes_read: list[int]) -> None:
     start = time.process_time()
     line = xr.open_dataset(long_header, engine=EnviBackendEntrypoint, chunks={"along_track": 32})
-    graph = line.counts.astype("f4").__dask_graph__()
+    graph = line["values"].astype("f4").__dask_graph__()
     spent = time.process_time() - start
     assert len(line.chunks["along_track"]) == 3125
     assert len(graph.layers) == 3
     assert bytes_read == []
     assert spent < 2  # milliseconds, and a slow machine
-    np.testing.assert_array_equal(line.counts[77_777].compute(), 1234)
+    np.testing.assert_array_equal(line["values"][77_777].compute(), 1234)
     assert 0 < sum(bytes_read) <= 32 * 272 * 640 * 2
 
 
 def test_reads_only_what_is_asked(long_header: Path, bytes_read: list[int]) -> None:
-    counts = open_envi(long_header).counts
+    counts = open_envi(long_header)["values"]
     for key, most in [
         ((77_777,), 272 * 640 * 2),  # one line
         ((slice(5, 37),), 32 * 272 * 640 * 2),  # a slab
@@ -279,24 +279,24 @@ def test_reads_only_what_is_asked(long_header: Path, bytes_read: list[int]) -> N
 
 def test_bsq_band_is_one_read(tmp_path: Path, bytes_read: list[int]) -> None:
     cube = np.random.default_rng(0).integers(0, 4096, (50, 8, 700)).astype("u2")
-    counts = open_envi(write_cube(tmp_path / "cube", cube, interleave="bsq")).counts
+    counts = open_envi(write_cube(tmp_path / "cube", cube, interleave="bsq"))["values"]
     np.testing.assert_array_equal(counts[:, 3], cube[:, 3])
     assert bytes_read == [50 * 700 * 2]
 
 
 def test_array_is_small_and_picklable(long_header: Path) -> None:
     line = open_envi(long_header)
-    for thing in (line, line.counts.variable._data, line.counts):
+    for thing in (line, line["values"].variable._data, line["values"]):
         raw = pickle.dumps(thing)
         assert len(raw) < 4096
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(line)).counts[77_777, 5], 1234)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(line))["values"][77_777, 5], 1234)
     chunked = line.chunk({"along_track": 50_000})
-    assert len(pickle.dumps(chunked.counts.data)) < 8192
+    assert len(pickle.dumps(chunked["values"].data)) < 8192
 
 
 def test_reading_in_threads(tmp_path: Path) -> None:
     cube = np.random.default_rng(0).integers(0, 4096, (64, 5, 11)).astype("u2")
-    counts = open_envi(write_cube(tmp_path / "cube", cube)).counts
+    counts = open_envi(write_cube(tmp_path / "cube", cube))["values"]
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda i: counts[i].values, range(64)))
     np.testing.assert_array_equal(found, cube)
@@ -333,7 +333,7 @@ def test_open_dataset_options(tmp_path: Path) -> None:
     assert "good" not in line.variables
     # so that sel and hvplot work; two cameras would be joined by the number of a band
     assert set(line.indexes) == {"along_track", "cross_track"}
-    line = xr.open_dataset(header, engine=EnviBackendEntrypoint, drop_variables=["counts", "absent"])
+    line = xr.open_dataset(header, engine=EnviBackendEntrypoint, drop_variables=["values", "absent"])
     assert set(line.variables) == {"good"}
 
 
@@ -342,7 +342,7 @@ def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
         pytest.skip("hyperpaint is not installed: its entry point 'envi' is not registered")
     header = write_cube(tmp_path / "raw_0", toy("u2"))
     for path in (header, tmp_path / "raw_0"):
-        np.testing.assert_array_equal(xr.open_dataset(path).counts, toy("u2"))
+        np.testing.assert_array_equal(xr.open_dataset(path)["values"], toy("u2"))
 
 
 @pytest.mark.slow
@@ -358,7 +358,7 @@ def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
     write_cube(tmp_path / "raw_0", toy("u2"))
     code = (
         "import xarray as xr, sys\n"
-        "for path in sys.argv[1:]: print(int(xr.open_dataset(path).counts[4, 19, 3]))\n"
+        "for path in sys.argv[1:]: print(int(xr.open_dataset(path)['values'][4, 19, 3]))\n"
         "from hyperpaint.io import backends\n"
     )
     result = subprocess.run(
@@ -407,7 +407,7 @@ def test_spectral_python_agrees(toy_variants: list[tuple[Path, Path]]) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             oracle = np.asarray(spy.open(str(header), str(data)).open_memmap(interleave="bip"))
-        np.testing.assert_array_equal(open_envi(data).counts.transpose(..., "band"), oracle)
+        np.testing.assert_array_equal(open_envi(data)["values"].transpose(..., "band"), oracle)
 
 
 def test_gdal_agrees(toy_variants: list[tuple[Path, Path]]) -> None:
@@ -417,7 +417,7 @@ def test_gdal_agrees(toy_variants: list[tuple[Path, Path]]) -> None:
             warnings.simplefilter("ignore")
             with rasterio.open(data, driver="ENVI") as source:
                 oracle = source.read()
-        np.testing.assert_array_equal(open_envi(data).counts.transpose("band", ...), oracle)
+        np.testing.assert_array_equal(open_envi(data)["values"].transpose("band", ...), oracle)
 
 
 @pytest.mark.parametrize("reference", ["1, 1", "2.5, 3"])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from support.envi_cubes import FROM_LBS, toy, write_cube
 
 from hyperpaint.base import schema
@@ -24,7 +25,13 @@ _RADIANCE_UNITS = ";Units = mW/(cm2*sr*um)"
 @pytest.mark.parametrize(
     ("dtype", "lines", "name", "units"),
     [
-        ("u2", (), "counts", "count"),
+        ("u2", (), "values", None),
+        ("u2", ("description = {raw data of the line}",), "counts", "count"),
+        ("u2", ("description = {hood, counts}",), "counts", "count"),
+        ("u2", (";Units = DN",), "counts", "count"),
+        ("u2", ("data units = DN",), "counts", "count"),
+        ("u2", ("description = {[HEADWALL Hyperspec III],RADIANCE}",), "radiance", None),
+        ("f4", ("description = {raw}",), "values", None),
         ("i4", ("file type = ENVI Standard", "description = {[HEADWALL Hyperspec III]}"), "counts", "count"),
         ("u1", ("file type = ENVI Classification",), "values", None),
         ("f4", (), "values", None),
@@ -39,10 +46,10 @@ _RADIANCE_UNITS = ";Units = mW/(cm2*sr*um)"
         ("u2", ("description = {x,REFLECTANCE}", "reflectance scale factor = 1e4"), "reflectance", "1"),
         ("u2", ("reflectance scale factor = 10000",), "reflectance", "1"),
         ("f4", ("reflectance scale factor = 1",), "reflectance", "1"),
-        ("u2", ("reflectance scale factor = 1.0",), "counts", "count"),
+        ("u2", ("reflectance scale factor = 1.0",), "values", None),
         ("f4", ("description = {radiance and other irradiance}",), "values", None),
         ("u2", ("data gain values = {" + "2," * 20 + "}",), "values", None),
-        ("u2", ("data gain values = {" + "1," * 20 + "}",), "counts", "count"),
+        ("u2", ("data gain values = {" + "1," * 20 + "}", ";Units = counts"), "counts", "count"),
         ("f4", ("data gain values = {" + "2," * 20 + "}", _RADIANCE_UNITS), "radiance", "said"),
     ],
 )
@@ -115,7 +122,8 @@ def test_float_ignore_value_written_with_fewer_digits(tmp_path: Path) -> None:
 
 
 def test_counts_keep_their_type_and_name_the_ignore_value(tmp_path: Path) -> None:
-    counts = open_envi(write_cube(tmp_path / "toy", toy("u2"), "data ignore value = 65535")).counts
+    header = write_cube(tmp_path / "toy", toy("u2"), "data ignore value = 65535", "description = {raw}")
+    counts = open_envi(header).counts
     assert counts.dtype == np.uint16
     assert counts.attrs["data_ignore_value"] == 65535
 
@@ -186,7 +194,7 @@ def test_rotated_map_has_no_one_dimensional_coordinates(tmp_path: Path) -> None:
 
 def test_arbitrary_map_info_is_sensor_geometry(tmp_path: Path) -> None:
     info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
-    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info)).counts.dims == schema.CUBE
+    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info))["values"].dims == schema.CUBE
 
 
 # --- the pair ----------------------------------------------------------------------------------------------
@@ -240,3 +248,44 @@ def test_guess_leaves_other_files_alone(tmp_path: Path) -> None:
         assert not guess(str(tmp_path / name)), name
     for thing in ("", ".", "..", "https://example.org/a.img", 3, None, b"bytes", {}):
         assert not guess(thing)
+
+
+# --- what integers are -------------------------------------------------------------------------------------
+
+
+def test_integers_are_what_the_caller_says_where_the_header_does_not(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    counts = open_envi(header, quantity="counts").counts
+    assert (counts.dtype, counts.attrs["units"]) == (np.dtype(np.uint16), "count")
+    assert list(open_envi(header, quantity="radiance").data_vars) == ["radiance"]
+    assert list(open_envi(header, unsaid="counts").data_vars) == ["counts"]
+    opened = xr.open_dataset(header, engine=EnviBackendEntrypoint, quantity="counts")
+    np.testing.assert_array_equal(opened.counts, toy("u2"))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "lines", "quantity", "message"),
+    [
+        ("u2", ("description = {x,RADIANCE}",), "counts", "its header says radiance"),
+        ("u2", ("description = {[HEADWALL Hyperspec III]}",), "radiance", "its header says counts"),
+        ("u2", ("reflectance scale factor = 10000",), "counts", "its header says reflectance"),
+        ("f4", (), "counts", "samples are float32, no counts"),
+        ("u2", ("data gain values = {" + "2," * 20 + "}",), "counts", "with gains, no counts"),
+        ("u2", (), "reflectance", "reflectance scale factor = 10000"),
+        ("u2", (), "brightness", "expected one of counts, radiance"),
+    ],
+)
+def test_what_the_header_contradicts_is_refused(
+    tmp_path: Path, dtype: str, lines: tuple[str, ...], quantity: str, message: str
+) -> None:
+    header = write_cube(tmp_path / "toy", toy(dtype), *lines)
+    with pytest.raises(FormatError, match=message):
+        open_envi(header, quantity=quantity)
+
+
+def test_a_header_goes_with_a_data_file_that_ends_in_bin(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("f4"))
+    (tmp_path / "toy").rename(tmp_path / "toy.bin")
+    header = header.rename(tmp_path / "toy.hdr")
+    np.testing.assert_array_equal(open_envi(header)["values"], toy("f4"))
+    assert find_pair(tmp_path / "toy.bin") == (header, tmp_path / "toy.bin")
