@@ -209,6 +209,40 @@ def test_a_dark_at_another_exposure_is_refused() -> None:
     reflectance(line).reflectance.compute()
 
 
+def _line_with_darks_at(*exposures_ms: float) -> xr.Dataset:
+    """A line at 5 ms, with darks of 90 counts and 2 a millisecond."""
+    line = flight(exposure=5e-3).line
+    element = np.ones((line.sizes["band"], line.sizes["cross_track"]), np.float32)
+    dark = np.stack([(90.0 + 2.0 * ms) * element for ms in exposures_ms])
+    stamps = line.time.values[0] + np.arange(len(dark)).astype("timedelta64[s]")
+    dark_counts = xr.DataArray(dark, dims=("dark_time", "band", "cross_track"), attrs={"units": "count"})
+    line = line.drop_vars("dark_counts").assign(dark_counts=dark_counts.assign_coords(dark_time=stamps))
+    line["dark_exposure_time"] = ("dark_time", list(exposures_ms), {"units": "ms"})
+    return line
+
+
+@pytest.mark.parametrize("exposures_ms", [(4.0, 8.0), (2.5, 3.75), (1.0, 3.0), (6.0, 9.0)])
+def test_darks_at_exposures_around_or_near_the_line_serve_in_silence(
+    exposures_ms: tuple[float, ...],
+) -> None:
+    line = _line_with_darks_at(*exposures_ms)
+    expected = (line.counts - 100.0) * line.radiance_gain / 5e-3
+    found = radiance(line).radiance
+    np.testing.assert_allclose(found, expected.transpose(*found.dims).where(np.isfinite(found)), rtol=1e-4)
+
+
+def test_darks_beyond_their_exposures_are_warned_of_and_far_beyond_refused() -> None:
+    """Rationale: darks of 1 and 2 ms served 20 ms in silence, at 26 times the noise of their means."""
+    with pytest.warns(PaintWarning, match=r"darks at 1 to 2 ms are extrapolated to 5 ms, 3.0 times"):
+        radiance(_line_with_darks_at(1.0, 2.0)).radiance.compute()
+    with pytest.warns(PaintWarning, match=r"darks at 20 to 30 ms are extrapolated to 5 ms, 1.5 times"):
+        radiance(_line_with_darks_at(20.0, 30.0)).radiance.compute()
+    with pytest.raises(
+        SchemaError, match=r"1 to 1.25 ms are extrapolated to 5 ms, 15.0 times .* at the most"
+    ):
+        radiance(_line_with_darks_at(1.0, 1.25)).radiance.compute()
+
+
 def test_a_dark_without_a_value_makes_a_bad_element() -> None:
     line = flight(dtype=np.uint16).line
     line["dark_counts"].values[4, 2] = np.nan
