@@ -179,10 +179,12 @@ def _split(
     channels: Floats,
     wavelength: Floats,
     place: tuple[float, float, float, float],
+    sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud (sample,).
 
-    ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa].
+    ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
+    ``sun_zenith``: where the clock is not to be believed [degree].
     """
     latitude, longitude, level_u, pressure = place
     windows = windows_in(channels)
@@ -195,6 +197,8 @@ def _split(
     means = np.asarray(spectra, np.float64)[:, used] @ windows.operator[:, used].T
     means /= sun_distance_factor(time)[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
+    if sun_zenith is not None:
+        zenith = np.full(zenith.shape, sun_zenith)
     usable = (means > 0.0).all(axis=1) & np.isfinite(means).all(axis=1) & np.isfinite(zenith)
     samples, bands = len(means), wavelength.size
     fraction, u = np.full((samples, bands), np.nan), np.full((samples, bands), np.nan)
@@ -211,12 +215,15 @@ def _split(
     return fraction, u, probability, cloud
 
 
-def split_of_lines(line: xr.Dataset, *, calibration_uncertainty: float = 0.05) -> xr.Dataset | None:
+def split_of_lines(
+    line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
+) -> xr.Dataset | None:
     """Return `SPLIT` of the lines of a flight line, from its own record; None where it has none, or no place.
 
     ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
     fraction of both samples around it by their distance, and the state of the nearer one; NaN, and
-    contradictory, where it has no time. Lazy where the record or ``wavelength`` come from a file.
+    contradictory, where it has no time. ``sun_zenith`` [degree] goes before the sun of the clock. Lazy where
+    the record or ``wavelength`` come from a file.
     """
     import dask
     import dask.array as da
@@ -239,7 +246,7 @@ def split_of_lines(line: xr.Dataset, *, calibration_uncertainty: float = 0.05) -
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     numbers = (*place, calibration_uncertainty, 101_325.0)
-    whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers)
+    whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
     time = variables["time"].values
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(time, range(1024, time.size, 1024)):

@@ -30,7 +30,7 @@ from .sun_and_sky import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "says_its_split", "split_of"]
+__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "says_its_split", "split_of", "warn_of_contradiction"]
 
 
 CLEAR_SKY_TAKEN = (
@@ -38,6 +38,16 @@ CLEAR_SKY_TAKEN = (
     "or a measured spectrum"
 )
 """What is warned of where nothing but the sun's place is known."""
+
+CONTRADICTION = (
+    "the record of irradiance contradicts every sky with the sun at {zenith:.1f} degrees from the zenith: "
+    "check the clocks (utc_offset_h) and the receiver's calibration, give sun_zenith= where the clock is "
+    "wrong, or diffuse= where the split was measured; until then the split is uncertain"
+)
+"""What is warned of where most lines are of no sky that there may be."""
+
+MAX_CLOCK_DEG = 2.0
+"""Distance of a sun that is said from that of the clock, beyond which the split is made anew [degree]."""
 
 RECORDED = "as recorded"
 """Sky of a line whose ``sky_state`` says which it is."""
@@ -75,6 +85,7 @@ class LightSplit:
         import dask
 
         fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, self.state)
+        warn_of_contradiction(state, self.zenith)
         numbers = np.unique(state)
         words = tuple(SKY_STATES[number] for number in numbers)
         # the sky's doubt is common to its lines
@@ -135,7 +146,7 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         zenith = sun_zenith_of(line, sun_zenith) if has_sun or name == "clear" else float("nan")
         cloud = float(name == "overcast")
         return LightSplit(wavelength, fraction, 0.0 * fraction, cloud, "measured", name, zenith)
-    own = _own(line) if diffuse is None else None
+    own = _own(line, sun_zenith) if diffuse is None else None
     if own is not None:
         return _recorded(line, own, wavelength, sun_zenith, sky)
     if diffuse is not None and diffuse not in SOURCES:
@@ -156,20 +167,32 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
 
 def says_its_split(line: xr.Dataset) -> bool:
     """Return whether a line says itself how its light divides, or has a record that it follows from."""
-    return _own(line) is not None
+    return _own(line, None) is not None
 
 
-def _own(line: xr.Dataset) -> xr.Dataset | None:
+def warn_of_contradiction(states: Any, zenith: float) -> None:
+    """Warn where most of the lines' words, numbers of `SKY_STATES`, are that of no sky."""
+    if np.mean(np.asarray(states) == UNKNOWN_SKY) > 0.5:
+        warnings.warn(CONTRADICTION.format(zenith=zenith), PaintWarning, stacklevel=3)
+
+
+def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
     """Return what a line says of its light itself, or what its record says; None without either."""
-    held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
-    # of paints it is small; one that is not known leaves nothing to go by
-    if held is not None and ALONG_TRACK not in held.dims and not np.isfinite(held).all():
-        held = None
-    if held is not None and BAND in held.dims:
-        return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
-    if PAINT in line.dims:
-        return None
+    if PAINT in line.dims or ALONG_TRACK not in line.dims:
+        # of paints it is small; one that is not known leaves nothing to go by
+        held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
+        return _held(line) if held is not None and BAND in held.dims and np.isfinite(held).all() else None
+    if sun_zenith is not None and set(SUN_FROM) <= set(line.variables):
+        clock = sun_zenith_of(line, None)
+        if abs(clock - sun_zenith) > MAX_CLOCK_DEG:
+            return split_of_lines(line, sun_zenith=float(sun_zenith))
+    if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
+        return _held(line)
     return split_of_lines(line)
+
+
+def _held(line: xr.Dataset) -> xr.Dataset:
+    return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
 
 
 def _recorded(

@@ -74,6 +74,11 @@ def test_broken_skies_are_in_between_by_their_share() -> None:
         np.testing.assert_allclose(taken(recorded(0.6, word)), expected, rtol=1e-4)
 
 
+def test_contradictory_lines_are_warned_of() -> None:
+    with pytest.warns(PaintWarning, match="check the clocks"):
+        hp.surroundings.survey(recorded(0.6, "contradictory"), sun_zenith=40.0)
+
+
 def test_a_survey_takes_the_mean_of_the_lines() -> None:
     line = recorded(0.6, "broken")
     line["diffuse_fraction"][: LINES // 2] = 0.2
@@ -94,6 +99,17 @@ def test_a_line_with_a_record_alone() -> None:
     assert own is not None
     np.testing.assert_array_equal(whole.fraction, own.diffuse_fraction)
     assert whole.mean().states == ("clear",)
+
+
+def test_a_sun_that_is_said_goes_before_the_clock() -> None:
+    line = simulate_line(lines=32, bands=40, columns=24)
+    own = split_of_lines(line)
+    assert own is not None
+    stored = line.assign(own.data_vars)
+    # the light is that of 22.6 degrees; with a sun at 75 it is no sky's, and near the clock's it is kept
+    with pytest.warns(PaintWarning, match=r"contradicts every sky with the sun at 75\.0 degrees"):
+        assert split_of(stored, None, 75.0).mean().states == ("contradictory",)
+    assert split_of(stored, None, 23.0).mean().states == ("clear",)
 
 
 def test_words_that_are_none() -> None:

@@ -21,7 +21,7 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.surroundings.light_split import says_its_split, split_of
+from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_of_contradiction
 
 from .map_cells import middle_of_map
 
@@ -363,6 +363,8 @@ def _light_of(
     parts = dask.compute(split.fraction.variable, split.u.variable, state.variable)
     fraction, u = (np.asarray(part.set_dims(shape).values, np.float64) for part in parts[:2])
     states = parts[2].set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
+    if needed and diffuse is None:
+        warn_of_contradiction(states, split.zenith)
     return SplitOfLines(fraction, u, states.astype(np.int64))
 
 
