@@ -275,6 +275,7 @@ _LIBRARY_TABLE = (
     Variable("aspecular_angle", (PAINT,), "degree", "float64", "Angle between the view and the direction in which a level panel mirrors the sun"),
     Variable("aspecular_range", (PAINT,), "degree", "float64", "Difference of aspecular_angle between the ends of the panel, at the most"),
     Variable("flop", _SPECTRUM, "1", "float32", "Change of reflectance from the dark to the bright end of the panel, relative"),
+    Variable("reflectance_u_coat", _SPECTRUM, "1", "float32", "Standard uncertainty of reflectance by the coat's share and the mirrored sky subtracted, common to a paint's pixels"),
     Variable("irradiance_age", (PAINT,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
     Variable("time", (PAINT,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
     Variable("flightline", (PAINT,), "", "str", "Flight line of the region", coordinate=True),

@@ -13,7 +13,7 @@ from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 
-from .corrections import LEVELS, WIDTHS, as_fractions, with_correction
+from .corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, as_fractions, sky_above, with_correction
 from .light_split import LightSplit, split_of
 from .sun_and_sky import sun_zenith_of
 
@@ -67,8 +67,10 @@ def correct_coat(
     Dataset
         The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the coat's
         own share in ``reflectance_u_systematic`` where that is known, and ``coat_transmission`` C and
-        ``coat_transmission_u`` [1]. Attributes of reflectance: ``coat_corrected``; ``quantity``, which is
-        then that of the body under the coat; ``specular_component`` "excluded".
+        ``coat_transmission_u`` [1]; of a library also ``reflectance_u_coat`` [1], what C and the mirrored sky
+        that was subtracted leave uncertain, alike in all pixels of a paint. Attributes of reflectance:
+        ``coat_corrected``; ``quantity``, which is then that of the body under the coat;
+        ``specular_component`` "excluded".
 
     Raises
     ------
@@ -87,7 +89,8 @@ def correct_coat(
               {1 - F(0)} \cdot \frac{1 - F(\theta_v)}{1 - F(0)}
 
     with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C is that of
-    the index, of the lean, and of the diffuse fraction.
+    the index, of the lean, and of the diffuse fraction; that of the mirrored sky is of the index, by which
+    F(0) goes with :math:`4 (n - 1) / (n + 1)^3`, and of the fraction.
 
     Examples
     --------
@@ -108,10 +111,12 @@ def correct_coat(
         split = split_of(line, diffuse, sun_zenith, sky)
         zenith = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(line, sun_zenith)
         shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
-    whole, u = (share.astype(np.float32) for share in shares)
+    whole, u, mirror_u = (share.astype(np.float32) for share in shares)
     corrected = {name: line[name] / whole for name in (*LEVELS, *WIDTHS) if name in line.variables}
+    # what was subtracted of the mirrored sky is not known better than index and split are
+    was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
+    own = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
     if "reflectance_u_systematic" in corrected:
-        own = corrected["reflectance"] * (u / whole)
         corrected["reflectance_u_systematic"] = (corrected["reflectance_u_systematic"] ** 2 + own**2) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
     result = with_correction(line, corrected, COAT_CORRECTED, text)
@@ -119,6 +124,8 @@ def correct_coat(
     result["reflectance"] = result["reflectance"].assign_attrs(said)
     layers = {"coat_transmission": whole, "coat_transmission_u": u}
     table = schema.LIBRARY_VARIABLES if PAINT in line["reflectance"].dims else schema.VARIABLES
+    if PAINT in line["reflectance"].dims:
+        layers["reflectance_u_coat"] = own.transpose(PAINT, BAND).astype(np.float32)
     return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
 
 
@@ -146,8 +153,11 @@ def _check(line: xr.Dataset, **numbers: tuple[float, float, float]) -> None:
 
 def _shares(
     split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
-) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return C and its standard uncertainty, on the dims of the split; ``coat``: index, its u, u of lean."""
+) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
+    """Return C, its standard uncertainty and that of the mirrored sky, on the dims of the split.
+
+    ``coat``: index, its uncertainty, uncertainty of the lean [degree].
+    """
     index, index_u, lean_u = coat
 
     def share(fraction: Any, n: float, angle: float) -> Any:
@@ -159,7 +169,12 @@ def _shares(
                       - share(split.fraction, max(1.0, index - index_u), incidence))  # fmt: skip
     leans = [abs(share(split.fraction, index, incidence + turn) - whole) for turn in (-lean_u, lean_u)]
     by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
-    return whole, np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
+    whole_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
+    normal_u = 4.0 * (index - 1.0) / (index + 1.0) ** 3 * index_u
+    mirror_u = sky_above(split) * np.sqrt(
+        (normal_u * split.fraction) ** 2 + (NORMAL_REFLECTANCE * split.u) ** 2
+    )
+    return whole, whole_u, mirror_u
 
 
 def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
@@ -180,8 +195,8 @@ def _of_paints(
     coat: tuple[float, float, float],
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
-) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return C and its uncertainty (paint, band), each paint under its own sun; ``light`` as `split_of`'s."""
+) -> tuple[xr.DataArray, ...]:
+    """Return `_shares` (paint, band), each paint under its own sun; ``light`` as `split_of`'s."""
     import xarray as xr
 
     diffuse, sun_zenith, sky = light
@@ -207,9 +222,7 @@ def _of_paints(
         view = one["view_zenith"].item() if view_zenith is None and "view_zenith" in one else view_zenith
         at = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
         rows.append(_shares(split, incidence, at, coat))
-    wholes, us = zip(*rows, strict=True)
-    whole, u = (
+    return tuple(
         xr.concat([part.reset_coords(drop=True) for part in parts], PAINT).transpose(PAINT, BAND)
-        for parts in (wholes, us)
+        for parts in zip(*rows, strict=True)
     )
-    return whole, u

@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 __all__ = [
     "CORRECTIONS",
     "LEVELS",
+    "NORMAL_REFLECTANCE",
     "WIDTHS",
     "as_fractions",
     "correct_light",
     "remove_mirrored_sky",
+    "sky_above",
     "with_correction",
 ]
 
@@ -126,10 +128,7 @@ def remove_mirrored_sky(
     _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
-    above: Any = 1.0
-    if split.sky != "uniform":
-        clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))
-        above = (1.0 - split.cloud) * clear + split.cloud * OVERCAST_ZENITH
+    above = sky_above(split)
     taken = (strength * sky_view_factor * split.fraction * above).astype(np.float32)
     text = (
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
@@ -264,6 +263,14 @@ def as_fractions(line: xr.Dataset) -> xr.Dataset:
     """Return the line with what is corrected in units of 1."""
     names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
     return line.assign({name: convert(line[name], "1") for name in names})
+
+
+def sky_above(split: LightSplit) -> Any:
+    """Return the radiance of the zenith over the mean of the sky [1], on the dims of the split."""
+    if split.sky == "uniform":
+        return 1.0
+    clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))
+    return (1.0 - split.cloud) * clear + split.cloud * OVERCAST_ZENITH
 
 
 def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None) -> LightSplit:

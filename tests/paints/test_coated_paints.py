@@ -104,9 +104,12 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
     )
     u = hp.surroundings.correct_coat(uncertain)
     c, uc = u.coat_transmission, u.coat_transmission_u
-    np.testing.assert_allclose(
-        u.reflectance_u_systematic, np.hypot(0.003 / c, u.reflectance * uc / c), rtol=1e-5
-    )
+    own = u.reflectance_u_coat
+    np.testing.assert_allclose(u.reflectance_u_systematic, np.hypot(0.003 / c, own), rtol=1e-5)
+    # of white the coat's share, of black the sky in its mirror: 0.128 x 0.03 of the sky's part, and the split
+    f, above = diffuse_fraction(NM, SUN), zenith_radiance(NM, SUN)
+    mirror = above * np.hypot(0.128 * 0.03 * f, 0.04 * 0.2 * f * (1 - f))
+    np.testing.assert_allclose(own, np.hypot(u.reflectance * uc, mirror) / c, rtol=1e-5)
 
 
 def test_refusals() -> None:

@@ -52,8 +52,9 @@ def without_coat(
     as_seen = library.assign(
         coat_transmission=xr.ones_like(corrected["coat_transmission"]),
         coat_transmission_u=xr.zeros_like(corrected["coat_transmission_u"]),
+        reflectance_u_coat=xr.zeros_like(corrected["reflectance_u_coat"]),
     )
-    changed = (*LEVELS, *WIDTHS, "coat_transmission", "coat_transmission_u")
+    changed = (*LEVELS, *WIDTHS, "coat_transmission", "coat_transmission_u", "reflectance_u_coat")
     return corrected.assign(
         {
             name: corrected[name].where(paint, as_seen[name]).transpose(*corrected[name].dims)
