@@ -150,7 +150,8 @@ def test_flagged_scenes_runs_at_its_smallest_size(
     true = scenes.true_layers(line, sky)
     assert 0.05 < (true["shadow"] >= scenes.SHADOW).mean() < 0.9
     assert 0.0 <= true["indirect"].min() <= np.median(true["indirect"]) < 0.1
-    assert true["glint"][np.isin(scenes.surfaces_of(line), [4])].max() < 0.02 < true["glint"].max()
+    assert not true["glint"][np.isin(scenes.surfaces_of(line), [4])].any()
+    assert true["glint"].any()
     assert scenes.main(["--seeds", "1", "--samples", "4", "--json", str(tmp_path / "made.json")]) in (0, 1)
     assert "mixed_edge" in capsys.readouterr().out
     made = json.loads((tmp_path / "made.json").read_text())

@@ -67,7 +67,7 @@ Options from --ground on place the lines for regions of a map; by default the st
     "[default: the lines' record of irradiance]",
 )  # fmt: skip
 @click.option(
-    "--glint", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of mirrored sun.  [default: 0.02]"
+    "--glint", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of mirrored sun.  [default: 0.04]"
 )
 @click.option(
     "--shadow", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of missing beam.  [default: 0.2]"

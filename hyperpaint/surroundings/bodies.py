@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats, Floats32, Ints
+from hyperpaint.base.arrays import Bools, Floats, Floats32, Ints
 
 from .detection_rules import BODIES, GLINT
 from .full_light import AS_GLINT, Light, Matches, unmix_spectra
 from .model import CELL, LIT
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["Paints", "clean_references", "coloured", "nearest_coloured", "same_paints"]
+__all__ = ["Paints", "clean_references", "coloured", "coloured_bodies", "nearest_coloured", "same_paints"]
 
 
 def coloured(spectrum: Floats, light: Light) -> Floats:
@@ -33,6 +33,11 @@ def coloured(spectrum: Floats, light: Light) -> Floats:
         amounts, *_ = np.linalg.lstsq(basis[pattern], seen.T, rcond=None)
         colour[same] = np.sqrt(np.mean((seen - (basis[pattern] @ amounts).T) ** 2, axis=1))
     return colour
+
+
+def coloured_bodies(spectrum: Floats, light: Light) -> Bools:
+    """Tell which spectra are coloured enough to be told from what they mirror of the sun (segment,)."""
+    return np.asarray(_relative_colour(spectrum, light) > BODIES.min_paint_colour)
 
 
 def nearest_coloured(

@@ -9,7 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["BODIES", "DIFFUSE", "FLAGS", "GLINT", "MIRROR", "MIXTURES", "SEGMENTS", "SHADOWS", "SURVEY"]
+__all__ = [
+    "BODIES",
+    "DIFFUSE",
+    "FLAGS",
+    "GLINT",
+    "LOBES",
+    "MIRROR",
+    "MIXTURES",
+    "SEGMENTS",
+    "SHADOWS",
+    "SURVEY",
+]
 
 
 class Contact(NamedTuple):
@@ -94,6 +105,46 @@ class GlintRules:
     #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
     max_tilt: float = 1.1
     rounds: int = 6  #: Turns in which glint is looked for beside what is in glint already.
+
+
+@dataclass(frozen=True)
+class LobeRules:
+    """Mirror images of the sun as spots on a panel.
+
+    Set on ray-traced car parks of the real fleet, whose coats of 70 gloss units and more mirror the sun as
+    spots of some pixels in the middle of the flakes' broad lobe, and on coats of roughness 0.05.
+    """
+
+    #: Brightness of a sharp core, relative to the median of the pixels three steps around it, at least [1].
+    min_contrast: float = 3.0
+    #: Third darkest of those, relative to their median, at least: others lie beside an edge [1].
+    min_evenness: float = 0.7
+    min_excess: float = 0.02  #: Reflectance that a sharp core adds, at least [1].
+    #: Standard deviation over channels of what the core adds over direct light, relative to its mean [1].
+    max_colour: float = 0.3
+    halo_px: float = 2.0  #: Distance from the core up to which a lobe reaches, of a core of nothing [pixel].
+    sharp_halo: float = 2.0  #: The same, by the core's half width [1].
+    max_sharp_px: float = 14.0  #: That distance, at most: others are no sharp ones [pixel].
+    around_px: int = 4  #: Surroundings beyond, through which the broad lobe is found [pixel].
+    min_ring_px: int = 9  #: Pixels of those, at least.
+    min_ring_share: float = 0.5  #: Share of them that one body has, at least [1].
+    rounds: int = 8  #: Turns in which what is brighter than the broad lobe is left out.
+    noise: float = 0.002  #: Noise of brightness, relative, beside that of the surroundings [1].
+    min_share: float = 0.04  #: What a lobe adds to the broad one, relative to it, at least [1].
+    min_sd: float = 4.0  #: The same, in standard deviations.
+    floor: float = 0.003  #: The same, in reflectance [1].
+    #: Mirror image of the sun of a wide core, at least: a lobe of roughness 0.1 has its peak there [1].
+    min_wide_glint: float = 1.0
+    min_wide_px: float = 2.0  #: Half width of a wide core, at least [pixel].
+    #: Distance from a wide core on black up to which its lobe reaches, by its half width: GGX falls from 4
+    #: to 0.01 over six times the distance to 1 [1].
+    wide_halo: float = 6.0
+    max_wide_px: float = 120.0  #: The same on coloured paint, where the spectrum tells [pixel].
+    min_wide_share: float = 0.02  #: What a wide lobe adds, relative to the paint's own level, at least [1].
+    max_black: float = 0.05  #: Reflectance of black bodies, where wide lobes are told from flakes [1].
+    max_spot_px: float = 4.0  #: Half width of saturated pixels that may be a sharp core, at most [pixel].
+    #: Share of the pixels around saturated ones that lie in a lobe, from which on these do, at least [1].
+    min_rim: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -245,6 +296,7 @@ class FlagRules:
     spread: tuple[float, ...] = (0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1)
     #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
     max_direct: float = 1.1
+    min_glint: float = 0.004  #: Reflectance that glint adds, at least, however dark the paint is [1].
     #: Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt
     #: [pixel].
     penumbra_px: int = 1
@@ -257,6 +309,7 @@ SEGMENTS = SegmentRules()
 GLINT = GlintRules()
 MIXTURES = MixtureRules()
 SHADOWS = ShadowRules()
+LOBES = LobeRules()
 MIRROR = MirrorRules()
 BODIES = BodyRules()
 DIFFUSE = DiffuseRules()

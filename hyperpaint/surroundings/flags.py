@@ -24,6 +24,7 @@ from hyperpaint.radiometry.spectral_axis import to_nominal
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
 from .full_light import Light, most_amounts
+from .lobes import SATURATED_IN_LOBE
 from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def flag(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
     *,
-    glint: float = 0.02,
+    glint: float = 0.04,
     shadow: float = 0.2,
     adjacency: float = 0.01,
     edge: int = 1,
@@ -60,7 +61,7 @@ def flag(
     model
         From `hyperpaint.surroundings.survey` of the same line, or the Dataset it was stored as.
     glint
-        ``glint_fraction`` above which a pixel is in glint [1].
+        What the mirrored sun adds, relative to the rest of what is seen, above which a pixel is in glint [1].
     shadow
         ``blocked_direct`` from which it is in shadow [1], in and beside segments that the model found to be a
         cast shadow, and in single pixels of the ground; elsewhere missing light is tilt.
@@ -112,11 +113,14 @@ def flag(
     than half of them than their darkest parts, than their other parts are. Smile is taken out of the
     channels, which are some 25 nm wide, to first order.
 
-    Known limits: glint on grey and white paint looks like tilt, and is taken for it where it varies little
-    over a body; white lines, and some asphalt, are taken for asphalt in glint; dark glass for asphalt in
-    shadow, so that neither is found well on glass. Mixed pixels are found less well than whole ones. Flakes
-    in a paint, whose own light is no glint, are taken for it. For measured precision and recall see
-    docs/figures.md.
+    ``glint_fraction`` is all that looks like direct light of another colour than the body: what flakes in a
+    paint send, and what leans on grey paint, among it. In glint is of this what lies in a lobe of a coat,
+    with a core that stands out (`hyperpaint.surroundings.lobes`), and saturated pixels that a lobe encloses.
+
+    Known limits: the lobe of a worn coat, which is wide, is told from flakes on coloured and on black paint
+    only, and where the panel shows its core; dark glass is taken for asphalt in shadow, so that neither is
+    found well on glass. Mixed pixels are found less well than whole ones. For measured precision and recall
+    see docs/figures.md.
 
     References
     ----------
@@ -267,13 +271,18 @@ def _flag_block(
         "mirrored_sky": amount[..., 3],
     }
     bits = np.zeros(shape, np.uint16)
-    bits[layers["glint_fraction"] > limits["glint"]] |= np.uint16(Quality.GLINT)
+    added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
+    own = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
+    mirrored = added_glint > np.maximum(limits["glint"] * own, FLAGS.min_glint)
+    lobe = model.lobe[start:stop]
+    bits[mirrored & (lobe > 0)] |= np.uint16(Quality.GLINT)
     missing = layers["blocked_direct"]
     cast = model.shade_distance[start:stop] <= FLAGS.penumbra_px
     bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
     bits[model.segment[start:stop] < 0] = 0
+    bits[lobe == SATURATED_IN_LOBE] |= np.uint16(Quality.GLINT)
     return {
         **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in layers.items()},
         "quality": bits,

@@ -68,6 +68,9 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "shade_distance": (
         (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 where there is none",
     ),
+    "lobe": (
+        (ALONG_TRACK, CROSS_TRACK), "uint8", "", "1 in a mirror image of the sun, 2 saturated in one",
+    ),
     "neighbour": (
         ("cell_along", "cell_cross", "rank"), "int32", "", "Coloured segments nearest to a cell; -1 for none",
     ),
@@ -81,8 +84,8 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
 }  # fmt: skip
 """Field to its dims, dtype, units and meaning."""
 
-_UNIFORM_SKY = {"zenith_radiance": 1.0, "sunward_radiance": 0.0}
-"""What models were made with that say nothing of the sky's directions [1]."""
+_BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1}
+"""What models were made with that say nothing of it: a uniform sky, and glint wherever it fits."""
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
@@ -123,7 +126,7 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
     fraction = fields.get("diffuse_fraction", np.empty(0))
     if not ((fraction >= 0) & (fraction <= 1)).all():
         problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
-    for name in _UNIFORM_SKY:
+    for name in ("zenith_radiance", "sunward_radiance"):
         radiance = fields.get(name, np.empty(0))
         if not (np.isfinite(radiance) & (radiance >= 0)).all():
             problems.add(f"{name!r} is not finite, or below 0")
@@ -159,6 +162,9 @@ class SceneModel:
         Pixels to the next pixel of another surface; 0 in pixels that belong to nothing of some size.
     shade_distance : (along_track, cross_track), uint8
         Pixels to the next cast shadow, 0 in one; 255 far from any.
+    lobe : (along_track, cross_track), uint8
+        1 in a mirror image of the sun, 2 in saturated pixels of one, 0 in none; 1 everywhere in models that
+        were stored without it.
     neighbour : (cell_along, cell_cross, rank)
         Coloured segments that are nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
     size, state, body : (segment_number,)
@@ -185,6 +191,7 @@ class SceneModel:
     segment: npt.NDArray[np.int32]
     edge_distance: npt.NDArray[np.uint8]
     shade_distance: npt.NDArray[np.uint8]
+    lobe: npt.NDArray[np.uint8]
     neighbour: npt.NDArray[np.int32]
     size: Ints
     state: npt.NDArray[np.int8]
@@ -230,8 +237,9 @@ class SceneModel:
         fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
-            if stored not in dataset.variables and name in _UNIFORM_SKY:
-                fields[name] = np.full(dataset.sizes.get("channel", 0), _UNIFORM_SKY[name])
+            if stored not in dataset.variables and name in _BEFORE:
+                shape = tuple(dataset.sizes.get(dim, 0) for dim in dims)
+                fields[name] = np.full(shape, _BEFORE[name], dtype)
             elif stored not in dataset.variables:
                 problems.add(f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})")
             elif set(dataset[stored].dims) != set(dims):

@@ -12,14 +12,15 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import as_progress
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
-from .bodies import clean_references, nearest_coloured, same_paints
+from .bodies import clean_references, coloured_bodies, nearest_coloured, same_paints
 from .detection_rules import SURVEY
 from .full_light import Light, Matches, match_segments, median_spectra
 from .light_split import LightSplit, split_of
+from .lobes import Picture, mirror_lobes
 from .model import LIT, SHADED, SceneModel, two_nearest
 from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, shaded_pixels
@@ -56,16 +57,22 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
     return out
 
 
-def read_channels(cube: xr.DataArray, channel: Ints, progress: Progress | None) -> Floats32:
+def read_channels(
+    cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
+) -> tuple[Floats32, Bools]:
     """Return the whole line in channels (line, column, channel), some blocks in memory at a time.
 
-    A pixel's means depend on its own bands alone, so that blocks change no bit.
+    And which pixels are saturated (line, column). A pixel's means depend on its own bands alone, so that
+    blocks change no bit.
     """
     import dask
+    import dask.array as da
 
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
     out = np.empty((lines, columns, int(channel.max()) + 1), np.float32)
+    bits = da.zeros((lines, columns), dtype=np.uint16) if quality is None else da.asarray(quality.data)
+    saturated = np.zeros((lines, columns), bool)
     starts = (
         np.cumsum((0, *cube.chunks[0])) if cube.chunks else np.arange(0, lines + CHUNK_LINES, CHUNK_LINES)
     )
@@ -77,11 +84,14 @@ def read_channels(cube: xr.DataArray, channel: Ints, progress: Progress | None) 
         tasks = [
             dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(blocks.to_delayed())
         ]
-        for (start, stop), values in zip(here, dask.compute(*tasks), strict=True):
-            out[start:stop] = values
+        first_line, last_line = here[0][0], here[-1][1]
+        values, flags = dask.compute(tasks, bits[first_line:last_line] & np.uint16(Quality.SATURATED))
+        saturated[first_line:last_line] = flags > 0
+        for (start, stop), block in zip(here, values, strict=True):
+            out[start:stop] = block
         if progress is not None:
-            progress(here[-1][1], lines)
-    return out
+            progress(last_line, lines)
+    return out, saturated
 
 
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
@@ -255,9 +265,8 @@ def survey(
     divided = _divided(diffuse, line, sun_zenith)
     fraction, zenith = divided.fraction.values, divided.zenith
     channel = channel_numbers(wavelength, good)
-    channels, channel = without_unknown(
-        read_channels(cube, channel, as_progress(progress, "survey")), channel
-    )
+    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), _quality(line))
+    channels, channel = without_unknown(channels, channel)
     bands = (wavelength, fraction, divided.u.values, *divided.mirrored())
     centre, split, split_u, *sky = (_mean_of(values, channel) for values in bands)
     shift = shift_of_channels(line, channel, channels.shape[1])
@@ -287,6 +296,11 @@ def survey(
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
     beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
+    shown = np.append(matches.body, np.int32(-1))[segments.number]
+    coated = coloured_bodies(reference, light)
+    # what nothing casts a shadow on may be a bonnet that fills the picture
+    bare = ground & ground[matches.body[matches.state == SHADED]].any()
+    lobe = mirror_lobes(Picture(channels, saturated, shown, bare, reference, coated, light))
     noise = channel_noise(channels, segments.number, is_inside)
     level = ground & (matches.state == LIT)
     shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
@@ -295,13 +309,20 @@ def survey(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
         zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
         shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
-        neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body, paint=paints.first,
-        tilt=tilt, spectrum=spectrum, reference=reference,
+        lobe=lobe, neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body,
+        paint=paints.first, tilt=tilt, spectrum=spectrum, reference=reference,
         attrs={
             "diffuse_fraction_from": _source_text(diffuse, divided), "diffuse_fraction_u": split_u.tolist(),
             "sky_states": " ".join(divided.states), "reach": reach, "sun_zenith": zenith,
         },
     )  # fmt: skip
+
+
+def _quality(line: xr.Dataset) -> xr.DataArray | None:
+    """Return the bits of a line, None where it has none."""
+    if "quality" not in line.variables:
+        return None
+    return schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:

@@ -7,9 +7,9 @@
 
 Scenes are those of proposed_cars.py: 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, suns 20 to 50
 degrees from the zenith, paints under clear coats, a signal-to-noise ratio of 100. Walls stand around the
-scenes of even seeds, walls and trees around those of odd ones. True glint adds more than 0.02 of reflectance
-under the sun alone, true shadow lacks 20 % of the direct beam or more. The flags know of a scene the sun's
-place, and nothing else.
+scenes of even seeds, walls and trees around those of odd ones. True glint adds more than 4 % of what else
+is seen, and 0.004 of reflectance: what matters. True shadow lacks 20 % of the direct beam or more. The flags
+know of a scene the sun's place, and nothing else.
 
 Surfaces are what most of a pixel shows; paints are coloured where their spectrum, relative to its mean,
 varies by more than 0.5 beyond 430 nm, and else dark below a mean of 0.07. "Outside mixed pixels" leaves out
@@ -32,7 +32,7 @@ if __package__ in (None, ""):  # run as a script: `campaigns` is then not import
     sys.path.insert(0, str(ROOT))
 
 SEEDS = range(400, 406)
-GLINT, SHADOW = 0.02, 0.2
+GLINT, GLINT_FLOOR, SHADOW = 0.04, 0.004, 0.2
 CLEAN, LIT, PURE = 0.003, 0.05, 0.95
 """Reflectance by way of other things, and blocked part of the beam, below which paint is clean; share of a
 pixel that one thing fills, from which on it is no mixed one."""
@@ -73,20 +73,20 @@ def surfaces_of(line: Any) -> Any:
 def true_layers(line: Any, sky: Any) -> dict[str, Any]:
     """Return what the renderer knows of every pixel, of a line without noise.
 
-    ``glint`` in reflectance under the sun alone, ``indirect`` in that under the whole sky [1]; ``shadow`` the
-    blocked part of the beam, ``mixed`` whether a pixel is.
+    ``glint`` whether it matters; ``indirect`` in reflectance [1]; ``shadow`` the blocked part of the beam,
+    ``mixed`` whether a pixel is.
     """
     from scipy.ndimage import minimum_filter
 
     nm = line["wavelength"].values
     whole = np.interp(nm, sky.wavelength, sky.irradiance)
-    direct = whole - np.interp(nm, sky.wavelength, sky.sky)
     # shares are of the mean radiance before the air between, which that of the reflectance is
     radiance = np.einsum("lbx,b->lx", line["reflectance"].values.astype(np.float64), whole) / nm.size
     # where no ray met any light, shares of it are not numbers
+    level = line["reflectance"].values.mean(axis=1, dtype=np.float64)
     glint, indirect = (np.nan_to_num(line[name].values) for name in ("glint_share", "indirect_share"))
     return {
-        "glint": glint * radiance / direct.mean(),
+        "glint": glint * level > np.maximum(GLINT * (1.0 - glint) * level, GLINT_FLOOR),
         "indirect": indirect * radiance / whole.mean(),
         "shadow": line["shadow"].values,
         "mixed": minimum_filter(line["purity"].values, 3) < PURE,
@@ -111,7 +111,7 @@ def count(bits: Any, true: dict[str, Any], surface: Any) -> Counts:
     mixed = (bits & int(hp.Quality.MIXED_EDGE)) > 0
     everywhere = np.ones(bits.shape, bool)
     made = {}
-    for name, is_true in (("glint", true["glint"] > GLINT), ("shadow", true["shadow"] >= SHADOW)):
+    for name, is_true in (("glint", true["glint"]), ("shadow", true["shadow"] >= SHADOW)):
         found = flagged[name.upper()]
         for pixels, counted in ((INNER, ~mixed), (WHOLE, everywhere)):
             for number, label in enumerate(SURFACES):

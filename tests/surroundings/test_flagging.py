@@ -36,7 +36,7 @@ def scene(*, placed: bool = True) -> xr.Dataset:
     seen = np.full((LINES, BANDS, COLUMNS), 0.1)
     seen[5:43, :, 5:35] = np.where(NM > 600.0, 0.5, 0.05)[:, None]
     y, x = np.mgrid[:LINES, :COLUMNS]
-    mirrored = 0.4 * np.exp(-((y - 23) ** 2 + (x - 20) ** 2) / 18.0)
+    mirrored = 4.0 * np.exp(-((y - 23) ** 2 + (x - 20) ** 2) / 8.0)
     seen += mirrored[:, None, :] * (1.0 - diffuse_fraction(NM, zenith))[:, None]
     line = xr.Dataset(
         {"reflectance": (("along_track", "band", "cross_track"), seen.astype("f4"), {"units": "1"})},
@@ -139,7 +139,7 @@ def test_the_sun_is_asked_for(tmp_path: Path, surveys: list[dict[str, Any]]) -> 
     assert not out.exists()
     done = run(
         "signatures", nowhere, "--regions", regions, "--out", out, "--sun-zenith", 30, "--diffuse", "model",
-        "--glint", 0.5, "--specular-sky",
+        "--glint", 999, "--specular-sky",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert surveys[-1]["sun_zenith"] == 30.0

@@ -70,7 +70,9 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset, co
     irradiance = np.pi * scene.radiance.values / level
     white = np.nanmedian(irradiance, axis=(0, 2)) / np.pi
     glint = share / (direct * white).mean()
-    found, true = (bits & int(Quality.GLINT)) > 0, glint > 0.02
+    # what matters: over 4 % of the paint's own level; of what adds half as much again, little is missed
+    mirrored = scene.glint_share.values / (1.0 - scene.glint_share.values)
+    found, true, clear = (bits & int(Quality.GLINT)) > 0, mirrored > 0.04, (mirrored > 0.06) & (glint > 0.02)
     assert (found & true & paint).sum() >= 0.95 * (found & paint).sum()
-    assert (found & true & paint).sum() >= 0.9 * (true & paint).sum()
-    assert (true & paint).sum() > coat[1]
+    assert (found & clear & paint).sum() >= 0.9 * (clear & paint).sum()
+    assert (clear & paint).sum() > coat[1]

@@ -294,7 +294,8 @@ def test_parts_of_one_car_show_one_paint() -> None:
     np.testing.assert_allclose(model.reference[bonnet_] / scale, clean, rtol=0.005, atol=0.0025)
     flagged = hp.surroundings.flag(line, model).compute()
     np.testing.assert_allclose(flagged.glint_fraction.values[50:66, 30:60], 0.03, atol=0.008)
-    assert (flagged.quality.values[50:66, 30:60] & int(Quality.GLINT) > 0).mean() > 0.99
+    # that much all over a panel, without a spot, may be what flakes do: it is no glint for certain
+    assert not (flagged.quality.values[50:66, 30:60] & int(Quality.GLINT)).any()
     assert not (flagged.quality.values[12:38, 24:66] & int(Quality.ADJACENCY)).any()
 
 

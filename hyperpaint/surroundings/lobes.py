@@ -1,0 +1,255 @@
+"""Mirror images of the sun in clear coats and glass: which pixels lie in one.
+
+A coat that shines sends the sun's light into a few degrees: on a panel, into a spot much brighter than its
+surroundings. Flakes in a paint, and panels that lean, are brighter over all of a panel, without such a spot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
+
+from .detection_rules import GLINT, LOBES
+from .full_light import AS_GLINT, Light, unmix_spectra
+
+__all__ = ["IN_LOBE", "SATURATED_IN_LOBE", "Picture", "mirror_lobes"]
+
+
+IN_LOBE, SATURATED_IN_LOBE = 1, 2
+"""In a mirror image of the sun; and so bright there that nothing is measured. 0: in none."""
+
+_RING = (
+    (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3), (0, 3), (1, 3), (2, 2),
+    (3, 1), (3, 0), (3, -1), (2, -2), (1, -3), (0, -3), (-1, -3), (-2, -2),
+)  # fmt: skip
+"""Pixels three steps around one."""
+_MARGIN, _LINES = 3, 128
+_DARKER, _LOWEST = 9, 2
+"""Pixels of a ring that are darker, at least, where its median is; place of its third lowest."""
+
+
+class Picture(NamedTuple):
+    """What is seen of a line."""
+
+    channels: Floats32  #: (line, column, channel): Reflectance [1].
+    saturated: Bools  #: (line, column): Whether a sample is.
+    body: npt.NDArray[np.int32]  #: (line, column): Body of every pixel; -1 without data.
+    ground: Bools  #: (segment,): Bodies that have no coat.
+    reference: Floats  #: (segment, channel): Reflectance of bodies in full light [1].
+    coloured: Bools  #: (segment,): Bodies on which the mirrored sun has another colour than their own.
+    light: Light
+
+
+def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
+    r"""Return which pixels lie in a mirror image of the sun (line, column).
+
+    0 for none, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a core. A sharp one is several times brighter
+    than the pixels three steps around it, which are of one surface in even light, and what it adds has the
+    colour of direct light. Beside it, what exceeds a surface :math:`\ln \rho` of second order through its
+    surroundings, flakes' broad lobe among them, by 4 %, belongs to it. A wide core, of a coat that is worn,
+    is as bright as a white surface in the sun over several pixels; it is told from flakes on paint of another
+    colour, and on black.
+    """
+    level = picture.channels.mean(axis=2, dtype=np.float64)
+    level[picture.saturated] = np.nan
+    spots = list(_components(picture.saturated))
+    for spot, window in spots:
+        if _half_width(spot) <= LOBES.max_spot_px:
+            level[window][spot] = np.inf
+    on_coat = (picture.body >= 0) & ~np.append(picture.ground, True)[picture.body] | picture.saturated
+    lobe = np.zeros(level.shape, bool)
+    for core, window in _components(_sharp(level, on_coat)):
+        _add_sharp(picture, level, core, window, lobe)
+    for core, window in _components(_wide(picture, level, on_coat)):
+        _add_wide(picture, level, core, window, lobe)
+    layer = np.where(lobe, np.uint8(IN_LOBE), np.uint8(0))
+    for spot, window in spots:
+        rim = _distance(spot) < 1.5
+        rim &= ~spot & ~picture.saturated[window] & (picture.body[window] >= 0)
+        enclosed = rim.any() and lobe[window][rim].mean() > LOBES.min_rim
+        if enclosed or lobe[window][spot].any():
+            layer[window][spot] = SATURATED_IN_LOBE
+    return layer
+
+
+def _components(chosen: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
+    """Return each piece of what is chosen, in a window with some pixels around it."""
+    from scipy.ndimage import find_objects, label
+
+    pieces, _ = label(chosen, np.ones((3, 3)))
+    for number, place in enumerate(find_objects(pieces), 1):
+        window = _padded(place, pad)
+        yield pieces[window] == number, window
+
+
+def _padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
+    rows, columns = (slice(max(part.start - pad, 0), part.stop + pad) for part in window)
+    return rows, columns
+
+
+def _distance(chosen: Bools) -> Floats:
+    """Return how far every pixel is from a chosen one [pixel]."""
+    from scipy.ndimage import distance_transform_edt
+
+    return np.asarray(distance_transform_edt(~chosen))
+
+
+def _half_width(core: Bools) -> float:
+    """Return the largest distance of a core's pixels to what is not core [pixel]."""
+    return float(_distance(~np.pad(core, 1)).max())
+
+
+def _sharp(level: Floats, on_coat: Bools) -> Bools:
+    """Return the pixels that stand out from those around them, where these are even (line, column)."""
+    found = np.zeros(level.shape, bool)
+    lines, columns = level.shape
+    padded = np.pad(level, _MARGIN, mode="edge")
+    for first in range(0, lines, _LINES):
+        here = level[first : first + _LINES]
+        below = here / LOBES.min_contrast
+        darker = np.zeros(here.shape, np.int8)
+        for down, right in _RING:
+            top, left = first + _MARGIN + down, _MARGIN + right
+            darker += padded[top : top + len(here), left : left + columns] < below
+        found[first : first + _LINES] = darker >= _DARKER
+    y, x = np.nonzero(found & on_coat)
+    around = np.sort([padded[y + _MARGIN + down, x + _MARGIN + right] for down, right in _RING], axis=0)
+    middle = 0.5 * (around[len(_RING) // 2 - 1] + around[len(_RING) // 2])
+    fits = (level[y, x] > LOBES.min_contrast * middle) & (around[_LOWEST] > LOBES.min_evenness * middle)
+    fits &= level[y, x] - middle > LOBES.min_excess
+    found[:] = False
+    found[y[fits], x[fits]] = True
+    return found
+
+
+def _add_sharp(
+    picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
+) -> None:
+    """Set the pixels of ``lobe`` that belong to a sharp core, if it is one of the sun."""
+    from scipy.ndimage import label
+
+    reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
+    if reach > LOBES.max_sharp_px:
+        return
+    pad = int(np.ceil(reach)) + LOBES.around_px
+    wide = _padded(window, pad)
+    inside = np.zeros(level[wide].shape, bool)
+    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
+    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    core, seen, body = inside, level[wide], picture.body[wide]
+    far = _distance(core)
+    own = _body_around(body, (far > 2.5) & (far <= 4.5))
+    if own < 0 or picture.ground[own]:
+        return
+    peak = np.unravel_index(np.argmax(np.where(core, seen, -np.inf)), core.shape)
+    around = picture.channels[wide][(body == own) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
+    if np.isfinite(seen[peak]):
+        added = (picture.channels[wide][peak] - np.nanmedian(around, axis=0)) / picture.light.direct
+        if not added.std() < LOBES.max_colour * added.mean():
+            return
+    surface = (body == own) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
+    broad = _broad(seen, surface, surface & (far > max(2.0, 0.5 * reach)), reach + LOBES.around_px)
+    if broad is None:
+        lobe[wide] |= core
+        return
+    base, spread = broad
+    with np.errstate(invalid="ignore"):
+        more = seen - base > np.maximum(max(LOBES.min_share, LOBES.min_sd * spread) * base, LOBES.floor)
+    halo = ((body == own) | (far <= 2.5)) & (far <= reach) & more
+    pieces, _ = label(halo | core, np.ones((3, 3)))
+    lobe[wide] |= pieces == pieces[peak]
+
+
+def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
+    """Return the body that most of a ring shows, -1 where none does."""
+    numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
+    if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
+        return -1
+    return int(numbers[np.argmax(count)])
+
+
+def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Floats, float] | None:
+    """Return the brightness that a panel has without a lobe (line, column), and its relative spread.
+
+    A surface of second order through the logarithm, from which what is brighter is left out in turns.
+    """
+    y, x = np.nonzero(surface)
+    if y.size < LOBES.min_ring_px:
+        return None
+    value, retained = np.log(np.maximum(seen[y, x], LOBES.floor)), start[y, x]
+    if retained.sum() < LOBES.min_ring_px:
+        retained = np.ones(y.size, bool)
+    middle = y.mean(), x.mean()
+
+    def terms(down: Array, right: Array) -> Floats:
+        u, v = (down - middle[0]) / scale, (right - middle[1]) / scale
+        return np.stack([np.ones(u.shape), u, v, u * u, u * v, v * v], axis=-1)
+
+    design = terms(y, x)
+    for _ in range(LOBES.rounds):
+        shape, *_ = np.linalg.lstsq(design[retained], value[retained], rcond=None)
+        rest = value - design @ shape
+        spread = 1.4826 * float(np.median(np.abs(rest[retained]))) + LOBES.noise
+        again = (rest < 2.0 * spread) & (rest > -3.0 * spread)
+        if again.sum() < LOBES.min_ring_px or (again == retained).all():
+            break
+        retained = again
+    whole = terms(*np.indices(seen.shape)) @ shape
+    return np.exp(np.clip(whole, value.min(), value.max())), spread
+
+
+def _distinct(picture: Picture) -> Bools:
+    """Return the bodies on which a wide lobe is told from flakes (segment,)."""
+    black = np.nan_to_num(picture.reference).mean(axis=1) < LOBES.max_black
+    return np.asarray((picture.coloured | black) & ~picture.ground)
+
+
+def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Floats:
+    """Return the mirror image of the sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
+    glint = np.zeros(where.shape)
+    body: Ints = picture.body[window][where].astype(np.int64)
+    seen = picture.channels[window][where].astype(np.float64)
+    amount, _, _ = unmix_spectra(
+        seen, body, np.nan_to_num(picture.reference), picture.light, GLINT.tolerance, AS_GLINT
+    )
+    glint[where] = np.nan_to_num(amount[:, 2])
+    return glint
+
+
+def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
+    """Return the pixels where the sun's mirror image is as bright as a white surface (line, column)."""
+    asked = np.append(_distinct(picture), False)[picture.body] & on_coat & np.isfinite(level)
+    asked &= level > LOBES.min_wide_glint * picture.light.direct.mean()
+    whole = (slice(0, level.shape[0]), slice(0, level.shape[1]))
+    return np.asarray(_glint(picture, asked, whole) >= LOBES.min_wide_glint)
+
+
+def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools) -> None:
+    """Set the pixels of ``lobe`` that belong to a wide core."""
+    from scipy.ndimage import label
+
+    width = _half_width(core)
+    if width < LOBES.min_wide_px:
+        return
+    own = int(np.bincount(picture.body[window][core]).argmax())
+    if not picture.coloured[own] and lobe[window][core].any():
+        return  # a sharp lobe, in that of flakes
+    reach = LOBES.max_wide_px if picture.coloured[own] else 1.5 + LOBES.wide_halo * width
+    wide = _padded(window, int(np.ceil(reach)))
+    inside = np.zeros(level[wide].shape, bool)
+    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
+    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    body = picture.body[wide]
+    asked = np.append(_distinct(picture), False)[body] & np.isfinite(level[wide])
+    asked &= _distance(inside) <= reach
+    added = _glint(picture, asked, wide) * picture.light.direct.mean()
+    paint = np.append(np.nan_to_num(picture.reference).mean(axis=1), 0.0)[body]
+    halo = asked & (added > np.maximum(LOBES.min_wide_share * paint, LOBES.floor))
+    pieces, _ = label(halo | inside, np.ones((3, 3)))
+    numbers = np.unique(pieces[inside])
+    lobe[wide] |= np.isin(pieces, numbers[numbers > 0])
