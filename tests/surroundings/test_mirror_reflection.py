@@ -28,9 +28,11 @@ def told(library: xr.Dataset) -> object:
 
 def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path) -> None:
     seen = hp.extract_signatures(line, regions)
-    removed = hp.extract_signatures(line, regions, specular_sky=True, sun_zenith=40.0)
+    removed = hp.extract_signatures(line, regions, specular_sky=True, sun_zenith=40.0, diffuse="model")
     afterwards = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=40.0)
-    before = hp.extract_signatures(hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0), regions)
+    before = hp.extract_signatures(
+        hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0, diffuse="model"), regions
+    )
     assert [told(each) for each in (seen, removed, afterwards, before)] == ["included", *["excluded"] * 3]
     made = hp.write_dirsig(afterwards, tmp_path / "dirsig", specular=0.02)
     assert made.attrs["mirror_reflection"] == "excluded"
@@ -39,7 +41,7 @@ def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path
 
 
 def test_one_line_that_holds_it_decides(line: xr.Dataset) -> None:
-    lines = {"a": line, "b": hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0)}
+    lines = {"a": line, "b": hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0, diffuse="model")}
     corners = [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]
     both = hp.Regions(tuple(hp.Region(f"grass {name}", corners, flightline=name) for name in lines))
     assert told(hp.extract_signatures(lines, both)) == "included"
