@@ -21,6 +21,7 @@ OUTSIDE = "reflectance factor of the outside of the coat"
 """All that comes off the panel, its mirror image of the sky among it."""
 
 _SAID = "mirror_reflection"
+_COMPONENT = "specular_component"
 _REMOVED = "mirrored_sky_removed"
 _APART = "specular_reflectance"
 
@@ -28,10 +29,10 @@ _APART = "specular_reflectance"
 def mirror_reflection(library: xr.Dataset) -> str | None:
     """Return whether a library's reflectance holds mirrored light: "included", "excluded", or None.
 
-    The attribute ``mirror_reflection`` of ``reflectance``, or else of the library, decides. Where neither
-    says it, light that is kept apart as ``specular_reflectance``, or was subtracted as
-    ``mirrored_sky_removed`` says, is excluded. What was not subtracted ("none"), of one of several sources
-    even ("F0 0.04; none"), is included.
+    The attribute ``mirror_reflection`` of ``reflectance``, or else of the library, decides; or
+    ``specular_component``, as makers of instruments call it. Where none says it, light that is kept apart as
+    ``specular_reflectance``, or was subtracted as ``mirrored_sky_removed`` says, is excluded. What was not
+    subtracted ("none"), of one of several sources even ("F0 0.04; none"), is included.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     'excluded'
     """
     attrs = {**library.attrs, **library["reflectance"].attrs}
-    said = attrs.get(_SAID)
+    said = attrs.get(_SAID, attrs.get(_COMPONENT))
     if said is not None:
         if not isinstance(said, str) or said not in (INCLUDED, EXCLUDED):
             raise SchemaError(

@@ -16,6 +16,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 
 from .agreement import Operator, bands_of, operator_onto
+from .coat_readings import as_body, difference
 from .measured_spectra import Measured
 from .validation_result import MEANINGS
 
@@ -250,6 +251,9 @@ class Compared:
     def warnings(self) -> list[str]:
         """Return what a user can act on."""
         name, own, other = self.pair.signature.name, self.pair.signature.mirror, self.mirror
+        texts = dict.fromkeys(difference(self.pair.signature, each) for each in self.pair.references)
+        if apart := [f"{name}: {text}" for text in texts if text]:
+            return apart
         if own == other or not {own, other} <= {"included", "excluded", "mixed"}:
             return []
         return [
@@ -366,6 +370,8 @@ def compare(pair: Pair, seed: int) -> Compared:
 
     The draws are the same for every pair, in whatever order they come.
     """
+    if not pair.between:
+        pair = replace(pair, references=tuple(as_body(each, pair.signature) for each in pair.references))
     bands = bands_of(pair.signature, list(pair.references))
     onto = tuple(operator_onto(bands, each) for each in (*pair.references, pair.signature))
     seen = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])

@@ -15,7 +15,9 @@ from hyperpaint.base.errors import Problems, SchemaError, UnitsError
 from hyperpaint.base.mirrored_light import mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
+from hyperpaint.light.diffuse_record import SKY_STATES
 
+from .coat_readings import coat_of, light_notes
 from .measured_spectra import Measured, names_of_paint, names_of_spectrum
 
 if TYPE_CHECKING:
@@ -219,7 +221,22 @@ def _of_library(
             **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
             mirror=mirror_reflection(dataset) or UNKNOWN,
             absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
+            notes=(*channels.notes, *_light_of(dataset, number)),
+            **coat_of(attrs),
         )
+
+
+def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
+    """Return what the light of a paint leaves to be judged."""
+    values = {
+        name: dataset[name].isel({PAINT: number}).item()
+        for name in ("sun_zenith", "sky_state")
+        if name in dataset.variables and dataset[name].dims == (PAINT,)
+    }
+    known = "diffuse_fraction" in dataset.variables and PAINT in dataset["diffuse_fraction"].dims
+    known = known and bool(np.isfinite(dataset["diffuse_fraction"].isel({PAINT: number})).all())
+    contradictory = known and values.get("sky_state") == SKY_STATES.index("contradictory")
+    return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
 
 
 def _count_of(arrays: Mapping[str, Any], number: int) -> float | None:
@@ -255,8 +272,9 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
         texts_of = {
             key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
-            for key in ("overlap", "mirror_reflection", "instrument")
+            for key in ("overlap", "mirror_reflection", "specular_component", "instrument")
         }
+        mirror = texts_of["mirror_reflection"] or texts_of["specular_component"]
         count = dataset["n"].values[number] if "n" in dataset.variables and dataset["n"].dims else None
         yield channels.spectrum(
             spectrum,
@@ -268,8 +286,9 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *_errors_told(dataset, number)),
             **_overlap_of(texts_of["overlap"], _flag_of(dataset, "overlap_matched", number)),
-            mirror=mirror if (mirror := texts_of["mirror_reflection"]) in _MIRRORS else UNKNOWN,
+            mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
+            **coat_of(attrs),
         )
 
 

@@ -113,6 +113,9 @@ class Measured:
     mirror: str  # Whether the mirror image of sky and surroundings is included, excluded, or unknown
     absolute: bool  # Whether reflectance is of a perfect diffuser, rather than of a panel
     notes: tuple[str, ...]  # What else a reader of results should know
+    quantity: str = ""  # Of a body under a coat or of the coat's outside, see base.mirrored_light
+    geometry: str = ""  # Of the instrument, such as d/8
+    coat_index: float = 1.5  # Refractive index of the coat
 
     @property
     def name(self) -> str:

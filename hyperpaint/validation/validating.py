@@ -112,7 +112,8 @@ def validate(
     Warns
     -----
     PaintWarning
-        One of a pair includes the mirror image of the sky, the other does not; repeated readings, or those of
+        One of a pair includes the mirror image of the sky, the other does not, or one is of the body under a
+        coat and the other of its outside (``quantity``); repeated readings, or those of
         two instruments, are further apart than the tolerance.
 
     Notes
@@ -125,6 +126,11 @@ def validate(
     wavelengths fall, each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(...,
     overlap="trim", joins=)`` chooses otherwise. Reflectance is weighted by the response alone: that light
     varies within a band matters where paint does, too, and hardly then.
+
+    Like is compared with like: where the signature is of the body under a clear coat, and a reference says by
+    its attributes that it is a reading of the coat's outside (``quantity``, or ``specular_component``
+    "included") and how it was taken (``measurement_geometry`` such as "d/8", ``coat_index``), the reference
+    is brought to the body, see `hyperpaint.validation.coat_readings.as_body`; the result says so.
 
     Statistics are plain means over bands, see `statistics_of`. Their uncertainty is that of propagated draws
     (JCGM 101): random errors independent from channel to channel, systematic ones common to all. Of one

@@ -1,0 +1,121 @@
+"""Readings of a coat's outside and of the body under it, told apart, brought to the body where possible."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
+from hyperpaint.light.coat_transmission import COAT_INDEX, interface_reflectance, sky_reflectance
+
+from .measured_spectra import Measured
+
+__all__ = ["as_body", "coat_of", "difference", "light_notes"]
+
+_LOW_SUN_DEG = 70.0
+"""Sun beyond which a degree of lean changes the direct light by more than 5 %, the usual tolerance."""
+
+
+def coat_of(attrs: Any) -> dict[str, Any]:
+    """Return what attributes say of the coat: quantity, geometry of an instrument, index.
+
+    ``quantity`` in the words of `hyperpaint.base.mirrored_light`; else ``specular_component`` says it.
+    """
+    said, component = attrs.get("quantity"), attrs.get("specular_component")
+    quantity = said if said in (BODY, OUTSIDE, THROUGH_COAT) else OUTSIDE if component == INCLUDED else ""
+    index = attrs.get("coat_index", COAT_INDEX)
+    usable = isinstance(index, int | float) and 1.0 <= float(index) <= 3.0
+    return {
+        "quantity": quantity,
+        "geometry": str(attrs.get("measurement_geometry", "")),
+        "coat_index": float(index) if usable else COAT_INDEX,
+    }
+
+
+def light_notes(sun_zenith: float, sky_is_contradictory: bool) -> list[str]:
+    """Return why the level of a signature may not be judged by, for a reader of the result."""
+    notes = []
+    if sun_zenith > _LOW_SUN_DEG:
+        change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
+        notes.append(
+            f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its light "
+            f"by {change:.0f} %, so that the shape can be judged, the level hardly"
+        )
+    if sky_is_contradictory:
+        notes.append(
+            "the record of irradiance contradicted every sky when it was seen, its level is uncertain: "
+            "check clocks and the receiver's calibration, or give sun_zenith= to signatures"
+        )
+    return notes
+
+
+def _into(geometry: str, index: float) -> float | None:
+    """Return the interface's reflectance for the light of an instrument that sees near the normal [1]."""
+    ways: dict[str, Floats] = {
+        "0/0": interface_reflectance(0.0, index),
+        "0/45": interface_reflectance(45.0, index),
+        "45/0": interface_reflectance(45.0, index),
+    }
+    if geometry in ways:
+        return float(ways[geometry])
+    if geometry in ("d/0", "0/d", "d/8", "8/d"):
+        return float(sky_reflectance([550.0], None, index=index)[0])
+    return None
+
+
+def as_body(reference: Measured, signature: Measured) -> Measured:
+    r"""Return a reading of a coat's outside as one of the body under it, where the signature is of the body.
+
+    Where the reference names its ``measurement_geometry``: "0/0", "0/45", "45/0", or an integrating sphere,
+    "d/8" and the like. As it is where it does not, or is of a body already.
+
+    Notes
+    -----
+    .. math:: R_{body} = (R - s F(0)) \frac{1 - F(0)}{1 - F_{in}}
+
+    with s = 1 where the mirror image is included, and the interface's reflectance :math:`F_{in}` of the
+    instrument's light.
+    """
+    if signature.quantity != BODY or reference.quantity != OUTSIDE:
+        return reference
+    into = _into(reference.geometry, reference.coat_index)
+    if into is None:
+        return reference
+    normal = float(interface_reflectance(0.0, reference.coat_index))
+    mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
+    factor = (1.0 - normal) / (1.0 - into)
+
+    def times(spread: Floats | None) -> Floats | None:
+        return None if spread is None else spread * factor
+
+    note = (
+        f"the reference, a reading of the coat's outside in {reference.geometry}, was brought to the body "
+        f"under it: less {mirrored:.3f}, times {factor:.3f}"
+    )
+    return replace(
+        reference,
+        values=(reference.values - mirrored) * factor,
+        u_random=times(reference.u_random),
+        u_systematic=times(reference.u_systematic),
+        sd=times(reference.sd),
+        mirror=EXCLUDED,
+        quantity=BODY,
+        notes=(*reference.notes, note),
+    )
+
+
+def difference(signature: Measured, reference: Measured) -> str:
+    """Return that a signature and its reference are not of one quantity, and what mends it; or nothing."""
+    own, other = signature.quantity, reference.quantity
+    if not own or not other or own == other:
+        return ""
+    mend = {
+        BODY: "give the reference the attributes measurement_geometry and specular_component, or make "
+        "signatures with coat=False",
+        OUTSIDE: "make signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
+        THROUGH_COAT: "make signatures with coat=True, or call correct_coat",
+    }[own]
+    return f"the signature is a {own}, the reference a {other}: {mend}"
