@@ -189,7 +189,8 @@ def reflectance(
         calibration or from `hyperpaint.estimate_noise`.
     tilt
         Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
-        longitude.
+        longitude. Where it names no ``diffuse_fraction``, that of the lines counts, else what the record
+        itself says (`hyperpaint.light.diffuse_from_record`): a clear sky, or another one.
     panel
         A target of known reflectance in the scene, to which every band is scaled.
     keep_bits
@@ -360,6 +361,7 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     names += [name for name in companions if name in dataset.variables]
     if tilt is not None:
         names += ["latitude", "longitude"]
+        names += [name for name in ("diffuse_fraction", "sky_state") if name in dataset.variables]
     arrays = schema.require(dataset, names, "reflectance")
     if arrays[IRRADIANCE_TIME].chunks is None:
         check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))

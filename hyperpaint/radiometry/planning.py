@@ -20,6 +20,7 @@ from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .slabs import Plan
+from .tilted_light import tilt_factors
 from .uncertainty.propagation import error_terms
 
 __all__ = ["make_plan"]
@@ -268,8 +269,8 @@ def _illuminate(
         spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
     )
     if tilt is not None:
-        latitude, longitude = (_mean_place(cube[name], name) for name in ("latitude", "longitude"))
-        onto = tilt.factor(stamps[used], latitude, longitude, imager["wavelength"])
+        place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))
+        onto = tilt_factors(tilt, {**light, "time": time}, used, imager["wavelength"], place)
         matched = matched * onto[:, None, :]
     light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)

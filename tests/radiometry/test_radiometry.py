@@ -256,6 +256,7 @@ def test_a_dark_without_a_value_makes_a_bad_element() -> None:
 # --------------------------------------------------------------------------------------- tilt and panels
 
 
+@pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
 def test_a_level_panel_changes_no_bit() -> None:
     line = flight(position=True).line
     assert_same(reflectance(line), reflectance(line, tilt=(0.0, 123.0)))

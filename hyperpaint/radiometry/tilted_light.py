@@ -1,0 +1,107 @@
+"""Light on a tilted surface under the sky that the record says there was, in place of a clear one."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
+from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
+from hyperpaint.light.illumination import Tilt
+
+__all__ = ["tilt_factors"]
+
+_CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
+
+
+def tilt_factors(
+    tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, place: tuple[float, float]
+) -> Floats:
+    """Return irradiance on the surface over that on level ground (sample, band) [1], of the ``used`` samples.
+
+    A diffuse fraction of the tilt is taken as it is. Else that of the lines, where they have one; else the
+    split that `hyperpaint.light.diffuse_from_record` finds, which leaves a clear sky to the tilt's own model.
+    Diffuse light comes from all sides alike but under a clear or hazy sky.
+
+    light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
+        ``sky_state``; place: latitude and longitude [degree].
+
+    Warns PaintWarning: The record fits no sky, and the surface is lit as under a clear one.
+    """
+    stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+
+    def under(sky: Tilt, samples: Array) -> Floats:
+        return sky.factor(stamps[used[samples]], *place, wavelength)
+
+    everything = np.arange(used.size)
+    if tilt.diffuse_fraction is not None or tilt.angle == 0.0:
+        return under(tilt, everything)
+    fraction, state = _split(light, stamps, wavelength, place)
+    if fraction is None:
+        return under(tilt, everything)
+    factors = np.empty((used.size, wavelength.size))
+    fraction, state = fraction[used], state[used]
+    by_model = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
+    if (state == _CONTRADICTORY).any():
+        text = (
+            f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
+            f"{used.size} samples; tilt= takes it for a clear one: if it was not, give "
+            "Tilt(diffuse_fraction=)"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    if by_model.any():
+        factors[by_model] = under(tilt, np.flatnonzero(by_model))
+    for at in np.flatnonzero(~by_model):
+        sky = "clear" if state[at] == _HAZY else "uniform"
+        factors[at] = under(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
+    return factors
+
+
+def _split(
+    light: Mapping[str, Any], stamps: Array, wavelength: Floats, place: tuple[float, float]
+) -> tuple[Floats | None, Array]:
+    """Return diffuse fraction (sample, band) and number of the state (sample,); None where nothing tells."""
+    if "diffuse_fraction" in light:
+        return _split_of_lines(light, stamps, wavelength.size)
+    import xarray as xr
+
+    channels = xr.Variable(
+        IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
+    )
+    record = xr.DataArray(
+        np.asarray(light["irradiance"]),
+        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: channels},
+        (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
+        attrs=VARIABLES["irradiance"].attrs,
+    )
+    try:
+        # to a kilometre, so that a crop of the line means the same sky
+        at = tuple(round(degrees, 2) for degrees in place)
+        split = diffuse_from_record(record.to_dataset(name="irradiance"), *at, wavelength=wavelength)
+    except SchemaError:  # a record of a few bands
+        return None, np.zeros(stamps.size, np.int8)
+    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
+
+
+def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tuple[Floats | None, Array]:
+    """Return the fraction and state of the line nearest to each sample; None where no line has a time."""
+    fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
+    time = np.asarray(light["time"]).astype("datetime64[ns]")
+    if len(fraction) == time.size:
+        lines = np.flatnonzero(~np.isnat(time))
+        if not lines.size:
+            return None, np.zeros(stamps.size, np.int8)
+        # a float64 of seconds orders stamps of a flight to a microsecond
+        at, wanted = ((each - time[lines[0]]) / np.timedelta64(1, "s") for each in (time[lines], stamps))
+        rows = lines[np.abs(at[:, None] - wanted).argmin(axis=0)]
+    else:  # of every sample, or one of all
+        rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
+    state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
+    state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
+    return np.broadcast_to(fraction, (len(fraction), bands))[rows], state
