@@ -116,7 +116,7 @@ def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels() -> None:
     glint, shadow, adjacency, mixed = 64, 128, 256, 512
     bits = np.array([[glint, 0, glint | mixed, glint], [shadow, shadow, adjacency, mixed]], np.uint16)
     true = {
-        "glint": np.array([[0.03, 0.03, 0.03, 0.01], [0.0, 0.0, 0.0, 0.0]]),
+        "glint": np.array([[1, 1, 1, 0], [0, 0, 0, 0]], bool),
         "shadow": np.array([[0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.0, 1.0]]),
         "indirect": np.zeros((2, 4)),
         "mixed": np.array([[False, False, True, True], [False, False, False, False]]),

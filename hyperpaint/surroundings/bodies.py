@@ -175,6 +175,8 @@ def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
     The brightest are brighter by ``most`` at least; half of the body is not much brighter, as it would be
     beside a shadow; and as much of the sky is seen as elsewhere.
     """
+    if not light.direct.any():
+        return None
     level = values @ light.direct / (light.direct @ light.direct)
     first, last, usual, middle, high = np.quantile(
         level, [*BODIES.darkest_quantiles, BODIES.usual_quantile, 0.5, BODIES.brightest_quantile]

@@ -48,6 +48,9 @@ class SurveyRules:
     min_edge_distance_px: int = 2  #: Distance from a boundary from which on spectra count [pixel].
     max_noise_pairs: int = 100_000  #: Pairs of neighbouring pixels that noise is estimated from, at most.
     min_noise_level: float = 0.01  #: Reflectance that noise is relative to, at least [1].
+    #: Direct part of the light, at least: with less, nothing casts a shadow that is seen, and no sun is
+    #: mirrored; what is darker may be anything [1].
+    min_direct: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,20 @@ class ShadowRules:
     #: Share of the border from which on a segment lies in shadow with more direct light [1].
     enclosed: float = 0.7
     max_enclosed_direct: float = 0.25  #: That direct light, at most [1].
+    #: Cosine between the side to which shadows are seen to fall and that they are said to, at least: beyond,
+    #: heading or clock is wrong [1].
+    min_agreement: float = -0.3
+    #: Share of borders that lie on the side to which shadows are seen to fall, at least [1].
+    min_coherence: float = 0.6
+    #: Misfit of what is a shadow by its spectrum alone, relative to what is seen, at most [1].
+    max_spectral_misfit: float = 0.02
+    max_spectral_direct: float = 0.02  #: Direct light of the same, and that of a neighbour, at most [1].
+    #: Sky's light of the same times the body's reflectance, at least: a coat on black mirrors 0.04 of the
+    #: sky, whose spectrum that is, up to twice as bright as its mean, and the darkest bodies send 0.01 [1].
+    min_spectral_level: float = 0.09
+    beside_px: int = 8  #: Distance of the lit body from the same, and its pixels there, at least [pixel].
+    penumbra_px: int = 8  #: Distance from a shadow over which light fades, at most [pixel].
+    max_penumbra_sky: float = 1.3  #: Amount of the sky's light there, at most [1].
 
 
 @dataclass(frozen=True)

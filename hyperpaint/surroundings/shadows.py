@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
+from hyperpaint.base.errors import PaintWarning
 
 from .detection_rules import SHADOWS
 from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["match_shade", "shaded_pixels"]
+__all__ = ["match_shade", "penumbrae", "shaded_pixels"]
 
 
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -51,6 +53,11 @@ def match_shade(
        around.
     2. The ground is what most of these lie on. On it, shadows may be darker and more coloured.
     3. From there they go on to segments that touch them, and are no part of what stands in the sun.
+    4. Whatever lies around: what has the sky's part of a body's light to 2 % in all channels, and more of it
+       than glass or black paint could mirror, beside that body.
+
+    Where clear shadows fall to another side than they are said to, a `PaintWarning` says so, and the side
+    that is seen is used.
 
     Takes ``number`` (line, column): segment of every pixel, -1 without data; ``spectrum`` (segment, channel):
     reflectance [1]; ``size`` (segment,): pixels; ``pairs``: which segments touch; ``light``: parts of the
@@ -68,10 +75,20 @@ def match_shade(
     if not mixtures.segment.size:
         return Matches(state, body), ground
     sides = _lit_sides(mixtures, scene)
+    seen_side, coherence = _side_of_shadows(mixtures, sides, scene) or (None, 0.0)
+    agree = side is None or seen_side is None or seen_side @ side >= SHADOWS.min_agreement
+    if not agree and coherence >= SHADOWS.min_coherence:
+        warnings.warn(
+            "shadows fall to another side than the sun's place and the heading of the line say; they are "
+            "taken as they are seen. Check the heading, its convention and the clock",
+            PaintWarning,
+            stacklevel=2,
+        )
+        side = seen_side
+    side = seen_side if side is None else side
     if side is None:
-        side = _side_of_shadows(mixtures, sides, scene)
-        if side is None:
-            return Matches(state, body), ground
+        _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
+        return Matches(state, body), ground
     length, way = sides.sum(axis=1), sides @ (_STEPS @ side)
     _assign(mixtures, _beyond_doubt(mixtures, length, way, border), state, body)
     ground = _ground(scene, state, body)
@@ -93,6 +110,7 @@ def match_shade(
     best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
     _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
     _grow(mixtures, ground, best, length, way, scene, state, body)
+    _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
     return Matches(state, body), ground
 
 
@@ -139,16 +157,17 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
     return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < SHADOWS.max_shape_difference))
 
 
-def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> Floats | None:
-    """Return the direction (along, across) in which shadows fall, None without any."""
+def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
+    """Return to which side (along, across) shadows fall, and how far they agree; None without any."""
     sure = (
         _clear(mixtures)
         & (mixtures.sky > SHADOWS.min_clear_sky)
         & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
     )
-    total = (sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]).sum(axis=0)
-    length = float(np.hypot(*total))
-    return np.asarray(total / length) if length > 0 else None
+    towards = sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]
+    total = towards.sum(axis=0)
+    length, whole = float(np.hypot(*total)), float(np.hypot(*towards.T).sum())
+    return (np.asarray(total / length), length / whole) if length > 0 else None
 
 
 def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
@@ -166,6 +185,66 @@ def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Float
     away = way >= SHADOWS.sure.way * length
     island = (length > SHADOWS.island_border * around) & (way >= -SHADOWS.sideways * length)
     return np.asarray(_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (away | island))
+
+
+def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
+    """Tell which are a body without the sun by spectrum and level alone, and lie beside it."""
+    from scipy.ndimage import binary_dilation, find_objects
+
+    level = np.nan_to_num(scene.spectrum).mean(axis=1)
+    fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_spectral_direct)
+    fits &= (mixtures.sky > SHADOWS.min_clear_sky) & (mixtures.sent < SHADOWS.max_spectral_direct)
+    fits &= level[mixtures.segment] < SHADOWS.max_brightness * level[mixtures.body]
+    fits &= mixtures.sky * level[mixtures.body] > SHADOWS.min_spectral_level
+    fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
+    places = find_objects(number + 1) if fits.any() else []
+    for row in np.flatnonzero(fits):
+        window = around(places[mixtures.segment[row]], SHADOWS.beside_px)
+        here = number[window]
+        near = binary_dilation(here == mixtures.segment[row], iterations=SHADOWS.beside_px)
+        fits[row] = (here[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
+    return np.asarray(fits)
+
+
+def around(place: tuple[slice, ...], pixels: int) -> tuple[slice, slice]:
+    """Return a window that is some pixels wider to all sides."""
+    rows, columns = (slice(max(part.start - pixels, 0), part.stop + pixels) for part in place)
+    return rows, columns
+
+
+def penumbrae(
+    channels: Floats32, number: npt.NDArray[np.int32], matches: Matches, ground: Bools, light: Light
+) -> npt.NDArray[np.int32]:
+    """Return the segments of pixels (line, column), with those of shadows' wide edges on bodies among them.
+
+    Light fades there, so that pixels are of neither side, and went with whatever neighbour there is.
+    Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are left as they are.
+    """
+    from scipy.ndimage import binary_dilation, find_objects
+
+    numbers = number
+    chosen = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
+    places = find_objects(number + 1) if chosen.size else []
+    for segment in chosen:
+        window = around(places[segment], SHADOWS.penumbra_px)
+        here, lit = number[window], matches.body[segment]
+        near = binary_dilation(here == segment, iterations=SHADOWS.penumbra_px)
+        near &= (here >= 0) & (here != segment) & (here != lit)
+        beside = channels[window][here == lit].astype(np.float64)
+        beside = beside[np.isfinite(beside).all(axis=1)]
+        if not near.any() or not beside.size:
+            continue
+        bright = np.median(beside, axis=0)
+        seen = channels[window][near].astype(np.float64)
+        amount, misfit = solve(np.nan_to_num(seen), np.broadcast_to(bright, seen.shape), None, light)
+        bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
+        fades = (amount[:, 0] < SHADOWS.max_pixel_direct) & (misfit < SHADOWS.max_misfit) & bluer
+        fades &= amount[:, 1] < SHADOWS.max_penumbra_sky
+        if numbers is number:
+            numbers = number.copy()
+        part = numbers[window]
+        part[near] = np.where(fades, segment, part[near])
+    return numbers
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:

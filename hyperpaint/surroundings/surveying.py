@@ -22,8 +22,8 @@ from .full_light import Light, Matches, match_segments, median_spectra
 from .light_split import LightSplit, split_of
 from .lobes import Picture, mirror_lobes
 from .model import LIT, SHADED, SceneModel, two_nearest
-from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
-from .shadows import match_shade, shaded_pixels
+from .segments import Segments, border_steps, distance_to, divide, edge_distance, sample_pixels, touching
+from .shadows import match_shade, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
 
 if TYPE_CHECKING:
@@ -231,7 +231,8 @@ def survey(
        :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given its spectrum. Dark glass and black paint
        can look like shadowed asphalt in every band: a shadow touches its lit body, though not on the side of
        the sun, or goes on from one that does. On the ground, single pixels are shadow where direct light is
-       missing and that of the sky is not.
+       missing and that of the sky is not. Where the sky has over 95 % of the light there are no shadows, and
+       no mirror images of the sun.
     3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least, less
        what other parts of the same paint, where they are coloured, show to be glint all over it.
     4. The nearest coloured segments of every 4 x 4 pixels.
@@ -284,6 +285,9 @@ def survey(
     steps = border_steps(channels, segments.number, pairs)
 
     def matched(light: Light) -> tuple[Matches, Bools]:
+        if light.direct.mean() < SURVEY.min_direct:
+            lit = Matches(np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32))
+            return lit, np.zeros(count, bool)
         shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
         return match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith), ground
 
@@ -292,6 +296,10 @@ def survey(
         split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
         light = Light.under(split, *sky)
         matches, ground = matched(light)
+    number = penumbrae(channels, segments.number, matches, ground, light)
+    if number is not segments.number:
+        sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
+        segments = Segments(number, segments.sure, sizes)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
     beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
@@ -300,7 +308,10 @@ def survey(
     coated = coloured_bodies(reference, light)
     # what nothing casts a shadow on may be a bonnet that fills the picture
     bare = ground & ground[matches.body[matches.state == SHADED]].any()
-    lobe = mirror_lobes(Picture(channels, saturated, shown, bare, reference, coated, light))
+    if light.direct.mean() < SURVEY.min_direct:
+        lobe = np.zeros(shown.shape, np.uint8)
+    else:
+        lobe = mirror_lobes(Picture(channels, saturated, shown, bare, reference, coated, light))
     noise = channel_noise(channels, segments.number, is_inside)
     level = ground & (matches.state == LIT)
     shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
