@@ -182,6 +182,7 @@ def test_masks_survive() -> None:
         np.testing.assert_array_equal(np.isnan(made[name].values), missing)
 
 
+@pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
 @pytest.mark.parametrize("smile", [None, SHIFT, np.broadcast_to(SHIFT, (12, 6)) + 0.1])
 @pytest.mark.parametrize(
     "options",
