@@ -104,7 +104,7 @@ def open_asd(
     xarray.Dataset
         One variable, named by its quantity, on (spectrum, wavelength), float64, ordered by time; coordinates
         ``spectrum`` (names of the files without ``.asd``, or of the columns of an export), ``wavelength``
-        [nm], ``time`` (UTC, NaT for exports without a stamp), ``source``, ``latitude``, ``longitude`` and
+        [nm], ``time`` (UTC, NaT without a stamp or its zone), ``source``, ``latitude``, ``longitude`` and
         ``altitude`` (NaN without a GPS fix). Stamps are whole seconds, as in the files. Attributes of
         reflectance: ``reflectance_scale``, relative (to the white panel) or absolute, and the ``panel``.
 
@@ -114,7 +114,7 @@ def open_asd(
         Files are missing or damaged, lack the reference or the calibration blocks the quantity needs, or
         differ in wavelengths; all are named.
     TimeError
-        The UTC offset of a file is unknown.
+        ``utc_offset_h`` is the offset of no zone.
     SchemaError
         ``quantity`` or ``calibration`` is not one of those above, or what is asked to be ``absolute`` is no
         reflectance.
@@ -123,7 +123,8 @@ def open_asd(
     -----
     PaintWarning
         Saturated or undefined samples, which become NaN; a guessed quantity; spectra whose dark current was
-        not subtracted; a UTC offset that contradicts the files.
+        not subtracted; a UTC offset that contradicts the files; local times whose zone is unknown, which are
+        NaT.
 
     Notes
     -----
@@ -146,6 +147,9 @@ def open_asd(
     files = find_files(paths)
     spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
     stamped = [s for s in spectra if s.local_time is not None]
+    if utc_offset_h is None and (silent := [s for s in stamped if s.utc_offset_h is None]):
+        _warn(f"local times are NaT, since {_zoneless(silent)}")
+        stamped = [s for s in stamped if s.utc_offset_h is not None]
     offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
     times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
     order = np.argsort(times, kind="stable")  # NaT last
@@ -381,12 +385,17 @@ def utc_offsets(
         return [next(iter(sources_by_offset))] * len(spectra)
     silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
     if silent:
-        hint = next((hint for hint in map(_offset_hint, silent) if hint), "")
-        raise TimeError(
-            "the time stamps are local and the files do not say their zone; pass utc_offset_h= "
-            f"(local time minus UTC in hours){hint}. Files: {listed([s.source for s in silent])}"
-        )
+        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}")
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+
+
+def _zoneless(silent: Sequence[Spectrum]) -> str:
+    hint = next((hint for hint in map(_offset_hint, silent) if hint), "")
+    files = listed([spectrum.source for spectrum in silent])
+    return (
+        "the files do not say their zone; pass utc_offset_h= (local time minus UTC in hours)"
+        f"{hint}. Files: {files}"
+    )
 
 
 def _offset_hint(spectrum: Spectrum) -> str:

@@ -147,9 +147,22 @@ def test_real_radiance_ends_at_the_splice(shared_data):
 
 
 @pytest.mark.real_data
-def test_unknown_zone_is_refused_with_a_hint(shared_data):
-    with pytest.raises(TimeError, match=r"utc_offset_h=.*perhaps -6 .*v7sample00000\.asd"):
-        open_asd(shared_data / "asd_binary" / "v7sample00000.asd")
+def test_of_an_unknown_zone_the_time_is_nat_with_a_hint(shared_data):
+    """Rationale: as `open_svc` does; a spectrum of a paint is of use without its time."""
+    with pytest.warns(PaintWarning, match=r"NaT, .*utc_offset_h=.*perhaps -6 .*v7sample00000\.asd"):
+        opened = open_asd(shared_data / "asd_binary" / "v7sample00000.asd")
+    assert np.isnat(opened["time"].values).all()
+    known = open_asd(shared_data / "asd_binary" / "v7sample00000.asd", utc_offset_h=-6)
+    np.testing.assert_array_equal(opened["radiance"].values, known["radiance"].values)
+
+
+def test_only_those_of_unknown_zone_have_no_time(write_asd):
+    write_asd("a.asd", COUNTS)
+    path = write_asd("b.asd", COUNTS, reference=COUNTS, reference_epoch=1716286000, utc_offset_h=2.0)
+    with pytest.warns(PaintWarning, match=r"NaT, .*Files: a\.asd$"):
+        opened = open_asd(path.parent, "counts")
+    assert list(opened["source"].values) == ["b.asd", "a.asd"]
+    assert np.isnat(opened["time"].values).tolist() == [False, True]
 
 
 @pytest.mark.real_data
@@ -277,7 +290,7 @@ def test_spectra_have_names(write_asd, tmp_path):
 def test_an_unknown_zone_is_guessed_from_the_gps_for_the_message(write_asd):
     gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, 4815.0, -1142.0, 12.0, 1, 0, 7, 31, 22, 0, 0, b"", 0, 0)
     path = write_asd("a.asd", COUNTS, gps=gps, local=dt.datetime(2024, 5, 21, 0, 33, 7))
-    with pytest.raises(TimeError, match=r"perhaps \+2 by the GPS\. Files: a\.asd"):
+    with pytest.warns(PaintWarning, match=r"perhaps \+2 by the GPS\. Files: a\.asd"):
         open_asd(path)
 
 
