@@ -19,6 +19,7 @@ from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cel
 from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
+from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .tilted_light import tilt_factors
 from .uncertainty.propagation import error_terms
@@ -256,6 +257,7 @@ def _illuminate(
     # a record of the whole day lights a line of a minute
     used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
     before, after = places.reshape(2, -1)
+    check_light(cube, spectra[used], channels, stamps[used])
     imager = {
         "wavelength": np.asarray(cube["wavelength"], np.float64),
         "fwhm": np.asarray(cube["fwhm"], np.float64),
@@ -268,6 +270,7 @@ def _illuminate(
     matched, misfit = matched_series(
         spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
     )
+    warn_of_lost_bands(spectra[used], channels, matched, imager["wavelength"])
     if tilt is not None:
         place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))
         onto = tilt_factors(tilt, {**light, "time": time}, used, imager["wavelength"], place)

@@ -15,6 +15,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
+from hyperpaint.base.daylight import HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
@@ -406,14 +407,6 @@ def _dataset(
     )
 
 
-# Above the atmosphere the sun gives 2.2 W m-2 nm-1 at most and 1.5 in the median of 400-1000 nm, and light
-# off clouds hardly adds more than the air takes; 3e-4 is deep twilight, yet more than full sun mistaken for
-# W cm-2 nm-1.
-_HIGHEST_MEDIAN = 3.0
-_LOWEST_MEDIAN = 3e-4
-_JUDGED_NM = (400.0, 1000.0)
-
-
 def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     """Refuse a series whose scale no daylight has: its units are others than those given.
 
@@ -421,22 +414,18 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
     Raises UnitsError: The brightest sample's median over 400-1000 nm is not that of daylight.
     """
-    judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
-    judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
-    if not len(judged):
-        return
-    medians = np.nanmedian(judged, axis=1)
-    brightest = float(medians.max())
-    if _LOWEST_MEDIAN <= brightest <= _HIGHEST_MEDIAN:
+    brightest = brightest_median(wavelength, values)
+    if np.isnan(brightest) or LOWEST_MEDIAN <= brightest <= HIGHEST_MEDIAN:
         return
     direction = (
-        f"brighter than the sun above the atmosphere (at most {_HIGHEST_MEDIAN:g} is believed)"
-        if brightest > _HIGHEST_MEDIAN
-        else f"darker than deep twilight (at least {_LOWEST_MEDIAN:g} is believed)"
+        f"brighter than the sun above the atmosphere (at most {HIGHEST_MEDIAN:g} is believed)"
+        if brightest > HIGHEST_MEDIAN
+        else f"darker than deep twilight (at least {LOWEST_MEDIAN:g} is believed)"
     )
+    slip = unit_slip(brightest) or "uW labelled as W?"
     raise UnitsError(
         f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
-        "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
+        f"other units ({slip}) or another quantity, such as counts? Pass units=, or convert them"
     )
 
 

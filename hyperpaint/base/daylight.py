@@ -1,0 +1,58 @@
+"""How bright daylight may be, and which unit taken for another explains what is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .arrays import Floats
+
+__all__ = ["HIGHEST_MEDIAN", "LOWEST_MEDIAN", "brightest_median", "unit_slip"]
+
+HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
+"""Median irradiance of 400-1000 nm that is believed [W m-2 nm-1]. Above the atmosphere the sun gives 2.2 at
+most and 1.5 in the median, and light off clouds hardly adds more than the air takes; 3e-4 is deep twilight,
+yet more than full sun mistaken for W cm-2 nm-1."""
+
+_JUDGED_NM = (400.0, 1000.0)
+_IN_W_M2_NM = {
+    "uW cm-2 nm-1": 1e-2, "mW m-2 nm-1 (W m-2 um-1)": 1e-3, "uW m-2 nm-1": 1e-6, "mW cm-2 nm-1": 10.0,
+    "W cm-2 nm-1": 1e4,
+}  # fmt: skip
+_FIT = math.log(3.0)
+
+
+def brightest_median(wavelength: Floats, values: Floats) -> float:
+    """Return the median over 400-1000 nm of the brightest sample; NaN where there is none.
+
+    wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
+    """
+    judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
+    judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
+    return float(np.nanmedian(judged, axis=1).max()) if len(judged) else math.nan
+
+
+def unit_slip(ratio: float) -> str:
+    """Return which unit was taken for which where irradiance is this many times what it should be.
+
+    Examples
+    --------
+    >>> unit_slip(1.2e-6)
+    'as of values in W m-2 nm-1 that are said to be in uW m-2 nm-1'
+    >>> unit_slip(90.0)
+    'as of values in uW cm-2 nm-1 that are taken for W m-2 nm-1'
+    >>> unit_slip(1.5)
+    ''
+    """
+    if not 0.0 < ratio < math.inf:
+        return ""
+    words = {
+        f"as of values in W m-2 nm-1 that are said to be in {unit}": factor
+        for unit, factor in _IN_W_M2_NM.items()
+    } | {
+        f"as of values in {unit} that are taken for W m-2 nm-1": 1.0 / factor
+        for unit, factor in _IN_W_M2_NM.items()
+    }
+    nearest = min(words, key=lambda text: abs(math.log(words[text] / ratio)))
+    return nearest if abs(math.log(words[nearest] / ratio)) <= _FIT else ""

@@ -1,0 +1,78 @@
+"""Irradiance that is no daylight, not that of its place and time, or lacks channels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+
+
+def _line(factor: float = 1.0, *, position: bool = True, hours: int = 0) -> xr.Dataset:
+    """A line with a clear sky's level over it, times a factor, all stamps late by some hours."""
+    line = flight(lines=4, position=position).line
+    delay = np.timedelta64(hours, "h")
+    times = {name: (line[name].dims, line[name].values + delay) for name in ("time", "irradiance_time")}
+    line = line.assign_coords(times)
+    return line.assign(irradiance=line.irradiance.copy(data=line.irradiance.values * np.float32(factor)))
+
+
+@pytest.mark.parametrize("position", [True, False])
+@pytest.mark.parametrize("factor", [0.2, 0.5, 1.0, 1.4])
+def test_daylight_passes_without_a_word(factor: float, position: bool) -> None:
+    reflectance(_line(factor, position=position)).reflectance.compute()
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(1e-6, "said to be in uW m-2 nm-1"), (1e-4, "values in W cm-2 nm-1 that are taken"), (10.0, "mW cm-2"),
+     (100.0, "values in uW cm-2 nm-1 that are taken"), (1e3, r"mW m-2 nm-1 \(W m-2 um-1\) that are taken")],
+)  # fmt: skip
+def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) -> None:
+    """Rationale: a millionth of the sun gave a reflectance of 203, and no flag."""
+    lazily = reflectance(_line(factor))
+    with pytest.raises(SchemaError, match=rf"expected 0.0003 to 3 of daylight.*{unit}"):
+        lazily.reflectance.compute()
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e-2, "said to be in uW cm-2 nm-1"), (1e-3, "said to be in mW m-2 nm-1"), (2.2, "")]
+)
+def test_what_a_clear_sky_contradicts_is_warned_of(factor: float, unit: str) -> None:
+    lazily = reflectance(_line(factor))
+    with pytest.warns(PaintWarning, match=rf"times that of a clear sky.*{unit}.*check its units"):
+        lazily.reflectance.compute()
+
+
+def test_without_a_place_only_what_is_no_day_is_warned_of() -> None:
+    with pytest.warns(PaintWarning, match="expected 0.02 at least by day"):
+        reflectance(_line(1e-2, position=False)).reflectance.compute()
+
+
+def test_light_of_noon_by_night_is_of_a_local_clock() -> None:
+    lazily = reflectance(_line(hours=12))
+    with pytest.warns(PaintWarning, match="above the horizon: is its time local, not UTC"):
+        lazily.reflectance.compute()
+
+
+def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs() -> None:
+    """Rationale: two of twelve bands had no reflectance, no flag and no word."""
+    line = _line()
+    record = line.irradiance.values.copy()
+    record[:, 150] = np.nan
+    lazily = reflectance(line.assign(irradiance=line.irradiance.copy(data=record)))
+    with pytest.warns(
+        PaintWarning, match=r"1 channels, such as 550 nm: 2 of 12 bands .* 536.364 to 554.545 nm"
+    ):
+        lost = np.isnan(lazily.reflectance.values).all(axis=(0, 2))
+    assert np.flatnonzero(lost).tolist() == [2, 3]
+
+
+def test_a_sample_without_any_channel_is_a_gap_and_no_lost_band() -> None:
+    line = _line()
+    record = line.irradiance.values.copy()
+    record[0] = np.nan
+    reflectance(line.assign(irradiance=line.irradiance.copy(data=record))).reflectance.compute()
