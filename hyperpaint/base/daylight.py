@@ -8,12 +8,15 @@ import numpy as np
 
 from .arrays import Floats
 
-__all__ = ["HIGHEST_MEDIAN", "LOWEST_MEDIAN", "brightest_median", "unit_slip"]
+__all__ = ["DULL_MEDIAN", "HIGHEST_MEDIAN", "LOWEST_MEDIAN", "brightest_median", "unit_slip"]
 
 HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
 """Median irradiance of 400-1000 nm that is believed [W m-2 nm-1]. Above the atmosphere the sun gives 2.2 at
 most and 1.5 in the median, and light off clouds hardly adds more than the air takes; 3e-4 is deep twilight,
 yet more than full sun mistaken for W cm-2 nm-1."""
+
+DULL_MEDIAN = 0.02
+"""Below it is no light to fly in [W m-2 nm-1]: a dull sky over the lowest sun that is flown in gives 0.04."""
 
 _JUDGED_NM = (400.0, 1000.0)
 _IN_W_M2_NM = {

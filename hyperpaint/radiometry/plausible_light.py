@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.daylight import HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
+from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import solar_position
@@ -26,8 +26,6 @@ class LightRules:
     least_share, most_share
         Median of 400-1000 nm over that of a clear sky at the place and time [1]. A thunderstorm lets 0.02
         through, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
-    least_median
-        Where the place is not known [W m-2 nm-1]: a dull sky over the lowest sun that is flown in gives 0.04.
     max_zenith
         Of the sun, up to which the clear sky is asked [degree].
     most_low_sun
@@ -36,7 +34,6 @@ class LightRules:
 
     least_share: float = 0.015
     most_share: float = 1.8
-    least_median: float = 0.02
     max_zenith: float = 80.0
     most_low_sun: float = 0.3
 
@@ -69,8 +66,8 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         doubtful = level > RULES.most_low_sun
         against = f"though the sun is {90 - zenith:.0f} degree above the horizon: is its time local, not UTC?"
     else:
-        doubtful = level < RULES.least_median
-        against = f"expected {RULES.least_median:g} at least by day{slip}"
+        doubtful = level < DULL_MEDIAN
+        against = f"expected {DULL_MEDIAN:g} at least by day{slip}"
     if doubtful:
         text = f"{shown}, {against}; check its units, its time, and the line's place"
         warnings.warn(text, PaintWarning, stacklevel=2)

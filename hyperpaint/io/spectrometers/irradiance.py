@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,8 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
-from hyperpaint.base.daylight import HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
-from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -32,6 +33,8 @@ ASD_FWHM_NM = 3.0
 _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
 _GAP_INTERVALS = 2.5
 _MARGIN = np.timedelta64(60, "s")
+#: Where the sun has light to speak of, and what resolutions spectrometers have [nm].
+_SUNLIT_NM, _WIDTHS_NM = (200.0, 2600.0), (0.02, 100.0)
 #: Pairs of samples with one stamp that a message names.
 _MOST_SHOWN = 20
 
@@ -388,6 +391,11 @@ def _dataset(
     width = np.asarray(fwhm, np.float64)
     if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
         raise SchemaError(f"{series.origin}: irradiance_fwhm must be a positive number or one per wavelength")
+    if not _WIDTHS_NM[0] <= width.min() <= width.max() <= _WIDTHS_NM[1]:
+        raise SchemaError(
+            f"{series.origin}: irradiance_fwhm from {width.min():g} to {width.max():g} nm, expected "
+            f"{_WIDTHS_NM[0]:g} to {_WIDTHS_NM[1]:g} nm; is it in micrometres, or angstroms?"
+        )
     return xr.Dataset(
         {
             "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),
@@ -412,9 +420,22 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
 
     wavelength : (irradiance_wavelength,): [nm].
     values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
-    Raises UnitsError: The brightest sample's median over 400-1000 nm is not that of daylight.
+    Raises UnitsError: The brightest sample's median over 400-1000 nm is not that of daylight; or the sun has
+        nothing at these wavelengths.
+    Warns PaintWarning: It is as dim as before sunrise.
     """
+    if wavelength[-1] < _SUNLIT_NM[0] or wavelength[0] > _SUNLIT_NM[1]:
+        raise UnitsError(
+            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g} nm, where there is no sunlight; are "
+            "they in micrometres, angstroms or wavenumbers? Convert them to nanometres"
+        )
     brightest = brightest_median(wavelength, values)
+    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and (slip := unit_slip(brightest)):
+        text = (
+            f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1 at its brightest, {slip}; "
+            "check its units, unless the sun was below the horizon"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=4)
     if np.isnan(brightest) or LOWEST_MEDIAN <= brightest <= HIGHEST_MEDIAN:
         return
     direction = (
