@@ -227,6 +227,8 @@ class ShadowRules:
     #: Share of the border from which on a segment lies in shadow with more direct light [1].
     enclosed: float = 0.7
     max_enclosed_direct: float = 0.25  #: That direct light, at most [1].
+    min_thin_px: int = 16  #: Single pixels of a thin thing's shadow, at least.
+    min_thinness: float = 5.0  #: Length of such a shadow over its width, at least [1].
     #: Cosine between the side to which shadows are seen to fall and that they are said to, at least: beyond,
     #: heading or clock is wrong [1].
     min_agreement: float = -0.3

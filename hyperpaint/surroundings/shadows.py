@@ -16,7 +16,7 @@ from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders
 from .model import LIT, SHADED
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["match_shade", "penumbrae", "shaded_pixels"]
+__all__ = ["match_shade", "of_shadows", "penumbrae", "shaded_pixels"]
 
 
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -348,3 +348,25 @@ def shaded_pixels(
         missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)
         shaded[part][here] = missing
     return shaded
+
+
+def of_shadows(shaded: Bools, dark: Bools) -> Bools:
+    """Return the single pixels in shadow (line, column) that belong to one: texture of the ground left out.
+
+    Those that touch what lies in shadow, and long thin pieces, such as the shadows of posts. Takes
+    ``shaded``, ``dark`` (line, column): single pixels, and segments in shadow.
+    """
+    from scipy.ndimage import binary_dilation, find_objects, label
+
+    pieces, count = label(shaded, np.ones((3, 3)))
+    belongs = np.zeros(count + 1, bool)
+    belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
+    size = np.bincount(pieces.ravel(), minlength=count + 1)
+    for number, window in enumerate(find_objects(pieces), 1):
+        if belongs[number] or size[number] < SHADOWS.min_thin_px:
+            continue
+        places = np.stack(np.nonzero(pieces[window] == number)).astype(np.float64)
+        narrow, wide = np.linalg.eigvalsh(np.cov(places))
+        belongs[number] = wide > SHADOWS.min_thinness**2 * max(narrow, 1.0 / 12.0)
+    belongs[0] = False
+    return np.asarray(belongs[pieces])

@@ -23,7 +23,7 @@ from .light_split import LightSplit, split_of
 from .lobes import Picture, mirror_lobes
 from .model import LIT, SHADED, SceneModel, two_nearest
 from .segments import Segments, border_steps, distance_to, divide, edge_distance, sample_pixels, touching
-from .shadows import match_shade, penumbrae, shaded_pixels
+from .shadows import match_shade, of_shadows, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
 
 if TYPE_CHECKING:
@@ -315,7 +315,8 @@ def survey(
     noise = channel_noise(channels, segments.number, is_inside)
     level = ground & (matches.state == LIT)
     shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
-    shade_distance[shaded_pixels(channels, segments.number, level, reference, light)] = 0
+    shaded = shaded_pixels(channels, segments.number, level, reference, light)
+    shade_distance[of_shadows(shaded, shade_distance == 0)] = 0
     return SceneModel(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
         zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,

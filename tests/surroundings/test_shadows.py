@@ -11,7 +11,7 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
-from hyperpaint.surroundings.shadows import match_shade, shaded_pixels
+from hyperpaint.surroundings.shadows import match_shade, of_shadows, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)
 DIFFUSE = diffuse_fraction(NM, 40.0)
@@ -125,3 +125,18 @@ def test_distances_are_counted_from_what_is_chosen() -> None:
     assert (distance_to(chosen) == 255).all()
     chosen[2, 1] = True
     assert distance_to(chosen)[2].tolist() == [1, 0, 1, 2, 3, 4, 5]
+
+
+def test_dark_pixels_of_a_texture_are_no_shadows_and_a_post_is_one() -> None:
+    dark = np.zeros((40, 60), bool)
+    dark[10:20, 10:30] = True  # a car's shadow
+    shaded = np.zeros_like(dark)
+    shaded[20:22, 12:28] = True  # its fading edge
+    shaded[5:35, 50] = True  # a post's
+    shaded[30, 5] = shaded[33, 20] = True  # grains of asphalt
+    shaded[25:30, 35:40] = True  # a stain
+    found = of_shadows(shaded, dark)
+    assert found[20:22, 12:28].all()
+    assert found[5:35, 50].all()
+    assert found.sum() == 32 + 30
+    assert not of_shadows(dark, np.zeros_like(dark))[~dark].any()
