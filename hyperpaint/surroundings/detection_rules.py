@@ -227,6 +227,9 @@ class ShadowRules:
     #: Share of the border from which on a segment lies in shadow with more direct light [1].
     enclosed: float = 0.7
     max_enclosed_direct: float = 0.25  #: That direct light, at most [1].
+    #: Brightness of single pixels deep in a shadow, relative to their body, at most: no texture is that
+    #: dark [1].
+    max_deep_level: float = 0.4
     min_thin_px: int = 16  #: Single pixels of a thin thing's shadow, at least.
     min_thinness: float = 5.0  #: Length of such a shadow over its width, at least [1].
     #: Cosine between the side to which shadows are seen to fall and that they are said to, at least: beyond,

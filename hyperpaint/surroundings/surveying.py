@@ -17,7 +17,7 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .bodies import clean_references, coloured_bodies, nearest_coloured, same_paints
-from .detection_rules import SURVEY
+from .detection_rules import SHADOWS, SURVEY
 from .full_light import Light, Matches, match_segments, median_spectra
 from .light_split import LightSplit, split_of
 from .lobes import Picture, mirror_lobes
@@ -316,7 +316,9 @@ def survey(
     level = ground & (matches.state == LIT)
     shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
     shaded = shaded_pixels(channels, segments.number, level, reference, light)
-    shade_distance[of_shadows(shaded, shade_distance == 0)] = 0
+    bright = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)[segments.number]
+    deep = shaded & (channels.mean(axis=2) < SHADOWS.max_deep_level * bright)
+    shade_distance[of_shadows(shaded, (shade_distance == 0) | deep)] = 0
     return SceneModel(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
         zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
