@@ -54,6 +54,13 @@ Options from --ground on place the lines for regions of a map; by default the st
 @click.option("--window", type=int, default=11, help="Bands that are smoothed over, an odd number.")
 @click.option("--specular-sky", is_flag=True, help="Subtract the sky that a clear coat mirrors.")
 @click.option(
+    "--coat/--no-coat", default=None,
+    help="Divide by what a clear coat lets through of a low sun.  [default: with --specular-sky]",
+)  # fmt: skip
+@click.option(
+    "--coat-index", type=click.FloatRange(1.0, 3.0), default=1.5, help="Refractive index of the coat."
+)
+@click.option(
     "--flags/--no-flags", default=True,
     help="Look for glint, shadow and light of neighbours first, on lines without such flags.",
 )  # fmt: skip

@@ -27,7 +27,7 @@ from hyperpaint.base.errors import SchemaError
 
 __all__ = [
     "HORIZON_SHIFT", "Dome", "clear_sky_shares", "dome", "facing_gain", "function_shapes",
-    "relative_radiance", "scattering_cosine", "sunward_gain", "zenith_radiance",
+    "radiance_towards_sun", "relative_radiance", "scattering_cosine", "sunward_gain", "zenith_radiance",
 ]  # fmt: skip
 
 
@@ -175,6 +175,25 @@ def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float
     """
     above = np.cos(np.radians(sun_zenith))
     parts = [relative_radiance(shape, np.array(1.0), above) for shape in function_shapes(float(sun_zenith))]
+    return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
+
+
+def radiance_towards_sun(
+    wavelength: npt.ArrayLike, sun_zenith: float, angle: float, aerosol: float = 0.1
+) -> Floats:
+    """Return the radiance of a clear sky over that of a uniform one (band,) [1], some way from the zenith.
+
+    ``angle`` from the zenith, positive towards the sun [degree]; other arguments as for `clear_sky_shares`.
+
+    Examples
+    --------
+    >>> nm = [450.0]
+    >>> radiance_towards_sun(nm, 60.0, 4.0) > radiance_towards_sun(nm, 60.0, -4.0)
+    array([ True])
+    """
+    turned = np.cos(np.radians(sun_zenith - angle))
+    cosine = np.cos(np.radians(angle))
+    parts = [relative_radiance(shape, cosine, turned) for shape in function_shapes(float(sun_zenith))]
     return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
 
 

@@ -215,7 +215,7 @@ def test_the_library_is_that_of_the_table() -> None:
     library = extract_signatures(made(), TWO)
     # those of a coat come with its correction
     for name, row in LIBRARY_VARIABLES.items():
-        if "coat" in name:
+        if name in ("coat_transmission", "coat_transmission_u", "reflectance_u_coat"):
             assert name not in library
             continue
         array = library[name]

@@ -22,6 +22,7 @@ from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
 
+from .coat_strength import with_coat_strength
 from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
@@ -227,15 +228,17 @@ def extract_signatures(
         of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``, ``view_zenith``, ``view_azimuth``,
         ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint); ``diffuse_fraction``,
         ``diffuse_fraction_u`` (paint, band) [1], NaN where nothing says it, and ``sky_state`` (paint);
-        ``coat_transmission`` and ``coat_transmission_u`` (paint, band) [1] where the coat was corrected;
-        ``aspecular_angle``, between the view and the direction in which a level panel mirrors the sun, and
-        ``aspecular_range``, by how much that may differ over the panel (paint) [degree]; ``flop`` (paint,
-        band), how reflectance changes from the dark to the bright end of the panel, relative [1].
-        Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as
-        GeoJSON), and every property of the regions. Attributes say how it was made; those of reflectance
-        what it is: its ``quantity``, that of the body under a coat, of the body through it, or of its
-        outside; ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat
-        mirrors ("included" or "excluded"); and ``geometry``.
+        ``coat_transmission``, ``coat_transmission_u`` and ``reflectance_u_coat`` (paint, band) [1] where the
+        coat was corrected. ``coat_strength`` and ``coat_strength_u`` (paint) [1], the sky that a coat mirrors
+        over what its index predicts, where dark curved panels tell it; else NaN, and
+        ``coat_strength_reason``. ``aspecular_angle``, between the view and the direction in which a level
+        panel mirrors the sun, and ``aspecular_range``, by how much that may differ over the panel (paint)
+        [degree]; ``flop`` (paint, band), how reflectance changes from the dark to the bright end of the
+        panel, relative [1]. Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``,
+        ``flightline``, ``region`` (as GeoJSON), and every property of the regions. Attributes say how it was
+        made; those of reflectance what it is: its ``quantity``, that of the body under a coat, of the body
+        through it, or of its outside; ``mirror_reflection`` and ``specular_component``, whether it holds the
+        sky that a coat mirrors ("included" or "excluded"); and ``geometry``.
 
     Raises
     ------
@@ -321,6 +324,7 @@ def extract_signatures(
         problems.raise_if_any()
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
+    library = with_coat_strength(library)
     if specular_sky if coat is None else coat:
         library = without_coat(library, left, coat_index, sun_zenith)
     library = with_panel_geometry(library, sun_zenith)

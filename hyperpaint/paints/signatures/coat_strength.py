@@ -1,0 +1,165 @@
+r"""How much sky a coat mirrors over what its index predicts, from how the pixels of one panel differ.
+
+A part of a panel that leans towards the sun by :math:`\beta` gets more direct light, and mirrors a place of
+the sky :math:`2 \beta` nearer to the sun. To first order its spectrum changes by
+
+.. math:: \beta \left[ \tan\theta_s (f_{dir} + g f_{dif}) (\bar\rho - k F_0 f_{dif} L_z)
+          + 2 k F_0 f_{dif} L' \right]
+
+with the sky's radiance above :math:`L_z` over its mean, its slope towards the sun :math:`L'`, the gain of
+diffuse light g, and the coat's strength k: 1 where it mirrors what its index says. The first principal
+component of a region's pixels is that direction; two amounts are fitted to it, of which the quotient is k.
+Only where a body is dark does the mirror have a part in it that can be told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
+from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
+from hyperpaint.light.diffuse_record import SKY_STATES
+from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
+from hyperpaint.surroundings.corrections import NORMAL_REFLECTANCE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["StrengthRules", "strength_of", "with_coat_strength"]
+
+
+@dataclass(frozen=True)
+class StrengthRules:
+    """Where a coat's strength can be told.
+
+    Attributes
+    ----------
+    min_members
+        Pixels that are kept, at least: fewer have no principal component to speak of.
+    sun_zenith_deg
+        Least and largest zenith angle of the sun [degree]: leans change little under a high sun, and more
+        than to first order under a low one.
+    min_share
+        Share of the pixels' variance that is in the first component, at least [1]: else it is noise.
+    max_misfit
+        Part of the component that the two amounts do not explain, at most [1].
+    max_u
+        Standard uncertainty of the strength that is still told, at most [1].
+    slope_deg
+        Zenith angle to both sides over which the sky's slope is taken [degree]: twice a usual lean.
+    first_order
+        What leans beyond the first order leave uncertain of the strength, relative: panels of mirror geometry
+        whose parts lean by 2.5 degrees (tests) [1].
+    """
+
+    min_members: int = 40
+    sun_zenith_deg: tuple[float, float] = (25.0, 70.0)
+    min_share: float = 0.5
+    max_misfit: float = 0.05
+    max_u: float = 0.3
+    slope_deg: float = 4.0
+    first_order: float = 0.1
+
+
+RULES = StrengthRules()
+
+
+class PanelLight(NamedTuple):
+    """The light on a panel under a clear sky (band,)."""
+
+    diffuse: Floats  # f_dif [1]
+    above: Floats  # L_z over the mean of the sky [1]
+    slope: Floats  # L' towards the sun, per radian
+    gain: Floats  # g of `sunward_gain` [1]
+    sun_zenith: float  # [degree]
+
+    @classmethod
+    def clear(cls, wavelength: Floats, diffuse: Floats, sun_zenith: float) -> PanelLight:
+        """Return that of a clear sky at bands [nm] with a diffuse fraction [1]."""
+        turn = RULES.slope_deg
+        towards, away, above = (
+            radiance_towards_sun(wavelength, sun_zenith, angle) for angle in (turn, -turn, 0.0)
+        )
+        slope = (towards - away) / (2.0 * np.radians(turn))
+        return cls(diffuse, above, slope, sunward_gain(wavelength, sun_zenith), sun_zenith)
+
+
+def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
+    """Return a coat's strength [1], its standard uncertainty, and why it cannot be told; empty where it can.
+
+    ``members`` (member, band): reflectance of single pixels as they were seen, the mirrored sky in it.
+    """
+    unknown = (np.nan, np.nan)
+    if len(members) < RULES.min_members:
+        return *unknown, f"{len(members)} pixels, expected {RULES.min_members}"
+    low, high = RULES.sun_zenith_deg
+    if not low <= light.sun_zenith <= high:
+        return *unknown, f"the sun at {light.sun_zenith:.0f} degrees, expected {low:g} to {high:g}"
+    mean = members.mean(axis=0)
+    scores, sizes, directions = np.linalg.svd(members - mean, full_matrices=False)
+    share = float(sizes[0] ** 2 / (sizes**2).sum())
+    if not share >= RULES.min_share:
+        return *unknown, f"{share:.0%} of the pixels' differences go one way, expected {RULES.min_share:.0%}"
+    rest = members - mean - np.outer(scores[:, 0] * sizes[0], directions[0])
+    noise = np.sqrt((rest**2).sum(axis=0) / max(len(members) - 2, 1)) / sizes[0]
+    noise = np.maximum(noise, 0.2 * np.median(noise) + 1e-9)
+    mirror = NORMAL_REFLECTANCE * light.diffuse
+    lit = np.tan(np.radians(light.sun_zenith)) * (1.0 - light.diffuse + light.gain * light.diffuse)
+    columns = np.stack([lit * mean, 2.0 * mirror * light.slope - lit * mirror * light.above], axis=1)
+    scaled, seen = columns / noise[:, None], directions[0] / noise
+    normal = np.linalg.inv(scaled.T @ scaled)
+    amounts = normal @ scaled.T @ seen
+    misfit = directions[0] - columns @ amounts
+    lost = float((misfit**2).sum())
+    if lost > RULES.max_misfit:
+        return *unknown, f"{lost:.0%} of the differences are neither lean nor mirrored sky"
+    strength = float(amounts[1] / amounts[0])
+    # misfits are smooth over the bands: of a spectrum some ten are independent
+    excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, seen.size / 10.0)
+    slope = np.array([-strength, 1.0]) / amounts[0]
+    u = float(np.hypot(np.sqrt(slope @ normal @ slope * excess), RULES.first_order * strength))
+    if not u <= RULES.max_u:
+        return *unknown, f"the body is too bright for its mirror to be told, uncertain by {u:.1f}"
+    return strength, u, ""
+
+
+def with_coat_strength(library: xr.Dataset) -> xr.Dataset:
+    """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (paint).
+
+    Of a library with ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of each paint, before its coat is
+    corrected; a mirrored sky that was subtracted is added again. Light that was corrected leaves nothing to
+    be told.
+    """
+    attrs = library["reflectance"].attrs
+    added = NORMAL_REFLECTANCE if mirror_reflection(library) == EXCLUDED else 0.0
+    columns: list[tuple[float, float, str]] = []
+    good = library["good"].values.astype(bool)
+    nm = library["wavelength"].values[good]
+    clear = {SKY_STATES.index("clear"), SKY_STATES.index("hazy")}
+    for number in range(library.sizes[PAINT]):
+        one = library.isel({PAINT: number})
+        members = one["member_reflectance"].values[:, good].astype(np.float64)
+        members = members[np.isfinite(members).all(axis=1)]
+        diffuse, sun = one["diffuse_fraction"].values[good].astype(np.float64), float(one["sun_zenith"])
+        if changed := [name for name in ("light_corrected", "tilt", "coat_corrected") if name in attrs]:
+            columns.append((np.nan, np.nan, f"the light was changed before ({changed[0]})"))
+        elif not (np.isfinite(diffuse).all() and np.isfinite(sun)):
+            columns.append((np.nan, np.nan, "nothing says how the light divides, or where the sun is"))
+        elif int(one["sky_state"]) not in clear:
+            columns.append((np.nan, np.nan, f"the sky is {SKY_STATES[int(one['sky_state'])]}, not clear"))
+        else:
+            light = PanelLight.clear(nm, diffuse, min(sun, 89.0))
+            columns.append(strength_of(members + added * light.diffuse * light.above, light))
+    names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
+    variables: dict[str, Any] = {
+        name: (PAINT, np.array(column, object if name.endswith("reason") else np.float64))
+        for name, column in zip(names, zip(*columns, strict=True), strict=True)
+    }
+    result = library.assign(variables).set_coords("coat_strength_reason")
+    for name in names:
+        result[name].attrs = LIBRARY_VARIABLES[name].attrs
+    return result
