@@ -229,7 +229,7 @@ def _of_library(
 def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
     """Return what the light of a paint leaves to be judged."""
     values = {
-        name: dataset[name].isel({PAINT: number}).item()
+        name: dataset[name].isel({PAINT: number}).values[()]
         for name in ("sun_zenith", "sky_state")
         if name in dataset.variables and dataset[name].dims == (PAINT,)
     }
