@@ -41,11 +41,13 @@ class Calibrate:
         self.time_uncertainty(lines)
         self.time_smile_quality_rounding(lines)
 
-    def _run(self, smile, quality, cleared_bits=0, terms=None):
+    def _run(self, smile, quality, cleared_bits=0, terms=None, linearity=None):
         from hyperpaint.kernels.arguments import SlabOutputs
         from hyperpaint.radiometry.slabs import calibrate_lines
 
         plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, error_terms=terms)
+        if linearity is not None:
+            plan = dataclasses.replace(plan, detector=linearity.as_kernel_takes_it(65535.0))
         none = np.empty((0, 0, 0), np.float32)
         cubes = (none, none) if terms is None else (self.u_random, self.u_systematic)
         calibrate_lines(plan, self.counts, 0, SlabOutputs(self.out, quality, *cubes))
@@ -61,6 +63,22 @@ class Calibrate:
 
     def time_smile(self, lines):
         self._run(smile=True, quality=self.no_quality)
+
+    def time_linearity(self, lines):
+        from hyperpaint.radiometry.linearity import Linearity
+
+        self._run(smile=False, quality=self.quality, linearity=Linearity((1e-6, 1e-11)))
+
+    def time_smile_linearity(self, lines):
+        from hyperpaint.radiometry.linearity import Linearity
+
+        self._run(smile=True, quality=self.quality, linearity=Linearity((1e-6, 1e-11)))
+
+    def time_linearity_of_a_table(self, lines):
+        from hyperpaint.radiometry.linearity import Linearity
+
+        nodes = np.linspace(0.0, 65535.0, 17)
+        self._run(smile=False, quality=self.quality, linearity=Linearity((), nodes, 1.03 * nodes))
 
     def time_uncertainty(self, lines):
         self._run(smile=False, quality=self.no_quality, terms=self.terms)

@@ -14,8 +14,9 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension, takes_quantities
 from hyperpaint.light.responses import Responses, log_slope
+from hyperpaint.radiometry.linearity import linearity_of
 
-from .detector import coefficients_of, linearised, row_medians
+from .detector import row_medians
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
@@ -170,7 +171,6 @@ def anchor_to_radiance(
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, response_inputs, spectrum)
     signal, exposure = _signal(frames, calibration)
-    signal = linearised(coefficients_of(calibration.attrs))(signal)
     first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
     # no line of the sweep shows the wavelengths of the other columns
     signal[:, :first] = signal[:, last + 1 :] = np.nan
@@ -209,7 +209,7 @@ def _with_gain(
 
 
 def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
-    """Return mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]."""
+    """Return linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]."""
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         if name not in frames.variables:
@@ -238,8 +238,11 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
         full = counts >= limit - float(SATURATION_MARGIN_COUNTS)
         full = full.any(others) if others else full
     mean = counts.astype(np.float64).mean(others) if others else counts.astype(np.float64)
-    level = (mean - dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else mean - dark).transpose(*_ELEMENT)
-    signal = np.asarray(level.to_numpy(), np.float64) - _dark_of_exposure(frames, calibration, exposure[0])
+    dark = dark.astype(np.float64)
+    dark = dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else dark
+    raw, bare = (np.asarray(a.transpose(*_ELEMENT).to_numpy(), np.float64) for a in (mean, dark))
+    bare = bare + _dark_of_exposure(frames, calibration, exposure[0])
+    signal = linearity_of(calibration).net(raw, bare)
     if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
         warnings.warn(
             f"{int(saturated.sum())} elements are saturated in the anchor's frames",

@@ -13,12 +13,13 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.base.schema import BAND, CROSS_TRACK
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.radiometry.linearity import DARK_SUBTRACTED, Linearity, linearity_of
 
 from .calibration_dataset import Budget, Result, line_level
-from .detector import deviant_darks, factors_of, linearised, row_medians
+from .detector import deviant_darks, factors_of, row_medians
 from .elements import (
     Differences,
     at_steps,
@@ -50,7 +51,9 @@ def calibrate(
     capture_uncertainty: float = 0.0,
     etendue_uncertainty: float = 0.0,
     wavelength_uncertainty: float = 0.1,
-    linearity: Sequence[float] = (),
+    linearity: Sequence[float] | xr.DataArray = (),
+    linearity_on: str = DARK_SUBTRACTED,
+    linearity_uncertainty: float = 0.0,
     flat_field: xr.DataArray | None = None,
     bad_elements: xr.DataArray | None = None,
     smile_degree: int | None = None,
@@ -80,8 +83,13 @@ def calibrate(
     wavelength_uncertainty
         Standard uncertainty of the monochromator's dial [nm], which all lines share.
     linearity
-        Coefficients of `hyperpaint.calibration.linearity`; () for none. The gain then holds for counts that
-        are linearised likewise, which `radiance` does not do: it refuses, and so does `reflectance`.
+        Coefficients of `hyperpaint.calibration.linearity`; or a table: counts proportional to light over a
+        coordinate ``linearity_counts`` of measured ones, straight between its nodes. () for none. It is kept
+        with the calibration, and `radiance` and `reflectance` apply it to the counts of every flight.
+    linearity_on
+        "dark-subtracted": linear counts are L(C - D), with L the curve; "raw": L(C) - L(D).
+    linearity_uncertainty
+        Relative standard uncertainty of linear counts that the curve leaves, at any level.
     flat_field
         Of `hyperpaint.calibration.flat_field`: the gains of a band then have its column differences. Without
         it the gains are those of smooth lines, and what elements differ in is in their random uncertainty.
@@ -141,7 +149,8 @@ def calibrate(
     tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
     bad = _bad_at_the_door(lab, bad_elements)
     flat = None if flat_field is None else factors_of(flat_field, bad.shape)
-    read = read_lines(lab, bad, linearised(linearity), flat, tick)
+    curve = _curve(linearity, linearity_on, lab)
+    read = read_lines(lab, bad, curve, flat, tick)
     _check_lines(lab, read)
     seen, fits = fit_as_seen(lab, read, tick)
     _need_trusted(read, seen, fits)
@@ -169,12 +178,35 @@ def calibrate(
     _refuse_undersampled(lab, surface, fwhm)
     light, own = lab.wavelength + pull, at_steps(lab, surface, fwhm)
     complete_edge_lines(lab, read, lines, surface, light, own, shape)
-    budget = Budget(flux_uncertainty, capture_uncertainty, etendue_uncertainty, wavelength_uncertainty)
+    budget = Budget(
+        flux_uncertainty, capture_uncertainty, etendue_uncertainty, wavelength_uncertainty,
+        linearity_uncertainty,
+    )  # fmt: skip
     result = Result(
-        lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, tuple(linearity), placed, fwhm,
+        lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, curve, placed, fwhm,
         differences.relative,
     )  # fmt: skip
     return result.dataset(flat)
+
+
+def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
+    """Return the curve that the arguments state, or say what is wrong with it."""
+    problems = Problems("linearity= cannot be applied", SchemaError)
+    if isinstance(linearity, xr.DataArray):
+        if linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords:
+            raise SchemaError(
+                f"the table linearity= has dims {tuple(map(str, linearity.dims))}, expected one, "
+                "linearity_counts, with a coordinate of measured counts"
+            )
+        table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
+        table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
+        curve = linearity_of(table.assign_attrs(linearity_on=on))
+    else:
+        curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": on}))
+    full = np.inf if lab.saturation is None else float(np.max(lab.saturation))
+    curve.check(problems, full)
+    problems.raise_if_any()
+    return curve
 
 
 def _with_differences(

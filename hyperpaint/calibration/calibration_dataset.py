@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
+from hyperpaint.radiometry.linearity import DARK_SUBTRACTED, RAW, Linearity
 
 from .detector import row_medians
 from .elements import at_steps, line_wavelengths
@@ -40,6 +41,7 @@ class Budget:
     capture: float
     etendue: float
     wavelength: float
+    linearity: float
 
     @property
     def total(self) -> float:
@@ -76,7 +78,7 @@ class Result:
     bad: Bools  #: (band, cross_track)
     #: budget, linearity: as given
     budget: Budget
-    linearity: tuple[float, ...]
+    linearity: Linearity
     placed: Bools  #: (step, cross_track): good fits where the map says they should be
     fwhm: Floats  #: (band,): width of every band [nm]
     differences: float  #: Relative standard deviation of the elements about the lines
@@ -169,6 +171,8 @@ class Result:
         }
         if flat is not None:
             values["flat_field"] = flat
+        if self.budget.linearity:
+            values["linearity_u"] = self.budget.linearity
         coords = {
             "wavelength": self.centre_wavelength,
             "wavelength_shift": self.wavelength - self.centre_wavelength[:, None],
@@ -177,6 +181,9 @@ class Result:
             "good": good,
             "step_wavelength": self.lab.wavelength,
         }
+        if self.linearity.measured is not None:
+            coords["linearity_counts"] = self.linearity.measured
+            values["linear_counts"] = self.linearity.linear
         return xr.Dataset(
             {name: _labelled(value, name) for name, value in values.items()},
             {name: _labelled(value, name) for name, value in coords.items()},
@@ -339,6 +346,11 @@ class Result:
             return "photon transfer of the sweep, good to some per cent; see hyperpaint.estimate_noise"
         return "none"
 
+    def _linearity_attr(self) -> str | list[float]:
+        if self.linearity.coefficients:
+            return list(self.linearity.coefficients)
+        return "table" if self.linearity else "identity"
+
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
@@ -365,7 +377,8 @@ class Result:
             "lit_columns": list(self.surface.lit),
             **self._dark_check(),
             "smile_degree": self.surface.coefficients.shape[1] - 1,
-            "linearity": list(self.linearity) or "identity",
+            "linearity": self._linearity_attr(),
+            "linearity_on": RAW if self.linearity.on_raw else DARK_SUBTRACTED,
             "noise_source": self.read.noise_source,
             "electrons_per_count_source": self._electrons_source(),
             "stray_light_applied": "no",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -267,26 +266,6 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     return tuple(
         float(a / scale ** (power - 1)) for power, a in zip(range(2, degree + 1), solved[1:], strict=True)
     )
-
-
-def coefficients_of(attrs: Mapping[Any, Any]) -> tuple[float, ...]:
-    """Return the `linearity` that the attributes of a calibration declare."""
-    stated = attrs.get("linearity", ())
-    return () if isinstance(stated, str) else tuple(float(value) for value in np.atleast_1d(stated))
-
-
-def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
-    """Return the function that applies `linearity`; of no coefficients, the identity, bit for bit."""
-
-    def apply(counts: Any) -> Any:
-        if not coefficients:
-            return counts
-        relative = 0.0
-        for coefficient in reversed(coefficients):
-            relative = (relative + coefficient) * counts
-        return counts * (1.0 + relative)
-
-    return apply
 
 
 def row_medians(values: Floats, used: Bools | None = None) -> Floats:

@@ -12,6 +12,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
+from hyperpaint.radiometry.linearity import Linearity
 
 from .lab_sweep import LabSweep, listed, refused
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
@@ -91,9 +92,7 @@ class Lines:
         self.trusted[at] = fits.converged & inside & ~window.saturated & np.isfinite(self.area_u[at])
 
 
-def read_lines(
-    lab: LabSweep, bad: Bools, linearised: Callable[[Floats], Floats], flat: Floats | None, tick: Tick
-) -> Read:
+def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None, tick: Tick) -> Read:
     """Read every step once and keep the windows about its lines.
 
     SchemaError where the lines do not move along the array as the wavelengths do, or light falls where none
@@ -108,7 +107,7 @@ def read_lines(
     for step in range(steps):
         raw = lab.frame(step)
         highest = np.fmax(highest, raw)
-        net = linearised(raw - lab.dark.at(float(lab.exposure[step])))
+        net = curve.net(raw, lab.dark.at(float(lab.exposure[step])))
         variance = lab.frame_variance(step)
         if variance is not None:
             full = lab.saturation is not None and raw >= lab.saturation - float(SATURATION_MARGIN_COUNTS)

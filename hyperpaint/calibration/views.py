@@ -14,8 +14,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, label, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import profiles
+from hyperpaint.radiometry.linearity import linearity_of
 
-from .detector import coefficients_of, deviant_darks, linearised
+from .detector import deviant_darks
 from .lab_sweep import LabSweep, check_sweep
 from .line_fits import SHAPES, find_line
 
@@ -213,7 +214,7 @@ def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> 
     """Return the bands about a line of one column, and their counts above dark and background."""
     raw = lab.frame(step)
     dark = lab.dark.at(float(lab.exposure[step]))
-    net = linearised(coefficients_of(calibration.attrs))(raw - dark)
+    net = linearity_of(calibration).net(raw, dark)
     if "flat_field" in calibration.variables:
         net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
     window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)

@@ -10,13 +10,27 @@ from typing import Any, NamedTuple
 from hyperpaint.base.arrays import Array
 
 __all__ = [
-    "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "ErrorTerms", "FixedFlags",
+    "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "DetectorModel", "ErrorTerms",
+    "FixedFlags",
     "Glinting", "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions",
     "LineRays", "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "Unmixed",
 ]  # fmt: skip
 
 
 # --- counts to reflectance: `hyperpaint.kernels.radiometry`
+
+
+class DetectorModel(NamedTuple):
+    """What a detector does to counts beside its dark; empty arrays are what it does not do."""
+
+    #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
+    polynomial: Array
+    #: (0 or node,) float32: in its place, what linear counts have more than counts, evenly spaced
+    table: Array
+    #: first_node [count], nodes_per_count, float32: where its nodes lie
+    first_node: Any
+    nodes_per_count: Any
+    on_raw: Any  #: bool: both are of raw counts and of the dark, each; not of their difference
 
 
 class Calibration(NamedTuple):
@@ -28,6 +42,7 @@ class Calibration(NamedTuple):
     dark_index: Array
     dark_weight: Array
     gain: Array  #: (band, column) float32: NaN marks a bad element
+    detector: DetectorModel
 
 
 class LightCells(NamedTuple):

@@ -14,7 +14,15 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .arguments import Calibration, CountLimits, ErrorTerms, FixedFlags, LightCells, SlabOutputs
+from .arguments import (
+    Calibration,
+    CountLimits,
+    ErrorTerms,
+    FixedFlags,
+    LightCells,
+    SlabOutputs,
+)  # fmt: skip
+from .linearity import LinearRow, scale_linear_row, signal_row, slope_row, straighten_row
 
 __all__ = ["calibrate_slab", "round_row"]
 
@@ -47,6 +55,7 @@ class BandLight(NamedTuple):
     #: irradiance, inverse (3, column) float32: band ``b`` is in row ``b % 3``
     irradiance: Array
     inverse: Array
+    per_count: Array  #: (column,) float32: reflectance per count of the band in work
 
 
 # --- values, row by row
@@ -109,6 +118,32 @@ def blend(low: Array, high: Array, weight: Any, out: Array) -> None:
     for band in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[band, x] = low[band, x] + weight * (high[band, x] - low[band, x])
+
+
+# --- values of linear counts
+
+
+@borrowing_kernel
+def light_signal_row(
+    signal: Array, gain: Array, light: LightCells, place: tuple[int, int], nothing: Array, out: Array
+) -> None:
+    """Write the values of linear counts above dark (column,) of a ``place`` (line, band).
+
+    ``nothing`` (column,) is zero: the dark has been subtracted.
+    """
+    line, band = place
+    if light.coefficients.shape[3] == 1:
+        scale = light.coefficients[line, band, 0, 0]
+        for x in range(out.size):
+            out[x] = signal[x] * (gain[x] * scale)
+        return
+    own = band if light.shift.shape[0] > 1 else 0
+    for run in range(light.cells.shape[1]):
+        first, last = light.edges[own, run], light.edges[own, run + 1]
+        divide_row(
+            signal[first:last], nothing[first:last], gain[first:last], light.shift[own, first:last],
+            light.coefficients[line, band, light.cells[own, run]], np.float32(np.inf), out[first:last],
+        )  # fmt: skip
 
 
 # --- flags of raw counts, gathered over the bands of a line
@@ -297,22 +332,49 @@ def systematic_row(
 
 
 @borrowing_kernel
+def linear_random_row(
+    counts: Array, dark: Array, per_count: Array, per_electron: Array, noise_floor: Array, values: Array,
+    u_random: Array,
+) -> None:  # fmt: skip
+    """Write m L'(C) sqrt((C - D) / k + floor): noise is that of counts as they are read.
+
+    ``per_count`` (column,) is m L', reflectance per count.
+    """
+    for x in range(u_random.size):
+        above = np.float32(counts[x]) - dark[x]
+        shot = _NOTHING if above < _NOTHING else above
+        noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
+        u_random[x] = abs(per_count[x]) * noise if values[x] == values[x] else _NAN
+
+
+@borrowing_kernel
 def propagate_line(
-    gain: Array, light: LightCells, terms: ErrorTerms, line: Any, lit: BandLight, out: SlabOutputs
-) -> None:
+    counts: Array, dark: Array, calibration: Calibration, light: LightCells, terms: ErrorTerms, line: Any,
+    lit: BandLight, out: SlabOutputs,
+) -> None:  # fmt: skip
     """Write the random and the systematic uncertainty of a line, whose reflectance is not yet rounded.
 
-    The systematic one of a band needs the light of the band after it, and so comes one band later. ``gain``
-    is (band, column); ``lit`` is memory to work in.
+    The systematic one of a band needs the light of the band after it, and so comes one band later.
+    ``counts`` and the line's ``dark`` are (band, column); ``lit`` is memory to work in.
     """
-    values = out.cube[line]
+    values, gain, detector = out.cube[line], calibration.gain, calibration.detector
     last = values.shape[0] - 1
     for band in range(last + 1):
         inverse = lit.inverse[band % 3]
         light_row(light, line, band, lit.irradiance[band % 3], inverse)
         per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
         noise_floor = terms.noise_floor[band if terms.noise_floor.shape[0] > 1 else 0]
-        random_row(values[band], gain[band], inverse, per_electron, noise_floor, out.u_random[line, band])
+        u_random = out.u_random[line, band]
+        if detector.polynomial.size + detector.table.size > 0:
+            per_count = lit.per_count
+            slope_row(counts[band], dark[band], detector, per_count)
+            for x in range(inverse.size):
+                per_count[x] *= gain[band, x] * inverse[x]
+            linear_random_row(
+                counts[band], dark[band], per_count, per_electron, noise_floor, values[band], u_random
+            )
+        else:
+            random_row(values[band], gain[band], inverse, per_electron, noise_floor, u_random)
         if terms.slope.shape[0] == 0:
             relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
             proportional_row(values[band], relative, out.u_systematic[line, band])
@@ -361,16 +423,23 @@ def calibrate_slab(
     empty where no uncertainty is written.
     """
     n_line, n_band, n_column = counts.shape
-    dark, gain = calibration.dark, calibration.gain
+    dark, gain, detector = calibration.dark, calibration.gain, calibration.detector
+    curved = detector.polynomial.size + detector.table.size > 0
     flagging = out.quality.shape[0] > 0
     doubting = out.u_random.shape[0] > 0
     uniform = light.coefficients.shape[3] == 1
     # what is written, as the bits that are rounded
     bits, u_random_bits = out.cube.view(np.uint32), out.u_random.view(np.uint32)
     u_systematic_bits = out.u_systematic.view(np.uint32)
-    lit = BandLight(np.empty((3, n_column), np.float32), np.empty((3, n_column), np.float32))
+    lit = BandLight(
+        np.empty((3, n_column), np.float32), np.empty((3, n_column), np.float32),
+        np.empty(n_column, np.float32),
+    )  # fmt: skip
     lowest, highest = limits.saturation.min(), limits.saturation.max()
     mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
+    linear_dark = np.empty((n_band, n_column) if curved else (0, 0), np.float32)
+    signal, nothing = np.empty(n_column, np.float32), np.zeros(n_column, np.float32)
+    work = LinearRow(np.empty(n_column, np.int32), np.empty(n_column, np.float32))
     level = np.empty((n_band, n_column) if flagging else (0, 0), counts.dtype)
     floor = np.empty((n_band, n_column) if flagging else (0, 0), counts.dtype)
     tally = Tally(
@@ -383,12 +452,24 @@ def calibrate_slab(
             first = calibration.dark_index[line]
             blend(dark[first], dark[first + 1], calibration.dark_weight[line], mixed_dark)
             line_dark = mixed_dark
+        if curved and (line == 0 or dark.shape[0] > 1):
+            linear_dark[:] = line_dark
+            for band in range(n_band if detector.on_raw else 0):
+                straighten_row(detector, linear_dark[band], work)
         if flagging and (line == 0 or dark.shape[0] > 1):
             count_levels(line_dark, limits.noise_margin, limits.whole, level, floor)
         tally.peak[:] = 0
         tally.negative[:] = 0
         for band in range(n_band):
-            if uniform:  # handing ``light`` on, five arrays, would cost as much as half of the row
+            if curved and uniform and detector.table.size == 0:
+                scale = light.coefficients[line, band, 0, 0]
+                scale_linear_row(
+                    counts, linear_dark, gain, detector, (highest, scale), (line, band), out.cube
+                )
+            elif curved:
+                signal_row(counts[line, band], linear_dark[band], detector, highest, work, signal)
+                light_signal_row(signal, gain[band], light, (line, band), nothing, out.cube[line, band])
+            elif uniform:  # handing ``light`` on, five arrays, would cost as much as half of the row
                 scale = light.coefficients[line, band, 0, 0]
                 scale_row(counts, line_dark, gain, scale, highest, (line, band), out.cube)
             else:
@@ -400,7 +481,7 @@ def calibrate_slab(
             if flagging:
                 gather_row(counts[line, band], level[band], tally.peak, tally.negative)
         if doubting:
-            propagate_line(gain, light, terms, line, lit, out)
+            propagate_line(counts[line], line_dark, calibration, light, terms, line, lit, out)
             for band in range(n_band if cleared_bits > 0 else 0):
                 round_row(bits[line, band], cleared_bits)
                 round_row(u_random_bits[line, band], cleared_bits)

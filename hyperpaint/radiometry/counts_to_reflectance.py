@@ -31,6 +31,7 @@ from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
+from .linearity import TABLE, Linearity, declared_linearity
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
@@ -129,17 +130,22 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, or have other dims or units; every problem is listed. The gain holds for
-        linearised counts, or has no absolute scale (attributes ``linearity`` and ``absolute_scale`` of the
-        calibration). When computed: values are out of range, such as a dark at another exposure.
+        Variables are missing, or have other dims or units; every problem is listed. The gain has
+        no absolute scale (attribute ``absolute_scale`` of the calibration), or ``linearity_on`` is unknown.
+        When computed: values are out of range, such as a dark at another exposure or a linearity that turns
+        back.
 
     Notes
     -----
-    .. math:: L = g\,(C - D) / t
+    .. math:: L = g\,\ell(C - D) / t \quad\text{or}\quad L = g\,(\ell(C) - \ell(D)) / t
 
     with :math:`g` the radiance gain, :math:`C` and :math:`D` the counts and the dark, :math:`t` the
-    exposure time. The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's;
-    altitude never enters. Several darks are interpolated in time, or to the line's exposure by bias and
+    exposure time and :math:`\ell` the detector's linearity, as the calibration declares it (attributes
+    ``linearity`` and ``linearity_on``, or the table ``linear_counts``): the identity without one. Saturation
+    is judged on the counts as they are. The attribute ``linearity_applied`` says what was applied.
+
+    The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's; altitude never
+    enters. Several darks are interpolated in time, or to the line's exposure by bias and
     rate, never by scaling the bias.
 
     Examples
@@ -158,7 +164,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     cube, values = _cube_inputs(dataset, "radiance")
     _refuse_calibration(dataset, needs_scale=True)
     (radiances,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
-    return _with(dataset, "radiance", radiances, quality)
+    return _with(dataset, "radiance", radiances, quality, _applied(values))
 
 
 @takes_quantities(tilt="degree")
@@ -212,7 +218,7 @@ def reflectance(
     ------
     SchemaError, UnitsError, TimeError
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
-        problem is listed. The gain holds for linearised counts, or has no absolute scale and there is no
+        problem is listed. The gain has no absolute scale and there is no
         ``panel``. When computed: values are out of range.
 
     Notes
@@ -238,7 +244,8 @@ def reflectance(
     since the irradiance is matched to the wavelengths that are assumed: where the light is flat, it is
     :math:`\partial\rho / \partial\lambda`, beside an absorption band of the air mostly the slope of
     the light. With a panel, its own uncertainty takes the place of what all elements share. In a mean only
-    :math:`u_r` shrinks; see `hyperpaint.mean_uncertainty`.
+    :math:`u_r` shrinks; see `hyperpaint.mean_uncertainty`. Where counts are made linear, :math:`u_r` grows by
+    the slope :math:`\ell'` of that curve, and ``linearity_u`` stands beside the gain's.
 
     References
     ----------
@@ -285,8 +292,8 @@ def reflectance(
     )
     notes = {"tilt": str(attitude) if attitude else None, "panel": str(panel) if panel else None}
     # uncertainties of an earlier reflectance are not those of this one
-    result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality)
-    result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
+    notes |= _applied(values)
+    result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, notes)
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
@@ -312,14 +319,8 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
 
 
 def _refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
-    """Refuse gains that do not hold for counts as they are, or that have no absolute scale."""
+    """Refuse gains that have no absolute scale."""
     problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
-    linearity = dataset.attrs.get("linearity", "identity")
-    if not isinstance(linearity, str) and np.size(linearity):
-        problems.add(
-            f"its gain holds for linearised counts (attribute linearity {np.ravel(linearity).tolist()}), "
-            "which these are not: calibrate without linearity=, or linearise them and drop the attribute"
-        )
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
         problems.add(
             "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it one by "
@@ -343,7 +344,9 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
     if purpose == "reflectance":
         needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
-    if not from_counts and "radiance_gain" in dataset.variables:
+    if from_counts:
+        optional += [name for name in TABLE if name in dataset.variables]
+    elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # gives the slope of the responsivity
     arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
     cube = slabs.line_chunked(arrays.pop("counts" if from_counts else "radiance"))
@@ -351,7 +354,10 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
         cube = cube.astype(np.float32)
     if purpose == "radiance":
         arrays.pop("wavelength_shift", None)
-    return cube, {name: slabs.small(array) for name, array in arrays.items()}
+    values = {name: slabs.small(array) for name, array in arrays.items()}
+    if from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
+        values["linearity"] = declared_linearity(dataset.attrs)
+    return cube, values
 
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
@@ -417,8 +423,16 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
     return {"observed": seen.data, "reflectance": panel.at(wavelength)}
 
 
-def _with(dataset: xr.Dataset, name: str, cube: Any, quality: Any) -> xr.Dataset:
-    """Return the dataset with a calibrated cube and its quality, attributes set outright."""
+def _applied(values: dict[str, Any]) -> dict[str, str | None]:
+    """Return what attributes say was undone of what the detector does to counts; None for nothing."""
+    linearity: Linearity | None = values.get("linearity")
+    return {} if linearity is None else {"linearity_applied": linearity.described(TABLE[0] in values)}
+
+
+def _with(
+    dataset: xr.Dataset, name: str, cube: Any, quality: Any, notes: dict[str, str | None]
+) -> xr.Dataset:
+    """Return the dataset with a calibrated cube and its quality, attributes and ``notes`` set outright."""
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     attrs: dict[str, Any] = {}
     if "quality" in dataset.variables:
@@ -428,7 +442,9 @@ def _with(dataset: xr.Dataset, name: str, cube: Any, quality: Any) -> xr.Dataset
         flags = flags | (before & np.uint16(0xFFFF ^ anew))
         attrs = {name: text for name, text in before.attrs.items() if name == "flags_from"}
     bits = schema.label(flags.astype(np.uint16), "quality", **attrs)
-    return dataset.assign({name: schema.label(xr.DataArray(cube, dims=schema.CUBE), name), "quality": bits})
+    texts = {key: text for key, text in notes.items() if text}
+    values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **texts)
+    return dataset.assign({name: values, "quality": bits})
 
 
 def worked_example() -> xr.Dataset:

@@ -19,6 +19,7 @@ from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cel
 from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
+from .linearity import TABLE, Linearity
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .tilted_light import tilt_factors
@@ -106,6 +107,7 @@ def make_plan(
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
+        detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube)),
         error_terms=None if uncertain is None else error_terms(uncertain, cube, light, dtype, bad),
     )
 
@@ -133,7 +135,22 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
         problems.add(
             f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
         )
+    _linearity(cube).check(problems, _highest_count(cube))
     problems.raise_if_any()
+
+
+def _linearity(cube: Mapping[str, Any]) -> Linearity:
+    """Return the curve of a line's counts; a radiance cube has none."""
+    known: Linearity = cube.get("linearity") or Linearity()
+    if "linear_counts" in cube:
+        measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
+        known = Linearity((), measured, linear, known.on_raw)
+    return known
+
+
+def _highest_count(cube: Mapping[str, Any]) -> float:
+    full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
+    return float(full[np.isfinite(full)].max(initial=0.0)) or np.inf
 
 
 def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:

@@ -23,6 +23,7 @@ from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
     Calibration,
     CountLimits,
+    DetectorModel,
     ErrorTerms,
     FixedFlags,
     LightCells,
@@ -70,6 +71,7 @@ class Plan:
     column_flags: Array
     cleared_bits: int  #: Mantissa bits that rounding clears; 0 rounds nothing
     starts: Array  #: (slab,): first line of every slab
+    detector: DetectorModel  #: What is undone of what the detector does to counts
     error_terms: ErrorTerms | None = None  #: None where uncertainties were not asked for
 
     def light(self, start: int, stop: int) -> Array:
@@ -122,7 +124,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
     here = slice(start, start + len(counts))
     calibrate_slab(
         counts,
-        Calibration(plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain),
+        Calibration(plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain, plan.detector),
         LightCells(plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells),
         CountLimits(
             plan.saturation_limit,

@@ -20,8 +20,8 @@ from hyperpaint.calibration import (
     linearity,
     panel_radiance,
 )
-from hyperpaint.calibration.detector import linearised
 from hyperpaint.calibration.responsivity import interpolate_nodes, monotone_slopes
+from hyperpaint.radiometry.linearity import Linearity
 from hyperpaint.simulation import simulate_sweep
 
 ELEMENT = ("band", "cross_track")
@@ -182,11 +182,10 @@ def test_flat_fields_of_sphere_and_scene() -> None:
 
 def test_linearity_is_the_identity_by_default_and_closes() -> None:
     counts = np.arange(5.0)
-    assert linearised(())(counts) is counts
+    assert Linearity().net(counts, 0.0).tobytes() == counts.tobytes()
     light = np.linspace(0.05, 1.0, 20)
     measured = 4000 * light - 0.03 * 4000 * light**2
-    apply = linearised(linearity(light, measured))
-    straight = apply(measured) / light
+    straight = Linearity(linearity(light, measured)).net(measured, 0.0) / light
     assert np.ptp(straight) / straight.mean() < 1e-3
     sweep = simulate_sweep(columns=3, noise=False, quantise=False, nonuniformity=0, nonlinearity=0.03)
     full = float(sweep.saturation_count)

@@ -307,14 +307,6 @@ def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Datas
     np.testing.assert_array_equal(scaled, usual)
 
 
-@pytest.mark.parametrize("product", ["radiance", "reflectance"])
-def test_a_gain_for_linear_counts_is_not_applied_to_others(product: str) -> None:
-    line = simulate_line(lines=8, bands=20, columns=6).assign_attrs(linearity=[1e-6])
-    with pytest.raises(SchemaError, match="holds for linearised counts"):
-        getattr(line.paint, product)()
-    getattr(line.assign_attrs(linearity="identity").paint, product)()
-
-
 def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
     sweep = sweep_of(bands=136, columns=6, **CLEAN)
     made = hp.calibrate(sweep, linearity=(0.0, 1e-9)).assign_attrs(linearity=[1e-4])

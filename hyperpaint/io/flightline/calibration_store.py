@@ -55,6 +55,9 @@ _OF_A_SWEEP = (
     "flat_field",
     "responsivity",
     "quantum_efficiency",
+    "linearity_counts",
+    "linear_counts",
+    "linearity_u",
     "stray_light",
     "step_wavelength",
     "line_band",
@@ -266,7 +269,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "saturation_count",
     }
     # the lines of a lab sweep stay with the calibration
-    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
+    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength", "linearity_counts"}
     names = [
         str(name)
         for name, array in calibration.data_vars.items()
@@ -279,7 +282,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
     """Return what the calibration says of the counts and the scale that its gain holds for."""
-    names = ("linearity", "absolute_scale")
+    names = ("linearity", "linearity_on", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 

@@ -34,6 +34,7 @@ _SYSTEMATIC = (
     "irradiance_u_systematic",
     "wavelength_u",
     "dark_counts_u_systematic",
+    "linearity_u",
 )
 UNCERTAINTIES = ("reflectance_u_random", "reflectance_u_systematic")
 NONE_KNOWN = "none known"
@@ -129,7 +130,7 @@ def error_terms(
         + of("dark_counts_u_random") ** 2
         + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
     )
-    squares = [of("radiance_gain_u_random") ** 2]
+    squares = [of("radiance_gain_u_random") ** 2, of("linearity_u") ** 2]
     if "panel_u" in uncertain:
         # scaled to a panel, reflectance has the panel's uncertainty in place of what all elements share
         squares.append(of("panel_u") ** 2)

@@ -1,0 +1,157 @@
+"""The detector's curve, undone in flight: against plain numpy, and closed on a camera that bends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.slab_arguments import grouped, oracle, problem
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.calibration import linearity
+from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration, scale_attrs
+from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
+from hyperpaint.kernels.radiometry import calibrate_slab
+from hyperpaint.radiometry.linearity import Linearity
+from hyperpaint.simulation import simulate_line, simulate_sweep
+
+FULL = 4095.0
+TABLE = (np.array([0.0, 900.0, 2500.0, FULL]), np.array([0.0, 905.0, 2600.0, 4400.0]))
+CURVES = {
+    "polynomial": Linearity((2e-5, -1e-9)), "long": Linearity((2e-5, 0.0, 0.0, 0.0, 1e-18)),
+    "table": Linearity((), *TABLE),
+}  # fmt: skip
+
+
+def curve_of(kind: str, on_raw: bool) -> Linearity:
+    one = CURVES[kind]
+    return Linearity(one.coefficients, one.measured, one.linear, on_raw)
+
+
+@pytest.mark.parametrize("on_raw", [False, True], ids=["dark-subtracted", "raw"])
+@pytest.mark.parametrize("kind", list(CURVES))
+@pytest.mark.parametrize("smile", [0, 1, 2])
+def test_kernel_against_plain_numpy(smile: int, kind: str, on_raw: bool) -> None:
+    curve = curve_of(kind, on_raw)
+    p = problem(np.uint16, smile=smile, darks=3, own_limit=True)
+    expected, flags = oracle(p)
+    i, w = p["dark_index"], p["dark_weight"][:, None, None].astype(float)
+    dark = (1 - w) * p["dark"][i].astype(float) + w * p["dark"][i + 1].astype(float)
+    raw = p["counts"].astype(float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        expected = expected * (curve.net(raw, dark) / (raw - dark))
+    out = np.empty(p["counts"].shape, np.float32)
+    quality = np.empty((out.shape[0], out.shape[2]), np.uint16)
+    terms, none = ErrorTerms(*[np.empty((0, 0), np.float32)] * 5), np.empty((0, 0, 0), np.float32)
+    p["detector"] = curve.as_kernel_takes_it(FULL)
+    calibrate_slab(*grouped(p), terms, np.uint32(0), SlabOutputs(out, quality, none, none))
+    far = np.isfinite(expected) & (np.abs(raw - dark) > 1.0)
+    # tables are known at 8192 places: a kink between two of them is cut by some hundredths of a count
+    np.testing.assert_allclose(out[far], expected[far], rtol=5e-6 if kind == "polynomial" else 2e-4)
+    np.testing.assert_array_equal(np.isnan(out), np.isnan(expected))
+    np.testing.assert_array_equal(quality, flags)
+
+
+@pytest.mark.parametrize("kind", list(CURVES))
+def test_chunks_change_no_bit(kind: str) -> None:
+    line = simulate_line(lines=12, bands=20, columns=9, smile_nm=1.0, seed=2)
+    curve = CURVES[kind]
+    line = declared(line, curve, on="raw")
+    products = [
+        line.chunk(along_track=size).paint.reflectance(uncertainty=True).compute(scheduler="synchronous")
+        for size in (1, 2, 5, 7, 12)
+    ]
+    for name in ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "quality"):
+        assert len({product[name].values.tobytes() for product in products}) == 1
+
+
+def declared(line: xr.Dataset, curve: Linearity, on: str) -> xr.Dataset:
+    """Return the line of a calibration that declares a curve."""
+    if curve.measured is None:
+        return line.assign_attrs(linearity=list(curve.coefficients), linearity_on=on)
+    units = {"units": "count"}
+    table = {"linear_counts": ("linearity_counts", curve.linear, units)}
+    made = line.assign(table).assign_coords(linearity_counts=("linearity_counts", curve.measured, units))
+    return made.assign_attrs(linearity="table", linearity_on=on)
+
+
+def bent(line: xr.Dataset, loss: float) -> xr.Dataset:
+    """Return the line as a camera reads it that loses ``loss`` of a signal that would fill the converter."""
+    dark = line.dark_counts.mean("dark_time") if "dark_time" in line.dark_counts.dims else line.dark_counts
+    signal = (line.counts.astype(np.float64) - dark).compute()
+    full = float(line.saturation_count)
+    counts = (dark + signal - loss * signal**2 / full).transpose(*line.counts.dims).astype(np.float32)
+    return line.assign(counts=counts.assign_attrs(line.counts.attrs))
+
+
+CLEAN: dict[str, Any] = {"noise": False, "quantise": False, "nonuniformity": 0.0, "columns": 8, "bands": 136}
+
+
+@pytest.mark.parametrize("loss", [0.01, 0.05])
+@pytest.mark.slow
+def test_a_bent_camera_closes_by_its_own_sweep(loss: float) -> None:
+    sweep = simulate_sweep(**CLEAN, nonlinearity=loss, seed=5)
+    full = float(sweep.saturation_count)
+    light = np.linspace(0.02, 1.0, 40)
+    curve = linearity(light, full * light * (1.0 - loss * light), degree=5)
+    straight = hp.calibrate(simulate_sweep(**CLEAN, seed=5))
+    calibration = hp.calibrate(sweep, linearity=curve)
+    assert calibration.linearity_on == "dark-subtracted"
+    ratio = (calibration.radiance_gain / straight.radiance_gain).values
+    line = simulate_line(lines=24, **CLEAN, seed=5)
+    expected = line.paint.reflectance().reflectance.values
+    camera = bent(line, loss).assign(radiance_gain=line.radiance_gain * ratio)
+    camera.radiance_gain.attrs = line.radiance_gain.attrs
+    bright = line.counts.values > 100
+    wrong = camera.paint.reflectance().reflectance.values / expected - 1
+    assert np.nanmax(np.abs(wrong[bright])) > 0.2 * loss
+    made = camera.assign_attrs(linearity=calibration.linearity, linearity_on="dark-subtracted")
+    closed = made.paint.reflectance()
+    assert closed.reflectance.linearity_applied == "polynomial of degree 5 on dark-subtracted counts"
+    assert np.nanmax(np.abs(closed.reflectance.values / expected - 1)[bright]) < 1e-3
+
+
+@pytest.mark.parametrize("on", ["raw", "dark-subtracted"])
+def test_a_calibration_travels_with_its_curve(on: str) -> None:
+    table = xr.DataArray(
+        TABLE[1], {"linearity_counts": TABLE[0]}, "linearity_counts", attrs={"units": "count"}
+    )
+    table.linearity_counts.attrs["units"] = "count"
+    sweep = simulate_sweep(**CLEAN | {"columns": 4, "bands": 136}, steps=31)
+    made = hp.calibrate(sweep, linearity=table, linearity_on=on, linearity_uncertainty=0.002)
+    assert (made.linearity, made.linearity_on) == ("table", on)
+    assert float(made.linearity_u) == pytest.approx(0.002)
+    checked = check_calibration(made)
+    parts = calibration_parts(checked, is_counts=True)
+    np.testing.assert_array_equal(parts["linear_counts"].linearity_counts, TABLE[0])
+    assert scale_attrs(checked)["linearity_on"] == on
+
+
+def test_noise_grows_with_the_slope() -> None:
+    line = simulate_line(lines=4, bands=20, columns=9, seed=2)
+    curve = Linearity((0.05 / FULL,))
+    plain = line.paint.reflectance(uncertainty=True).compute()
+    made = line.assign_attrs(linearity=list(curve.coefficients)).paint.reflectance(uncertainty=True).compute()
+    above = line.counts.values - line.dark_counts.values
+    slope = 1 + 2 * curve.coefficients[0] * above
+    grown = made.reflectance_u_random.values / plain.reflectance_u_random.values
+    np.testing.assert_allclose(grown, np.where(np.isnan(grown), np.nan, slope), rtol=2e-5)
+    unsure = line.assign(linearity_u=((), 0.03, {"units": "1"})).paint.reflectance(uncertainty=True)
+    assert "linearity_u" in unsure.reflectance_u_systematic.components
+
+
+@pytest.mark.parametrize(
+    ("attrs", "problem"),
+    [
+        ({"linearity": [-1e-3]}, "turns back"),
+        ({"linearity": [1e-6], "linearity_on": "wells"}, "expected 'dark-subtracted' or 'raw'"),
+        ({"linearity": [float("nan")]}, "finite coefficients"),
+    ],
+)
+def test_impossible_curves_are_refused(attrs: dict[str, Any], problem: str) -> None:
+    line = simulate_line(lines=4, bands=20, columns=6).assign_attrs(attrs)
+    with pytest.raises(SchemaError, match=problem):
+        line.paint.radiance().compute()
