@@ -80,6 +80,13 @@ class Calibrate:
         nodes = np.linspace(0.0, 65535.0, 17)
         self._run(smile=False, quality=self.quality, linearity=Linearity((), nodes, 1.03 * nodes))
 
+    def time_pedestal(self, lines):
+        plan = self.plans[False]
+        masked = np.argwhere(np.broadcast_to(np.arange(COLUMNS) < 8, (BANDS, COLUMNS)))
+        self.plans[False] = dataclasses.replace(plan, detector=plan.detector._replace(masked=masked))
+        self._run(smile=False, quality=self.quality)
+        self.plans[False] = plan
+
     def time_uncertainty(self, lines):
         self._run(smile=False, quality=self.no_quality, terms=self.terms)
 

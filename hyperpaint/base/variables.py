@@ -228,7 +228,8 @@ _LINE_TABLE = (
     # --- line shapes measured sample by sample (srf_shape = "tabulated")
     Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
     Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
-    # --- the detector's curve
+    # --- what the detector does to counts
+    Variable("masked", (CROSS_TRACK,), "", "bool", "Whether an element sees no light, so that what it counts beyond its dark is the pedestal of a line", alternatives=(_ELEMENT, (BAND,))),
     Variable("linearity_counts", ("linearity_counts",), "count", "float64", "Counts, raw or dark-subtracted, at which linear_counts is known", coordinate=True),
     Variable("linear_counts", ("linearity_counts",), "count", "float64", "Counts proportional to light, as many as measured ones at low light"),
     Variable("linearity_u", (), "1", "float32", "Relative standard uncertainty that linearity leaves in linear counts"),

@@ -30,6 +30,9 @@ class DetectorModel(NamedTuple):
     #: first_node [count], nodes_per_count, float32: where its nodes lie
     first_node: Any
     nodes_per_count: Any
+    #: (0 or n, 2) int64: band and column of elements that see no light; what they count on average beyond
+    #: their dark is the pedestal of a line
+    masked: Array
     on_raw: Any  #: bool: both are of raw counts and of the dark, each; not of their difference
 
 

@@ -23,6 +23,7 @@ from .arguments import (
     SlabOutputs,
 )  # fmt: skip
 from .linearity import LinearRow, scale_linear_row, signal_row, slope_row, straighten_row
+from .pedestal import pedestal_of, raise_dark
 
 __all__ = ["calibrate_slab", "round_row"]
 
@@ -436,7 +437,9 @@ def calibrate_slab(
         np.empty(n_column, np.float32),
     )  # fmt: skip
     lowest, highest = limits.saturation.min(), limits.saturation.max()
-    mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
+    has_pedestal = detector.masked.shape[0] > 0
+    own_dark = dark.shape[0] > 1 or has_pedestal  # of every line
+    mixed_dark = np.empty((n_band, n_column) if own_dark else (0, 0), np.float32)
     linear_dark = np.empty((n_band, n_column) if curved else (0, 0), np.float32)
     signal, nothing = np.empty(n_column, np.float32), np.zeros(n_column, np.float32)
     work = LinearRow(np.empty(n_column, np.int32), np.empty(n_column, np.float32))
@@ -452,11 +455,14 @@ def calibrate_slab(
             first = calibration.dark_index[line]
             blend(dark[first], dark[first + 1], calibration.dark_weight[line], mixed_dark)
             line_dark = mixed_dark
-        if curved and (line == 0 or dark.shape[0] > 1):
+        if has_pedestal:
+            raise_dark(pedestal_of(counts[line], line_dark, detector.masked), line_dark, mixed_dark)
+            line_dark = mixed_dark
+        if curved and (line == 0 or own_dark):
             linear_dark[:] = line_dark
             for band in range(n_band if detector.on_raw else 0):
                 straighten_row(detector, linear_dark[band], work)
-        if flagging and (line == 0 or dark.shape[0] > 1):
+        if flagging and (line == 0 or own_dark):
             count_levels(line_dark, limits.noise_margin, limits.whole, level, floor)
         tally.peak[:] = 0
         tally.negative[:] = 0

@@ -144,6 +144,11 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     ``linearity`` and ``linearity_on``, or the table ``linear_counts``): the identity without one. Saturation
     is judged on the counts as they are. The attribute ``linearity_applied`` says what was applied.
 
+    Where the calibration or the line declares ``masked`` elements, which see no light, what they count on
+    average beyond their dark in a line, the pedestal, is added to the dark of every element of that line,
+    without those further than 5 standard deviations from the mean. The attribute ``pedestal_applied`` says
+    so. The noise of that mean is in the random uncertainty, though a line's samples share it.
+
     The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's; altitude never
     enters. Several darks are interpolated in time, or to the line's exposure by bias and
     rate, never by scaling the bias.
@@ -345,7 +350,7 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
         needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if from_counts:
-        optional += [name for name in TABLE if name in dataset.variables]
+        optional += [name for name in (*TABLE, "masked") if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # gives the slope of the responsivity
     arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
@@ -354,6 +359,8 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
         cube = cube.astype(np.float32)
     if purpose == "radiance":
         arrays.pop("wavelength_shift", None)
+    if "masked" in arrays and arrays["masked"].dims == (BAND,):
+        arrays["masked"] = arrays["masked"].expand_dims(CROSS_TRACK, axis=1)
     values = {name: slabs.small(array) for name, array in arrays.items()}
     if from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
@@ -426,7 +433,12 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
 def _applied(values: dict[str, Any]) -> dict[str, str | None]:
     """Return what attributes say was undone of what the detector does to counts; None for nothing."""
     linearity: Linearity | None = values.get("linearity")
-    return {} if linearity is None else {"linearity_applied": linearity.described(TABLE[0] in values)}
+    notes: dict[str, str | None] = {}
+    if linearity is not None:
+        notes["linearity_applied"] = linearity.described(TABLE[0] in values)
+    if "masked" in values:
+        notes["pedestal_applied"] = "mean of the masked elements of each line, beyond their dark"
+    return notes
 
 
 def _with(

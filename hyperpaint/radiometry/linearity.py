@@ -29,6 +29,7 @@ _NODES = 8192
 5 % at full scale is straight to 1e-5 counts."""
 _BELOW_DARK = 1.0 / 16.0
 """Share of the highest count by which the curve is known below 0 [1]: as far as dark noise reaches."""
+_NONE_MASKED = np.empty((0, 2), np.int64)
 _HIGHEST_COUNT = 65535.0
 """End of the curve [count] where the calibration does not say at which count the converter is full."""
 
@@ -76,16 +77,18 @@ class Linearity:
         """Return the curve as the kernel takes it: a short polynomial as it is, all else as a fine table."""
         none = np.empty(0, np.float32)
         if not self:
-            return DetectorModel(none, none, np.float32(0.0), np.float32(1.0), np.bool_(False))
+            return DetectorModel(none, none, np.float32(0.0), np.float32(1.0), _NONE_MASKED, np.bool_(False))
         if 0 < len(self.coefficients) <= _TERMS:
             short = np.zeros(_TERMS, np.float32)
             short[: len(self.coefficients)] = self.coefficients
-            return DetectorModel(short, none, np.float32(0.0), np.float32(1.0), np.bool_(self.on_raw))
+            return DetectorModel(
+                short, none, np.float32(0.0), np.float32(1.0), _NONE_MASKED, np.bool_(self.on_raw)
+            )
         end = highest_count if np.isfinite(highest_count) else _HIGHEST_COUNT
         first = -_BELOW_DARK * end
         table = np.asarray(self.correction(np.linspace(first, end, _NODES)), np.float32)
         per_count = np.float32((_NODES - 1) / (end - first))
-        return DetectorModel(none, table, np.float32(first), per_count, np.bool_(self.on_raw))
+        return DetectorModel(none, table, np.float32(first), per_count, _NONE_MASKED, np.bool_(self.on_raw))
 
     def check(self, problems: Problems, highest_count: float) -> None:
         """Note a curve that is not finite, or does not rise with the light up to the highest count."""

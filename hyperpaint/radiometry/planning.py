@@ -73,9 +73,11 @@ def make_plan(
     good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
     exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
     dark, dark_index, dark_weight = _darks(cube, exposure) if from_counts else _no_dark(shape)
+    masked = _masked(cube, dark)
     gain = np.ones((bands, columns), np.float32)
     if from_counts:
         gain = np.array(cube["radiance_gain"], np.float32)
+        gain[tuple(masked.T)] = np.nan
         gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
     bad = np.isnan(gain)
     bad_share = bad[good].mean(axis=0) if good.any() else np.zeros(columns)
@@ -107,8 +109,10 @@ def make_plan(
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
-        detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube)),
-        error_terms=None if uncertain is None else error_terms(uncertain, cube, light, dtype, bad),
+        detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube))._replace(masked=masked),
+        error_terms=None
+        if uncertain is None
+        else error_terms(uncertain, cube, light, dtype, bad, len(masked)),
     )
 
 
@@ -146,6 +150,25 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
         measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
         known = Linearity((), measured, linear, known.on_raw)
     return known
+
+
+def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
+    """Return band and column of masked elements whose darks are known (n, 2) int64.
+
+    ``masked`` is (column,), (band, 1) or (band, column).
+    """
+    if "masked" not in cube:
+        return np.empty((0, 2), np.int64)
+    covered = np.asarray(cube["masked"], bool)
+    shape = dark.shape[1:]
+    places = np.argwhere(np.broadcast_to(covered, shape) & np.isfinite(dark).all(axis=0)).astype(np.int64)
+    if not len(places):
+        text = (
+            "'masked' is declared, and none of the elements left here is masked: no pedestal is subtracted; "
+            "compute reflectance of the whole line before it is cut"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    return places
 
 
 def _highest_count(cube: Mapping[str, Any]) -> float:

@@ -9,7 +9,13 @@ import numpy as np
 from hyperpaint.kernels.arguments import Calibration, CountLimits, DetectorModel, FixedFlags, LightCells
 from hyperpaint.kernels.radiometry import round_row
 
-NO_MODEL = DetectorModel(*[np.empty(0, np.float32)] * 2, np.float32(0.0), np.float32(1.0), np.bool_(False))
+NO_MODEL = DetectorModel(
+    *[np.empty(0, np.float32)] * 2,
+    np.float32(0.0),
+    np.float32(1.0),
+    np.empty((0, 2), np.int64),
+    np.bool_(False),
+)
 
 
 NO_DATA = 2048

@@ -43,6 +43,7 @@ _OPTIONAL = (
     "electrons_per_count",
     "read_noise",
     "look_angle",
+    "masked",
 )
 #: What a lab calibration adds, of which nothing but units and dims is asked.
 _OF_A_SWEEP = (

@@ -108,11 +108,13 @@ def error_terms(
     light: Mapping[str, Any] | None,
     dtype: str,
     bad: Array,
+    masked: int = 0,
 ) -> ErrorTerms:
     """Return what the uncertainty of every sample follows from; what is not known is zero.
 
     ``uncertain`` is that of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
-    by name; ``bad`` (band, column) are elements without a gain.
+    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
+    mean is the pedestal of a line, and so adds a noise of its own.
 
     Raises
     ------
@@ -130,6 +132,8 @@ def error_terms(
         + of("dark_counts_u_random") ** 2
         + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
     )
+    if masked:
+        floor = floor + float(np.nanmean(floor)) / masked
     squares = [of("radiance_gain_u_random") ** 2, of("linearity_u") ** 2]
     if "panel_u" in uncertain:
         # scaled to a panel, reflectance has the panel's uncertainty in place of what all elements share
