@@ -127,7 +127,7 @@ def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
     return strength, u, ""
 
 
-def with_coat_strength(library: xr.Dataset) -> xr.Dataset:
+def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
     """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (paint).
 
     Of a library with ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of each paint, before its coat is
@@ -138,13 +138,17 @@ def with_coat_strength(library: xr.Dataset) -> xr.Dataset:
     added = NORMAL_REFLECTANCE if mirror_reflection(library) == EXCLUDED else 0.0
     columns: list[tuple[float, float, str]] = []
     good = library["good"].values.astype(bool)
-    nm = library["wavelength"].values[good]
+    nm = library["wavelength"].values
     clear = {SKY_STATES.index("clear"), SKY_STATES.index("hazy")}
     for number in range(library.sizes[PAINT]):
         one = library.isel({PAINT: number})
-        members = one["member_reflectance"].values[:, good].astype(np.float64)
-        members = members[np.isfinite(members).all(axis=1)]
-        diffuse, sun = one["diffuse_fraction"].values[good].astype(np.float64), float(one["sun_zenith"])
+        members = one["member_reflectance"].values.astype(np.float64)
+        members = members[np.isfinite(members).any(axis=1)]
+        # bands at the ends may have no value in any pixel
+        used = good & (np.isfinite(members).sum(axis=0) > 0.9 * len(members))
+        members = members[:, used][np.isfinite(members[:, used]).all(axis=1)]
+        diffuse, sun = one["diffuse_fraction"].values[used].astype(np.float64), float(one["sun_zenith"])
+        sun = sun if sun_zenith is None else sun_zenith  # what is said goes before the clock
         if changed := [name for name in ("light_corrected", "tilt", "coat_corrected") if name in attrs]:
             columns.append((np.nan, np.nan, f"the light was changed before ({changed[0]})"))
         elif not (np.isfinite(diffuse).all() and np.isfinite(sun)):
@@ -152,7 +156,7 @@ def with_coat_strength(library: xr.Dataset) -> xr.Dataset:
         elif int(one["sky_state"]) not in clear:
             columns.append((np.nan, np.nan, f"the sky is {SKY_STATES[int(one['sky_state'])]}, not clear"))
         else:
-            light = PanelLight.clear(nm, diffuse, min(sun, 89.0))
+            light = PanelLight.clear(nm[used], diffuse, min(sun, 89.0))
             columns.append(strength_of(members + added * light.diffuse * light.above, light))
     names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
     variables: dict[str, Any] = {

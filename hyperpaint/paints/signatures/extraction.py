@@ -324,7 +324,7 @@ def extract_signatures(
         problems.raise_if_any()
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
-    library = with_coat_strength(library)
+    library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, left, coat_index, sun_zenith)
     library = with_panel_geometry(library, sun_zenith)
