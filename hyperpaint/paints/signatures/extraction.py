@@ -27,7 +27,7 @@ from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
 from .panel_geometry import with_panel_geometry
-from .pixel_statistics import CENTRES
+from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library
 
 if TYPE_CHECKING:
@@ -186,7 +186,8 @@ def extract_signatures(
     exclude
         Pixels with one of these flags are left out; 0 leaves out none. By default those of pixels whose
         reflectance is not that of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency
-        and mixed_edge.
+        and mixed_edge; of a region whose property ``excluded_flags`` names others, as `propose_regions` does
+        for roofs that it has judged by their brightness, those.
     members
         How many pixels of a region are kept as they are, at most.
     centre
@@ -310,9 +311,12 @@ def extract_signatures(
     if centre == "geometric_median":
         _refuse_divided(rounds, sources, places, region_list)
     drafts = [Draft(sources[names[position]], place) for position, place in enumerate(places)]
+    excluded = [
+        excluded_of(region, options.exclude) if exclude is None else exclude for region in region_list
+    ]
     for number, each in enumerate(rounds):
         reported = part_of(progress, number, len(rounds))
-        _reduce(each, sources[each.line], drafts, options, reported)
+        _reduce(each, sources[each.line], drafts, options, excluded, reported)
     small = _small(region_list, drafts, min_pixels)
     kept = [number for number in range(len(region_list)) if number not in small]
     if small and not (drop_small and kept):
@@ -372,9 +376,10 @@ class _Round:
 
 
 def _reduce(
-    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, progress: Progress | None
-) -> None:
-    """Gather the pixels of some regions, and reduce them."""
+    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, excluded: Sequence[int],
+    progress: Progress | None,
+) -> None:  # fmt: skip
+    """Gather the pixels of some regions, and reduce them; ``excluded`` has the flags of every draft."""
     batch = [drafts[position] for position in part.batch]
     along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
     # reading is the first half of the work, reducing the second
@@ -382,13 +387,13 @@ def _reduce(
     spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
     of_lines = {key: values[key] for key in source.small}
     start = 0
-    for draft in batch:
+    for position, draft in zip(part.batch, batch, strict=True):
         own = slice(start, start + draft.along.size)
         start = own.stop
         if part.bands.start == 0:
             present = values["present"][own]
             planes = {name: values[name][own] for name in source.planes}
-            draft.choose(present, planes, of_lines, options.exclude, options.members, options.seed)
+            draft.choose(present, planes, of_lines, excluded[position], options.members, options.seed)
         if draft.n >= options.min_pixels:
             draft.take_bands({name: cube[own] for name, cube in spectra.items()}, part.bands, options.centre)
         if progress is not None:

@@ -8,10 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.uncertainty.propagation import effective_number
+from hyperpaint.regions import Region
 
 __all__ = [
-    "CENTRES", "QUANTILES", "SMEAR", "chosen_members", "effective_pixels", "geometric_median", "summarise",
+    "CENTRES", "QUANTILES", "SMEAR", "chosen_members", "effective_pixels", "excluded_of",
+    "geometric_median", "summarise",
 ]  # fmt: skip
 
 
@@ -196,3 +200,16 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
             plane[rows[there], columns[there]] = np.clip(column, middle - reach, middle + reach)
             shares.append(there.sum() / effective_number(plane))
     return float(np.clip(count / np.mean(shares), 1.0, most)) if shares else most
+
+
+def excluded_of(region: Region, usual: int) -> int:
+    """Return the flags of the pixels of a region that are left out, which it may name itself."""
+    names = region.properties.get("excluded_flags")
+    if names is None:
+        return usual
+    flags = {flag.name.lower(): int(flag) for flag in Quality if flag.name}
+    if not isinstance(names, list) or not set(names) <= set(flags):
+        raise SchemaError(
+            f"region {region.name!r}: excluded_flags is {names!r:.80}, expected a list of {', '.join(flags)}"
+        )
+    return sum(flags[name] for name in set(names))
