@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
+from hyperpaint.regions.proposals.candidates import Measures, Picture
 from hyperpaint.regions.proposals.footprints import hull_of
+from hyperpaint.regions.proposals.judging import Level, Verdict, judge_level
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
@@ -228,6 +231,47 @@ def test_lobes_of_flakes__are_refused() -> None:
     assert any("flakes" in " ".join(region.properties["refused"]) for region in found.refused)
 
 
+def test_flakes_away_from_their_lobe__are_said() -> None:
+    """Rationale: under a lower sun flakes still change more over a roof than a solid paint does.
+
+    Expected: four times the change of a solid paint, whose roof leans by 5 degrees at its ends, is metallic
+    and of a level less certain; the change of a solid paint decides nothing.
+    """
+    model = hp.surroundings.survey(parked(), sun_zenith=45.0)
+    picture = Picture(model, np.empty(0), {}, 45.0)
+    measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
+    solid = float(np.radians(5.0) * (1.0 - model.diffuse_fraction.mean()))
+    verdicts = [Verdict("roof"), Verdict("roof")]
+    for verdict, change in zip(verdicts, (solid, 4.0 * solid), strict=True):
+        judge_level(verdict, measures, picture, 0.5, Level(change))
+    assert [one.finish for one in verdicts] == ["unknown", "metallic"]
+    assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
+    assert not any(one.objections for one in verdicts)
+
+
+def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
+    """Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud.
+
+    Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast sky
+    it is proposed, of a level within 2 %.
+    """
+    clear = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model")
+    assert len(clear) == 0
+    assert any("higher sun" in text for one in clear.refused for text in one.properties["refused"])
+    (region,) = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse=np.full(NM.size, 0.98))
+    assert region.properties["level_uncertainty"] < 0.02
+
+
+def test_black_paint__is_told_from_its_windows() -> None:
+    """Rationale: a black roof of 0.025 mirrors as much sky as its windows, of 0.012.
+
+    Expected: it is proposed; a car all of whose paint is as dark as its windows is not.
+    """
+    (region,) = propose(parked(paint=np.full(NM.size, 0.025)))
+    assert region.properties["kind"] == "roof"
+    assert len(propose(parked(paint=np.full(NM.size, 0.0125)))) == 0
+
+
 def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
     """Rationale: lots are full of white cars. Expected: two regions, one on each car."""
     one = parked()
@@ -293,6 +337,24 @@ def test_signatures__of_proposals() -> None:
     found = propose(line)
     paints = hp.extract_signatures(line, found)
     assert int(paints["n"][0]) == found[0].properties["pixels"]
+
+
+def test_flags_that_a_region_names__are_those_left_out() -> None:
+    """Rationale: a proposed roof was judged by its brightness, and flags of glint on it are no news.
+
+    Expected: its pixels under a flag it does not name count; under one it names, none is left; flags that
+    there are not are refused by name.
+    """
+    line = drawn()
+    (region,) = propose(line)
+    glint = xr.full_like(line["reflectance"][:, 0], int(hp.Quality.GLINT), np.uint16)
+    flagged = line.assign(quality=glint)
+    paints = hp.extract_signatures(flagged, hp.Regions((region,)))
+    assert int(paints["n"][0]) == region.properties["pixels"]
+    for names, message in ((["glint"], "too few pixels"), (["dust"], "excluded_flags is \\['dust'\\]")):
+        other = replace(region, properties={**region.properties, "excluded_flags": names})
+        with pytest.raises(SchemaError, match=message):
+            hp.extract_signatures(flagged, hp.Regions((other,)))
 
 
 @pytest.mark.parametrize("wrong", [{"erode": -1}, {"min_pixels": 0}, {"most": 0}, {"glint": float("nan")}])

@@ -16,8 +16,7 @@ from hyperpaint.surroundings.model import SHADED
 from .proposal_rules import SURFACES
 
 __all__ = [
-    "Limits", "Measures", "Picture", "Piece", "Surfaces", "largest_body", "measured", "pieces", "ring_around",
-    "window_of",
+    "Limits", "Measures", "Picture", "Piece", "Surfaces", "largest_body", "measured", "pieces", "window_of",
 ]  # fmt: skip
 
 
@@ -25,41 +24,28 @@ __all__ = [
 class Surfaces:
     """What segments of a scene model are by their spectra."""
 
-    #: (segment,): Mean reflectance [1]; ratio of blue to near infrared.
-    level: Floats
-    blueness: Floats
-    #: (segment,): Whether it is dark as glass, like the largest body, green as leaves, in another body's
-    #: shadow.
-    dark: Bools
+    level: Floats  #: (segment,): Mean reflectance [1].
+    #: (segment,): Whether it is like the largest body, or green as leaves.
     ground: Bools
     vegetation: Bools
-    shade: Bools
 
     @classmethod
     def of(cls, model: SceneModel) -> Surfaces:
         """Return those of a scene model."""
         spectrum = np.nan_to_num(model.spectrum)
-        level = spectrum.mean(axis=1)
-        blue, red, edge, infrared = (
+        blue, green, red, edge, infrared = (
             _mean_over(spectrum, model.channel_wavelength, span)
-            for span in (SURFACES.blue_nm, SURFACES.red_nm, SURFACES.edge_nm, SURFACES.infrared_nm)
-        )
-        blueness = blue / np.maximum(infrared, 1e-4)
+            for span in (
+                SURFACES.blue_nm, SURFACES.green_nm, SURFACES.red_nm, SURFACES.edge_nm, SURFACES.infrared_nm
+            )
+        )  # fmt: skip
         reference = np.nan_to_num(model.reference)
         length = np.linalg.norm(reference, axis=1, keepdims=True)
         direction = reference / np.maximum(length, 1e-9)
         ground = _like_the_largest(model, direction, length[:, 0])
-        shade = model.state == SHADED
-        dark = (level > SURFACES.min_level) & (level < SURFACES.dark)
-        glassy = (
-            (blueness > SURFACES.blueness[0])
-            & (blueness < SURFACES.blueness[1])
-            & ~(shade & ground & (level < SURFACES.min_level_in_shade))
-        )
-        dark &= glassy
-        # leaves rise within 50 nm, and no further; pigments take their time
-        leaves = (edge > 3.0 * red) & (infrared < 1.4 * edge)
-        return cls(level, blueness, dark, ground, leaves, shade)
+        # leaves rise within 50 nm, and no further; blue paints do, too, and are brighter in the blue
+        leaves = (edge > 3.0 * red) & (infrared < 1.4 * edge) & (green > blue)
+        return cls(spectrum.mean(axis=1), ground, leaves)
 
 
 def largest_body(model: SceneModel) -> int:
@@ -85,15 +71,6 @@ def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) 
     if not chosen.any():
         chosen[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
     return np.asarray(spectrum[:, chosen].mean(axis=1))
-
-
-def ring_around(mask: Bools, width: int) -> Bools:
-    """Return the pixels around a mask (line, column), from 3 to 3 + width away."""
-    from scipy.ndimage import binary_dilation
-
-    square = np.ones((3, 3), bool)
-    inner = binary_dilation(mask, square, iterations=3)
-    return np.asarray(binary_dilation(inner, square, iterations=width) & ~inner)
 
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH

@@ -9,15 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import Limits, Picture, Piece, Surfaces, measured
-from .footprints import Footprint, Scene, footprint_of
-from .judging import Judged, Verdict, judge_change, judge_lean, judge_pixels
-from .proposal_rules import CARS
+from .candidates import Limits, Measures, Picture, Piece, measured
+from .footprints import WAYS, Footprint, Scene, footprint_of
+from .judging import Judged, Level, Verdict, judge_level, judge_pixels
+from .proposal_rules import CARS, JUDGING, SURFACES
 from .roofs import NoRoof, Roof, find_roof, level_light
 
-__all__ = ["Car", "find_cars", "judge_car", "settle_dark"]
+__all__ = ["Car", "find_cars", "judge_car"]
 
 
 @dataclass(eq=False)
@@ -45,11 +46,16 @@ class Car:
 
 
 def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
-    """Return the cars that pieces of paint are of, the largest piece's first."""
+    """Return the cars that pieces of paint are of, the largest piece's first; those dark as windows last."""
     cars: list[Car] = []
     owner = np.full(scene.level.shape, -1, np.int32)
     painted = owner.copy()
-    for piece in sorted(pieces, key=lambda one: (-int(one.inside.sum()), one.first, one.body)):
+
+    def order(piece: Piece) -> tuple[bool, int, tuple[int, int], int]:
+        level = float(np.median(scene.level[piece.window][piece.inside]))
+        return level < SURFACES.dark, -int(piece.inside.sum()), piece.first, piece.body
+
+    for piece in sorted(pieces, key=order):
         owners = painted[piece.window][piece.inside]
         if (owners >= 0).mean() > CARS.min_piece_share:
             car = cars[int(np.bincount(owners[owners >= 0]).argmax())]
@@ -64,6 +70,8 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
         if number == len(cars):
             cars.append(Car([]))
         cars[number].add(piece, footprint, roof)
+        if not cars[number].is_car:
+            continue  # what is no car, such as ground that looks like no other, holds none
         for plane, mask in ((owner, footprint.whole), (painted, footprint.whole & footprint.paint)):
             view = plane[footprint.window]
             view[mask & (view < 0)] = number
@@ -81,10 +89,10 @@ def _look_around(piece: Piece, scene: Scene) -> _Seen:
     """Return the car around a piece, and its roof; what only windows join, too, where that shows a roof."""
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
     seen: list[_Seen] = []
-    for across_windows in (False, True):
-        footprint = footprint_of(piece.inside, piece.first, colour, scene, across_windows)
+    for way in WAYS:
+        footprint = footprint_of(piece.inside, piece.first, colour, scene, way)
         if footprint is None:
-            break
+            continue
         seen.append(_Seen(footprint, find_roof(footprint, scene.level[footprint.window])))
         if isinstance(seen[-1].roof, Roof):
             return seen[-1]
@@ -149,13 +157,38 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
             break
     off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    judge_lean(verdict, measures, picture.zenith, "roof", level.misfit + level.unsure + off)
-    judge_change(verdict, level.change, picture.zenith, CARS.seen_of_cut if footprint.cut else 1.0)
+    # the middle lies anywhere between both ends of what is unsure
+    unsure = 0.5 * level.unsure + off
+    judge_level(verdict, measures, picture, JUDGING.rake_deg, Level(level.change, level.misfit, unsure))
+    if verdict.finish == "metallic":
+        verdict.kind = "metallic"
+    _judge_windows(verdict, footprint, roof, picture)
     if level.misfit > CARS.max_misfit:
         verdict.objections.append(
             f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
         )
     return Judged(piece, measures, verdict)
+
+
+def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
+    """Object where a window, or a bed, may be taken for a black roof."""
+    level = picture.channels[footprint.window].mean(axis=2)
+    own = float(np.median(level[footprint.paint & footprint.whole]))
+    darker = footprint.whole & ~footprint.paint & (level < own)
+    step = own - float(np.median(level[darker])) if darker.any() else 0.0
+    if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * own):
+        verdict.objections.append(
+            f"windows beside it are darker by {step:.4f} only: it may be a window itself; draw a region "
+            "by hand"
+        )
+    if own >= SURFACES.dark:
+        return
+    rest = footprint.paint & footprint.whole & ~roof.inside
+    ratio = float(np.median(level[roof.inside]) / np.median(level[rest])) if rest.any() else np.nan
+    if not (roof.complete and JUDGING.dark_roof[0] < ratio < JUDGING.dark_roof[1]):
+        verdict.objections.append(
+            "dark, and not between two windows with the same paint beyond both: it may be a window or a bed"
+        )
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
@@ -179,56 +212,24 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
     verdict = Verdict()
     if not car.is_car:
         verdict.objections.append(car.reason)
+        verdict.scenery = _mean_level(measures) < SURFACES.dark
         return Judged(piece, measures, verdict)
     verdict.kind = "panel"
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
-    judge_lean(verdict, measures, picture.zenith, "panel")
-    if measures.pixels:
-        judge_change(verdict, measures.change, picture.zenith)
+    judge_level(verdict, measures, picture, JUDGING.panel_deg, Level())
+    if _mean_level(measures) < SURFACES.dark:
+        verdict.objections.append("as dark as a window, and not known to be the roof")
     return Judged(piece, measures, verdict)
+
+
+def _mean_level(measures: Measures) -> float:
+    """Return the mean reflectance of a piece [1]; 0 of none."""
+    spectrum: Floats = measures.spectrum
+    return float(spectrum.mean()) if measures.pixels else 0.0
 
 
 def better_part(best: Judged) -> str:
     """Return the objection to all other parts of a car."""
     y, x = best.piece.middle
     return f"another part of the same car is better: that at line {y:.0f}, column {x:.0f}"
-
-
-def settle_dark(judged: list[Judged], model: SceneModel, surfaces: Surfaces) -> None:
-    """Object to all but one usable piece of a car: that of the most homogeneous colour, away from windows.
-
-    Two are of one car where their spectra are the same but for brightness, and on the straight way from one
-    to the other there is no ground.
-    """
-    parts = [one for one in judged if one.verdict.kind and not one.verdict.objections]
-    group = list(range(len(parts)))
-    for later in range(len(parts)):
-        for earlier in range(later):
-            if group[later] != group[earlier] and _linked(parts[earlier], parts[later], model, surfaces):
-                old, new = group[later], group[earlier]
-                group = [new if one == old else one for one in group]
-    for name in dict.fromkeys(group):
-        car = [part for part, of in zip(parts, group, strict=True) if of == name]
-        best = min(car, key=lambda one: one.measures.angle)
-        for one in car:
-            if one is not best:
-                one.verdict.objections.append(better_part(best))
-
-
-def _linked(one: Judged, other: Judged, model: SceneModel, surfaces: Surfaces) -> bool:
-    """Tell whether two pieces are of one paint, and no ground lies between them."""
-    spectra = [np.nan_to_num(model.reference[each.piece.body]) for each in (one, other)]
-    length = float(np.linalg.norm(spectra[0]) * np.linalg.norm(spectra[1]))
-    if float(spectra[0] @ spectra[1]) < CARS.min_paint_cosine * length:
-        return False
-    start, stop = one.piece.middle, other.piece.middle
-    far = float(np.hypot(*(stop - start)))
-    if far > CARS.max_distance_px:
-        return False
-    steps = np.linspace(0.0, 1.0, max(2, int(np.ceil(far)) + 1))[:, None]
-    y, x = np.rint(start + steps * (stop - start)).astype(np.int64).T
-    way = model.segment[y, x]
-    way = way[way >= 0]
-    off = (surfaces.ground | surfaces.shade)[way] & ~surfaces.dark[way]
-    return bool(np.convolve(off, np.ones(CARS.min_ground_px), "valid").max(initial=0.0) < CARS.min_ground_px)

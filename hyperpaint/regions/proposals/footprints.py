@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +11,18 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .candidates import largest_body, window_of
-from .proposal_rules import FOOTPRINTS
+from .proposal_rules import FOOTPRINTS, SURFACES
 
-__all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
+__all__ = ["WAYS", "Footprint", "Scene", "footprint_of", "hull_of"]
 
 
 _ROUNDING = 1e-6
+
+Joined = Literal["touching", "apart", "windows"]
+"""What belongs to a car: all that touches; what is joined by more than a thin bridge, such as a mirror and a
+bay line; all that nothing but what is dark lies between, too."""
+
+WAYS: tuple[Joined, ...] = get_args(Joined)
 
 
 class Scene(NamedTuple):
@@ -61,13 +67,13 @@ class Footprint(NamedTuple):
 
 
 def footprint_of(
-    inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, across_windows: bool = False
+    inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, joined: Joined = "touching"
 ) -> Footprint | None:
     """Return the car that a piece of paint is of; None where its colour goes on without an end.
 
     Takes ``inside`` (line, column): the piece; ``first``: line and column of its first pixel; ``colour``
-    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``across_windows``:
-    whether parts belong together that nothing but what is dark lies between, too.
+    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``joined``: which parts
+    of its colour belong together.
     """
     shape = np.array(scene.level.shape)
     pad = min(int(FOOTPRINTS.around * max(inside.shape)), FOOTPRINTS.max_around_px)
@@ -79,7 +85,7 @@ def footprint_of(
         seed = np.zeros(like.paint.shape, bool)
         y, x = np.array(first) - low
         seed[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
-        whole = _whole(like, seed, across_windows)
+        whole = _whole(like, seed, joined)
         if whole is None:
             return None
         # at the edges of the window, in the order of low and high
@@ -109,35 +115,41 @@ def _like(colour: Floats, scene: Scene, window: tuple[slice, slice]) -> _Like:
     own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
     brightness = (seen @ colour) / own**2
     like = brightness * own / length
-    paint = (
-        (like > FOOTPRINTS.min_cosine)
-        & (brightness > FOOTPRINTS.min_brightness)
-        & (brightness < FOOTPRINTS.max_brightness)
-    )
+    is_dark = float(colour.mean()) < SURFACES.dark
+    least = FOOTPRINTS.min_dark_brightness if is_dark else FOOTPRINTS.min_brightness
+    paint = (like > FOOTPRINTS.min_cosine) & (brightness > least) & (brightness < FOOTPRINTS.max_brightness)
     as_ground = (seen @ scene.ground) / (length * ground)
     near = np.abs(np.log(length / ground)) < FOOTPRINTS.max_ground_log_ratio
     paint &= (like > as_ground) | ~near
     return _Like(
         paint,
         ~paint & near & (as_ground > FOOTPRINTS.min_cosine),
-        ~paint & (length < FOOTPRINTS.min_brightness * own),
+        ~paint & (length < least * own),
         brightness,
     )
 
 
-def _whole(like: _Like, seed: Bools, across_windows: bool) -> Bools | None:
+def _whole(like: _Like, seed: Bools, way: Joined) -> Bools | None:
     """Return what lies between the thick parts of a connected colour, those of a seed's car.
 
     Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
     seed.
     """
-    from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt, label
+    from scipy.ndimage import (
+        binary_closing,
+        binary_fill_holes,
+        binary_opening,
+        distance_transform_edt,
+        label,
+    )
 
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
     padded = np.pad(like.paint | seed, gap)
     closed = binary_closing(padded, square, iterations=gap)[gap:-gap, gap:-gap]
-    joined = closed | like.dark if across_windows else closed
+    if way == "apart":
+        closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
+    joined = closed | like.dark if way == "windows" else closed
     parts, _ = label(joined, square)
     own = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))

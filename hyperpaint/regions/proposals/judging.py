@@ -7,27 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.surroundings import SceneModel
-
-from .candidates import Limits, Measures, Picture, Piece, Surfaces, ring_around
+from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import JUDGING, SURFACES
 
-__all__ = ["Judged", "Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
-
-
-_LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
-"""Degrees by which the middle of a roof, or any panel, may lean."""
+__all__ = ["Judged", "Level", "Verdict", "judge_level", "judge_pixels"]
 
 
 @dataclass
 class Verdict:
     """What is thought of a piece."""
 
-    kind: str = ""  #: "roof", "panel", "dark paint"; empty where nothing says that it is a car's.
+    kind: str = ""  #: "roof", "panel", "metallic"; empty where nothing says that it is a car's.
     score: float = 0.0  #: 0 to 1, from what is measured.
     #: What speaks for it, and what against; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
+    finish: str = "unknown"  #: "metallic" where its brightness says so.
+    level_sd: float = np.nan  #: Standard uncertainty of its level, relative [1].
+    lean: float = np.nan  #: Standard deviation of its lean [degree].
     #: Whether it looks like leaves, a shadow or a window: refused, and listed after all others.
     scenery: bool = False
 
@@ -40,105 +37,66 @@ class Judged(NamedTuple):
     verdict: Verdict
 
 
-def judge_dark(
-    piece: Piece, measures: Measures, picture: Picture, surfaces: Surfaces, limits: Limits
-) -> Verdict:
-    """Return what is thought of a piece that is as dark as glass, or like leaves."""
-    verdict = Verdict()
-    if surfaces.vegetation[piece.body] and surfaces.level[piece.body] >= SURFACES.dark:
-        verdict.scenery = True
-        verdict.objections.append("its red edge is that of leaves")
-        return verdict
-    _judge_dark(verdict, piece, picture.model, surfaces)
-    if verdict.kind:
-        judge_pixels(verdict, measures, limits)
-        judge_lean(verdict, measures, picture.zenith, "dark paint")
-        if measures.angle > JUDGING.max_dark_angle_deg:
-            text = f"spectra differ by {measures.angle:.1f} degrees: windows, as dark, may be among them"
-            verdict.objections.append(text)
-    return verdict
+class Level(NamedTuple):
+    """What is known of the brightness of a part where it is level, relative [1]."""
+
+    change: float = 0.0  #: Half of what lies between the 10th and 90th percentiles over the part.
+    misfit: float = 0.0  #: How far what is seen in its middle is off a plane around it.
+    unsure: float = 0.0  #: By how much its middle and its pixels may be off.
 
 
-def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Surfaces) -> None:
-    """Tell dark paint from windows, shadows and dark ground by what is around it."""
-    body = piece.body
-    (y, x), (lines, columns) = piece.first, piece.inside.shape
-    pad = 3 + JUDGING.ring_px + 1
-    top, left = max(y - pad, 0), max(x - pad, 0)
-    around = model.segment[top : y + lines + pad, left : x + columns + pad]
-    mask = np.zeros(around.shape, bool)
-    mask[y - top : y - top + lines, x - left : x - left + columns] = piece.inside
-    beside = around[ring_around(mask, JUDGING.ring_px)]
-    beside = beside[beside >= 0]
-    beside = beside[model.body[beside] != body]
-    if not surfaces.dark[body] or not beside.size:
-        verdict.scenery = True
-        verdict.objections.append("as dark as a shadow, and mirrors no sky as windows and clear coats do")
-        return
-    level, own = surfaces.level[beside], surfaces.level[body]
-    things = ~surfaces.ground[beside] & ~surfaces.shade[beside]
-    brighter = float((things & (level > JUDGING.brighter * own)).mean())
-    standing = float((things & (level < own / JUDGING.brighter)).mean())
-    if brighter > JUDGING.max_brighter:
-        verdict.scenery = True
-        verdict.objections.append(
-            f"as dark as glass, and {brighter:.0%} of what is around it is not: a window"
-        )
-    elif surfaces.blueness[body] < JUDGING.min_blueness:
-        verdict.objections.append("dark, and mirrors no sky as a clear coat does: ground, rubber or trim")
-    elif standing > JUDGING.darker[1]:
-        verdict.scenery = True
-        verdict.objections.append(
-            f"dark, and {standing:.0%} of what is around it is darker: the edge of a shadow"
-        )
-    elif standing < JUDGING.darker[0]:
-        verdict.objections.append("dark, and no window is beside it: nothing says that it belongs to a car")
-    else:
-        verdict.kind = "dark paint"
-        verdict.reasons.append(
-            f"dark paint: windows, darker still, are {standing:.0%} of what is around it, "
-            f"and brighter things {brighter:.0%}"
-        )
+def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:
+    """State how uncertain the level of a part is, and whether flakes show; object where it is too uncertain.
 
-
-def judge_lean(
-    verdict: Verdict, measures: Measures, zenith: float | None, part: str, unsure: float = 0.0
-) -> None:
-    """Object where a lean that nothing shows could make the signature wrong.
-
-    Takes ``verdict``: gets the objection, or the reason; ``measures``: what is measured; ``zenith``: of the
-    sun [degree]; None where it is not known; ``part``: what it is a part of; says how far it may lean;
-    ``unsure``: what its brightness may be off beside, relative [1].
+    A lean of small angle b towards the sun changes a body's light by f_dir tan(zenith) b, and that of flakes
+    by more. By how much more tells how brightness changes over a roof, whose ends lean by some 5 degrees.
+    Takes ``rake``: standard deviation of a lean that no brightness shows [degree].
     """
     if not measures.pixels:
         return
-    most = float(measures.spectrum.max())
-    allowed = max(JUDGING.tolerance, JUDGING.relative_tolerance * most)
-    lean = _LEANS[part]
-    if zenith is None:
-        if part == "panel":
-            verdict.objections.append("not known to be a roof, and the sun's place is not known: it may lean")
-        return
-    error = most * float(np.hypot(np.tan(np.radians(zenith)) * np.radians(lean), unsure))
-    text = f"it may lean by {lean:g} degrees, which under this sun changes its reflectance by {error:.3f}"
-    (verdict.objections if error > allowed else verdict.reasons).append(f"{text}, {allowed:.3f} is allowed")
-
-
-def judge_change(verdict: Verdict, change: float, zenith: float | None, part: float = 1.0) -> None:
-    """Object where brightness changes more over a part of a car than its lean can change it.
-
-    Metal flakes mirror the sun over a wide lobe: where it lies on a part of the roof, it lies on all of it.
-
-    Takes ``verdict``: gets the objection; ``change``: half of what lies between the 10th and the 90th
-    percentile of brightness, relative [1]; ``zenith``: of the sun [degree]; of 45 degrees where it is not
-    known; ``part``: how much of what is allowed, where less than the whole is seen [1].
-    """
-    slope = float(np.tan(np.radians(45.0 if zenith is None else zenith)))
-    allowed = part * (JUDGING.gloss_change + float(np.radians(JUDGING.crown_deg)) * slope)
-    if change > allowed:
+    zenith = 45.0 if picture.zenith is None else picture.zenith
+    direct = 1.0 - float(picture.model.diffuse_fraction.mean())
+    slope = direct * float(np.tan(np.radians(zenith)))
+    gain = level.change / max(float(np.radians(JUDGING.crown_deg)) * slope, 0.02)
+    brightness = max(float(measures.spectrum.mean()), 1e-3)
+    parts = (
+        JUDGING.least_sd,
+        float(np.radians(rake)) * slope * float(np.clip(0.5 + 0.5 * gain, 1.0, JUDGING.max_gain)),
+        0.5 * level.misfit,
+        level.unsure,
+        JUDGING.mirror_sd / brightness,
+    )
+    verdict.level_sd, verdict.lean = float(np.hypot.reduce(parts)), rake
+    if direct >= JUDGING.min_flake_direct:
+        _judge_flakes(verdict, zenith, gain, level.change if brightness > SURFACES.dark else 0.0)
+    if "broken" in str(picture.model.attrs.get("sky_states", "")).split():
         verdict.objections.append(
-            f"brightness changes by {change:.0%} from its middle, more than the {allowed:.0%} of a crowned "
-            "part under gloss: metal flakes or wide glint may lie on all of it"
+            "clouds were broken: whether the light of the record fell on this car is not known; take a line "
+            "flown between clouds, or draw the region and check its level by hand"
+        )
+    allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
+    text = (
+        f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:g} degrees under this sun"
+    )
+    if verdict.level_sd > allowed:
+        advice = "fly under a higher sun, or draw a region that is known to be level"
+        verdict.objections.append(f"{text}: {allowed:.1%} is allowed; {advice}")
+    else:
+        verdict.reasons.append(text)
+
+
+def _judge_flakes(verdict: Verdict, zenith: float, gain: float, change: float) -> None:
+    """Say where brightness changes as only flakes make it change; object near their lobe."""
+    if zenith < JUDGING.min_flake_zenith_deg:
+        if change > JUDGING.max_high_sun_change:
+            verdict.objections.append(
+                f"its brightness changes by {change:.0%} under a high sun: the lobe of metal flakes may lie "
+                "on part of it; fly when the sun is lower"
+            )
+    elif gain > JUDGING.metallic_gain:
+        verdict.finish = "metallic"
+        verdict.reasons.append(
+            f"metallic: its brightness changes {gain:.1f} times as much as a solid paint's would"
         )
 
 

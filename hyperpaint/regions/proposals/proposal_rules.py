@@ -17,13 +17,12 @@ __all__ = ["CARS", "FOOTPRINTS", "JUDGING", "ROOFS", "SURFACES"]
 class SurfaceRules:
     """Segments by their spectra, and the measures of a piece."""
 
-    dark: float = 0.05  #: Mean reflectance below which a surface is a window, or a dark paint [1].
-    min_level: float = 0.002  #: Mean reflectance from which something is seen [1].
-    #: Mean reflectance from which a bluish surface is no shadow for certain [1].
-    min_level_in_shade: float = 0.0125
-    #: Blue over near infrared of windows, which mirror the sky [1].
-    blueness: tuple[float, float] = (0.65, 2.5)
-    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Blue, in which the sky's mirror image shows [nm].
+    #: Mean reflectance below which a surface may be a window or a shadow, and is listed last if refused [1].
+    dark: float = 0.05
+    #: Mean reflectance from which something is looked at [1]: windows, black inside, mirror as much.
+    min_level: float = 0.010
+    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Blue, in which leaves are darker than in the green [nm].
+    green_nm: tuple[float, float] = (535.0, 565.0)  #: Green, in which they are brighter [nm].
     red_nm: tuple[float, float] = (660.0, 690.0)  #: Red, below the red edge of leaves [nm].
     edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
     infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Near infrared, beyond the red edge [nm].
@@ -43,10 +42,14 @@ class FootprintRules:
     #: Cosine of the spectral angle to the piece, at least: 7 degrees.
     min_cosine: float = float(np.cos(np.radians(7.0)))
     min_brightness: float = 0.4  #: Brightness of a car's paint relative to the piece, at least [1].
+    #: The same of paint that is dark itself, whose windows reflect half as much and more [1].
+    min_dark_brightness: float = 0.7
     max_brightness: float = 1.7  #: The same, at most [1].
     #: Difference of the logarithm of reflectance up to which something may be ground.
     max_ground_log_ratio: float = 0.4
     max_gap_px: int = 2  #: Gap over which paint is joined [pixel].
+    #: Half width of what may join two cars, as mirrors and bay lines do [pixel].
+    bridge_px: int = 2
     thin: float = 0.25  #: Half width of what is left out, relative to that of the part that is looked at [1].
     min_half_width_px: float = 2.5  #: Half width of what stays, at least [pixel].
     max_width: float = 2.0  #: Width of a car relative to its widest part, at most [1].
@@ -69,6 +72,8 @@ class RoofRules:
     max_window_of_paint: float = 0.5  #: The same relative to the paint, where this is bright [1].
     min_crossed: float = 0.4  #: Dark share of a track across the car where a window crosses it, at least [1].
     min_window_px: int = 2  #: Tracks of a window, at least [pixel].
+    #: Length of the roof of a whole car, at least: what is shorter lies between windows of several cars.
+    min_roof: float = 0.12
     min_roof_px: int = 5  #: Tracks of a roof, at least [pixel].
     max_strip: float = 0.05  #: Length of a strip of paint between windows that goes with them, at most.
     max_bonnet: float = 0.38  #: Length of a bonnet, at most: what is longer is a roof.
@@ -102,23 +107,31 @@ class RoofRules:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """Verdicts: how far a part may lean, how dark paint differs from glass, and the score."""
+    """Verdicts: how uncertain the level of a part may be, whose windows are darker, flakes, and the score."""
 
-    tolerance: float = 0.03  #: Error of a signature, at most, in reflectance [1].
-    relative_tolerance: float = 0.06  #: The same relative to reflectance, where that is more [1].
-    #: Change of brightness over a part under the sun's mirror image, relative, at most [1].
-    gloss_change: float = 0.05
-    crown_deg: float = 7.0  #: Lean over a crowned part [degree].
+    #: Standard uncertainty of the level, relative, at most: half of the 6 % that a signature may be off [1].
+    max_level_sd: float = 0.042
+    max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
+    least_sd: float = 0.012  #: What remains of a level roof: noise, dust, light of neighbours [1].
+    mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
+    rake_deg: float = 1.1  #: Lean of the middle of a roof, which its brightness does not show [degree].
+    panel_deg: float = 7.0  #: The same of any other part [degree].
+    crown_deg: float = 5.0  #: Lean of the ends of a crowned roof against its middle [degree].
+    #: Change with lean over that of a body under the same sun, at most; half of what the ends of a roof show
+    #: is their stronger curvature [1].
+    max_gain: float = 2.5
+    metallic_gain: float = 3.0  #: The same from which on flakes are certain [1].
+    #: Sun's zenith angle from which a roof seen from above is away from the sun's mirror image [degree].
+    min_flake_zenith_deg: float = 32.0
+    #: Change of brightness over a roof under a higher sun from which on it may be flakes near that image [1].
+    max_high_sun_change: float = 0.09
+    min_flake_direct: float = 0.5  #: Direct share from which flakes show [1].
+    #: Darkness of the windows relative to the paint from which on they are told from it [1].
+    min_window_contrast: float = 0.25
+    min_window_step: float = 0.0025  #: The same in reflectance [1].
+    #: Brightness of a dark roof relative to the rest of the car, at least and at most: a bed has another.
+    dark_roof: tuple[float, float] = (0.7, 1.4)
     enough_px: int = 200  #: Pixels from which on more do not make a region better.
-    ring_px: int = 8  #: Width of the ring around dark paint that is looked at [pixel].
-    max_brighter: float = 0.25  #: Share of the ring that is brighter, at most [1].
-    #: Share of the ring that is darker but no shadow, as windows are [1].
-    darker: tuple[float, float] = (0.05, 0.5)
-    brighter: float = 1.1  #: Brightness relative to its own from which on something is brighter [1].
-    #: Median spectral angle to the median of paint as dark as glass, at most [degree].
-    max_dark_angle_deg: float = 1.0
-    #: Blue relative to near infrared of dark paint under a clear coat, at least [1].
-    min_blueness: float = 1.1
     half_angle_deg: float = 2.0  #: Spectral angle that halves a score [degree].
     half_adjacency: float = 0.01  #: Adjacency that does [1].
     half_glint: float = 0.02  #: Glint that does [1].
@@ -133,13 +146,7 @@ class CarRules:
     min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
     #: Factors of the brightness limit, the next where too few pixels of a roof are within [1].
     wider: tuple[float, float] = (1.0, 2.0)
-    max_misfit: float = 0.06  #: Misfit of the plane in the middle of a roof, relative, at most [1].
-    #: Share of a roof that is looked at where the picture's edge cuts the car off [1].
-    seen_of_cut: float = 0.8
-    #: Cosine of the spectral angle between dark pieces of one paint, at least: 5 degrees.
-    min_paint_cosine: float = float(np.cos(np.radians(5.0)))
-    max_distance_px: float = 300.0  #: Distance of dark pieces of one car, at most [pixel].
-    min_ground_px: int = 3  #: Pixels of ground in a row that part two cars.
+    max_misfit: float = 0.10  #: Misfit of the plane in the middle of a roof, relative, at most [1].
 
 
 SURFACES = SurfaceRules()

@@ -11,6 +11,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
@@ -21,9 +22,9 @@ from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
-from .cars import find_cars, judge_car, settle_dark
+from .cars import find_cars, judge_car
 from .footprints import Scene
-from .judging import Judged, Verdict, judge_dark
+from .judging import Judged, Verdict
 from .proposal_rules import SURFACES
 
 if TYPE_CHECKING:
@@ -96,6 +97,9 @@ def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> 
     return ring
 
 
+_LEFT_OUT = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
+"""What a signature of a proposed region leaves out: glint and neighbours were judged by its brightness."""
+
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 
 
@@ -157,16 +161,19 @@ def propose_regions(
       windscreen, it has a sunroof in it, and the roof is level beside that.
     * How bright the roof is there tells a plane through the brightness of its pixels: a crowned roof leans in
       proportion to the distance, and what glint adds lies above the plane. Pixels are left whose brightness
-      is within 3 % of that, within 6 % where these are too few; of these the largest connected set. ``glint``
-      and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
-    * It is refused where reflectance may be off by over 0.03 and 6 %: by 1.5 degrees of lean, by a middle
-      that is elsewhere, by pixels beside it. And where brightness changes more over it than a crown under
-      gloss lets it: metal flakes mirror the sun over a wide lobe, which may lie on all of it.
-    * Another part of a car may lean by 14 degrees, and is taken only where no roof is seen and that is
-      allowed. Of it those pixels are left that have no glint, shadow or coloured neighbour's light, and
-      whose brightness is within 3 % of its median.
-    * Paint as dark as glass has darker windows beside it, mirrors the sky, is of one colour to 1 degree, and
-      little around it is brighter.
+      is within 3 % of that, or within 6 or 12 % where these are too few; of these the largest connected set.
+      ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
+    * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
+      lean of 0.9 degrees that nothing shows, by how much more than a solid paint's its brightness changes,
+      and from where its middle is; the property ``level_uncertainty`` says it. It is refused above 4.2 %, or
+      0.0018 in reflectance where that is more.
+    * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
+      and so is ``kind``. Else it is "unknown": flakes of a flat lobe look like a solid paint from one side.
+      What a signature of paint with flakes holds is its reflectance at this sun, seen from here.
+    * Another part of a car may lean by 7 degrees or more, and is taken only where no roof is seen and its
+      level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
+      coloured neighbour's light, and whose brightness is within 3 % of its median.
+    * Black paint is told from windows by windows that are darker still.
     * A car gives one region.
 
     Parameters
@@ -201,10 +208,12 @@ def propose_regions(
     Returns
     -------
     Proposals
-        `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "dark paint"), ``pixels``,
-        ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``, ``glint``,
-        ``blocked_direct``, ``adjacency`` [1] and ``reasons``; its attribute ``refused`` holds the other
-        pieces, whose property ``refused`` says why; see `Proposals` for what is in neither.
+        `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "metallic"), ``finish``
+        ("metallic", "unknown"), ``level_uncertainty`` (standard, relative) [1], ``lean`` (standard deviation)
+        [degree], ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``,
+        ``glint``, ``blocked_direct``, ``adjacency`` [1], ``excluded_flags`` (see
+        `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused`` holds the other pieces,
+        whose property ``refused`` says why; see `Proposals` for what is in neither.
 
     Raises
     ------
@@ -218,8 +227,8 @@ def propose_regions(
     .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
               \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
 
-    A proposal can be wrong, more often with metallic paints: flakes of a tinted paint, whose lobe is so wide
-    that a roof's light hardly changes, are taken for the body. For measured rates see docs/figures.md.
+    A proposal can be wrong, more often with metallic paints and black ones. For measured rates see
+    ``benchmarks/fleet.py``.
 
     The clear coat's mirror image of the sky is still in the spectra; see
     `hyperpaint.surroundings.corrections.remove_mirrored_sky`.
@@ -248,17 +257,16 @@ def propose_regions(
     zenith = _zenith(line, options.get("sun_zenith"))
     picture = Picture(scene, *_read(line, scene), zenith)
     surfaces = Surfaces.of(scene)
-    bright, judged = [], []
+    painted, judged = [], []
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):
-        if surfaces.ground[piece.body]:
+        if surfaces.ground[piece.body] or surfaces.level[piece.body] < SURFACES.min_level:
             continue
-        if surfaces.level[piece.body] >= SURFACES.dark and not surfaces.vegetation[piece.body]:
-            bright.append(piece)
+        if not surfaces.vegetation[piece.body]:
+            painted.append(piece)
         else:
-            measures = measured(piece, picture, limits)
-            judged.append(Judged(piece, measures, judge_dark(piece, measures, picture, surfaces, limits)))
-    settle_dark(judged, scene, surfaces)
-    for car in find_cars(bright, Scene.of(picture.channels, scene)):
+            leaves = Verdict(scenery=True, objections=["its red edge is that of leaves"])
+            judged.append(Judged(piece, measured(piece, picture, limits), leaves))
+    for car in find_cars(painted, Scene.of(picture.channels, scene)):
         judged += judge_car(car, picture, limits)
     proposals = _ranked(judged, most, flightline, name)
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
@@ -337,11 +345,15 @@ def _region(
         "glint": measures.glint,
         "blocked_direct": measures.shadow,
         "adjacency": measures.adjacency,
+        "level_uncertainty": verdict.level_sd,
+        "lean": verdict.lean,
     }
     properties = {
         **more,
         "kind": verdict.kind or "unknown",
+        "finish": verdict.finish,
         "pixels": measures.pixels,
+        "excluded_flags": flag_names(_LEFT_OUT),
         **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
         "reasons": verdict.reasons,
     }

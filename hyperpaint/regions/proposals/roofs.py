@@ -135,6 +135,8 @@ def _judge_run(car: Footprint, runs: list[_Run], number: int, sided: float, fram
             return _Grounds(f"a roof: windows end it on both sides, {evidence}", share + sided)
         return None
     slender = frame.length / frame.width
+    if share < ROOFS.min_roof:
+        return None
     if not (
         ROOFS.slenderness[0] < slender < ROOFS.slenderness[1]
         or (ends == 2 and sided > ROOFS.surely_sided and slender > ROOFS.min_slenderness)
@@ -296,7 +298,8 @@ def level_light(
             break
         fitted = chosen
     near = np.hypot(*(place[:, 1:].T)) < np.quantile(np.hypot(*(place[:, 1:].T)), 0.4)
-    there = float(np.median(off[near & fitted])) if (near & fitted).any() else 0.0
+    # of all that is there, and not of what was fitted: on flakes, what is above the plane may be most of it
+    there = float(np.median(off[near])) if near.any() else 0.0
     y, x = np.nonzero(inside)
     low, high = np.quantile(plane[1] * y + plane[2] * x, [0.1, 0.9])
     change = 0.5 * float(high - low) / max(abs(float(plane[0])), 1e-9)
