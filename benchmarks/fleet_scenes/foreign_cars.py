@@ -265,7 +265,7 @@ def _assembled(seed: int, light: dict[str, Any], images: dict[str, Arrays]) -> A
     return line
 
 
-def truth_of(line: Any, along: Any, across: Any) -> Any:
+def truth_of(line: Any, along: Any, across: Any, *, spectrum: bool = True) -> Any:
     """Return the `Truth` of the paint that most of some pixels show."""
     from .verdicts import Truth
 
@@ -279,4 +279,6 @@ def truth_of(line: Any, along: Any, across: Any) -> Any:
         "paint": name, "finish": "metallic" if kind else "solid",
         "colour": colour if colour in ("white", "black", "grey", "silver") else "coloured",
     }  # fmt: skip
+    if not spectrum:
+        return Truth(words, None)
     return Truth(words, line["geometry_truth" if kind else "solid_truth"].values[number])

@@ -171,7 +171,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     return line
 
 
-def truth_of(line: Any, along: Any, across: Any) -> Any:
+def truth_of(line: Any, along: Any, across: Any, *, spectrum: bool = True) -> Any:
     """Return the `Truth` of the paint that most of some pixels show.
 
     Of a solid paint, what it reflects near-normally lit and seen, with the dust that lies on these pixels. Of
@@ -192,6 +192,8 @@ def truth_of(line: Any, along: Any, across: Any) -> Any:
     words = {
         "paint": name, "finish": spec.finish, "colour": car.colour if car.colour in PLAIN else "coloured"
     }  # fmt: skip
+    if not spectrum:
+        return Truth(words, None)
     rows = line["dust"].values[along, across]
     ratio = line["dust_ratio"].values[rows[rows >= 0]].mean(axis=0) if (rows >= 0).any() else 1.0
     body = np.asarray(spectrum_of(name)(BANDS) * ratio)
@@ -221,11 +223,11 @@ def _under_sky(line: Any, material: Any, body: Any, metal: Any, view: tuple[floa
         apart = abs((towards - view[1] + 180.0) % 360.0 - 180.0)
         return reflectance_factor(material, body, metal, light=light, view=view[0], azimuth=apart)
 
-    nodes, weights = np.polynomial.legendre.leggauss(8)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
     cosines = 0.5 * (nodes + 1.0)
     molecular, aureole, overcast = line["true_shares"].values
     shapes = function_shapes(float(zenith))
-    turns = np.arange(12) * 30.0 + 15.0
+    turns = np.arange(8) * 45.0 + 22.5
     total, norm = np.zeros(BANDS.size), np.zeros(BANDS.size)
     for cosine, weight in zip(cosines, weights, strict=True):
         for turn in turns:

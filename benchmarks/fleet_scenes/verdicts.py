@@ -48,24 +48,65 @@ def looked_at(line: Any) -> tuple[Any, Any, Any]:
     radiance = line["radiance"]
     noise = 1.0 + np.random.default_rng([line.attrs["seed"], 7]).normal(size=radiance.shape) / SNR
     noisy = line.assign(radiance=radiance.copy(data=(radiance.values * noise).astype(np.float32)))
-    seen = hp.reflectance(noisy).compute()
-    model = hp.surroundings.survey(seen, **_places(line))
+    seen = hp.reflectance(_placed(noisy)).compute()
+    model = hp.surroundings.survey(seen)
     return seen, model, hp.surroundings.flag(seen, model).compute()
 
 
-def _places(line: Any) -> dict[str, float]:
-    """Return where the sun stands, and where to the camera flew: north."""
-    return {"sun_zenith": line.attrs["sun_zenith"], "sun_azimuth": line.attrs["sun_azimuth"], "heading": 0.0}
+def _placed(line: Any) -> Any:
+    """Return a line with times, a place on Earth where the sun stands as it is rendered, and its heading.
+
+    The camera flies north.
+    """
+    zenith, azimuth = line.attrs["sun_zenith"], line.attrs["sun_azimuth"]
+    moment, latitude, longitude = _where_sun_stands(zenith, azimuth)
+    shift = moment - line["time"].values[0]
+    names = ("time", "irradiance_time")
+    line = line.assign_coords({name: line[name].copy(data=line[name].values + shift) for name in names})
+    one = np.ones(line.sizes["along_track"])
+    columns = {"latitude": latitude * one, "longitude": longitude * one, "heading": 0.0 * one}
+    degrees = {"latitude": "degrees_north", "longitude": "degrees_east", "heading": "degree"}
+    return line.assign(
+        {name: ("along_track", column, {"units": degrees[name]}) for name, column in columns.items()}
+    )
 
 
-def extracted(flagged: Any, regions: Any, zenith: float) -> Any:
+def _where_sun_stands(zenith: float, azimuth: float) -> tuple[Any, float, float]:
+    """Return time, latitude and longitude [degree] where the sun stands at two angles [degree].
+
+    From sin d = sin(latitude) cos(zenith) + cos(latitude) sin(zenith) cos(azimuth), d the declination, of
+    the first of three days on which there is such a latitude; refined by the product's own ephemeris.
+    """
+    from scipy.optimize import fsolve
+
+    from hyperpaint.light.sun import solar_position
+
+    a, z = np.radians(azimuth), np.radians(zenith)
+    length, turn = np.hypot(np.cos(z), np.sin(z) * np.cos(a)), np.arctan2(np.sin(z) * np.cos(a), np.cos(z))
+    for day, declination in (("2026-06-21", 23.44), ("2026-09-22", 0.0), ("2026-12-21", -23.44)):
+        sine = np.sin(np.radians(declination)) / length
+        latitude = np.arcsin(np.clip(sine, -1.0, 1.0)) - turn
+        if abs(sine) > 1.0 or abs(latitude) > np.radians(70.0):
+            continue
+        moment = np.datetime64(f"{day}T12:00", "ns")
+        above = np.cos(z) - np.sin(latitude) * np.sin(np.radians(declination))
+        hour = np.arctan2(-np.sin(a) * np.sin(z), above / np.cos(latitude))
+
+        def off(place: Any, moment: Any = moment) -> list[float]:
+            at = solar_position(moment, *place)
+            return [float(at[0]) - zenith, float(at[1]) - azimuth]
+
+        latitude, longitude = fsolve(off, np.degrees([latitude, hour]))
+        return moment, float(latitude), float(longitude)
+    raise ValueError(f"nowhere stands the sun {zenith} degrees from the zenith at azimuth {azimuth}")
+
+
+def extracted(flagged: Any, regions: Any) -> Any:
     """Return the library of signatures; None where every region has too few pixels left."""
     import hyperpaint as hp
 
     try:
-        return hp.extract_signatures(
-            flagged, regions, specular_sky=True, sun_zenith=zenith, drop_small=True
-        ).compute()
+        return hp.extract_signatures(flagged, regions, specular_sky=True, drop_small=True).compute()
     except hp.errors.SchemaError as error:
         if "too few pixels" in str(error):
             return None
@@ -82,15 +123,16 @@ def whole_cars(line: Any, names: Sequence[str]) -> list[int]:
 def judged(line: Any, truth_of: Any, scene: Any = None) -> list[Verdict]:
     """Return a verdict on every whole car, and on every region elsewhere.
 
-    ``truth_of`` takes a line and pixels (along, across), and returns the `Truth` of what most of them show;
+    ``truth_of`` takes a line and pixels (along, across), and returns the `Truth` of what most of them show,
+    with ``spectrum=False`` in words only;
     ``scene`` is what `looked_at` returns, made where it is not given.
     """
     import hyperpaint as hp
     from hyperpaint.regions import pixels_of
 
     seen, model, flagged = scene or looked_at(line)
-    proposals = hp.regions.propose_regions(seen, model, **_places(line))
-    library = extracted(flagged, proposals, line.attrs["sun_zenith"]) if len(proposals) else None
+    proposals = hp.regions.propose_regions(seen, model)
+    library = extracted(flagged, proposals) if len(proposals) else None
     names = [one["name"] for one in json.loads(line.attrs["instances"])]
     instance = line["instance"].values
     whole = whole_cars(line, names)
@@ -102,9 +144,9 @@ def judged(line: Any, truth_of: Any, scene: Any = None) -> list[Verdict]:
     for region, (along, across) in zip(proposals, pixels_of(proposals, line), strict=True):
         at = int(np.bincount(instance[along, across]).argmax())
         truth = truth_of(line, along, across)
-        compared = _compared(library, region, truth)
+        outcome = compared(library, region, truth)
         car = names[at] if at in whole else ""
-        verdicts.append(Verdict(**case, car=car, name=region.name, **compared))
+        verdicts.append(Verdict(**case, car=car, name=region.name, **outcome))
     proposed = {one.car for one in verdicts}
     refusals: dict[str, list[str]] = {}
     for region, (along, across) in zip(proposals.refused, pixels_of(proposals.refused, line), strict=True):
@@ -113,7 +155,7 @@ def judged(line: Any, truth_of: Any, scene: Any = None) -> list[Verdict]:
     for at in whole:
         if names[at] not in proposed:
             pixels = np.nonzero((instance == at) & (line["paint_id"].values >= 0))
-            truth = truth_of(line, *pixels)
+            truth = truth_of(line, *pixels, spectrum=False)
             told = " | ".join(dict.fromkeys(refusals.get(names[at], ["NO REASON GIVEN"])))
             verdicts.append(Verdict(**case, car=names[at], **truth.words, result="refused", told=told))
     return verdicts
@@ -127,7 +169,7 @@ class Truth:
     spectrum: Any  #: (band,): What a signature of it is compared with [1]; None of what is no paint.
 
 
-def _compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
+def compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     """Return what is said of a region's signature."""
     stated = str(region.properties.get("finish", ""))
     row: dict[str, Any] = {**truth.words, "stated_finish": stated, "kind": region.properties["kind"]}
@@ -138,7 +180,11 @@ def _compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     signature = library.sel(paint=region.name)
     seen = signature["reflectance"].values.astype(np.float64)
     good = np.isfinite(seen)
-    seen, true = seen[good], truth.spectrum[good]
+    true = truth.spectrum
+    if truth.words["finish"] != "solid" and "coat_transmission" in signature:
+        # of flakes the truth is through the coat; the product divides all paints by what a coat lets through
+        true = true / signature["coat_transmission"].values
+    seen, true = seen[good], true[good]
     factor = float(seen @ true / (seen @ seen))
     shape = float(np.sqrt(np.mean((factor * seen - true) ** 2)))
     level = float(true.mean())
@@ -162,18 +208,15 @@ def _compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
 def _level_sd(signature: Any, region: Any) -> float | None:
     """Return the stated standard uncertainty of the mean over the bands [1]; None where nothing is stated.
 
-    What is systematic moves all bands together; what is random averages out over them.
+    What is systematic, or of the coat, moves all bands together; what is random averages out over them.
     """
-    systematic = signature["reflectance_u_systematic"].values
+    together = ("reflectance_u_systematic", "reflectance_u_coat")
+    stated_ones = [name for name in together if name in signature and np.isfinite(signature[name]).any()]
+    parts = [float(np.nanmean(signature[name].values)) for name in stated_ones]
     random = signature["reflectance_u_random"].values
-    parts = []
-    if np.isfinite(systematic).any():
-        parts.append(float(np.nanmean(systematic)))
     if np.isfinite(random).any():
         parts.append(float(np.sqrt(np.nanmean(random**2) / np.isfinite(random).sum())))
     stated = region.properties.get("level_uncertainty")
-    if stated is not None and "level" not in str(
-        signature["reflectance_u_systematic"].attrs.get("components")
-    ):
+    if stated is not None:
         parts.append(float(stated) * float(np.nanmean(signature["reflectance"].values)))
     return float(np.hypot.reduce(parts)) if parts else None
