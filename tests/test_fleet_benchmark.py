@@ -12,6 +12,9 @@ from benchmarks import fleet
 from benchmarks.fleet_scenes import foreign_cars, rendered_cars
 from benchmarks.fleet_scenes.verdicts import Truth, Verdict, compared
 from hyperpaint.regions import Region
+from hyperpaint.simulation.rendering.appearance import reflectance_factor
+from hyperpaint.simulation.rendering.fleet import fleet_paint
+from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
 
 RED = np.linspace(0.05, 0.5, 12)
 
@@ -98,3 +101,20 @@ def _plan(points: Any, faces: Any) -> float:
     a, b, c = (points[faces[:, k], :2] for k in range(3))
     u, v = b - a, c - a
     return float(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
+
+
+@pytest.mark.parametrize("finish", ["metallic", "pearl"])
+def test_truth_of_flakes__is_that_of_the_paint_under_one_light(finish: str) -> None:
+    """Expected: for one direction of light, the reflectance factor that the renderer's own measure gives."""
+    number = next(one for one in range(100) if fleet_paint(one).finish == finish)
+    spec = paint_spec(f"fleet-{number}")
+    assert spec.flakes is not None
+    nm = rendered_cars.BANDS
+    body, metal = (spectrum_of(name)(nm) for name in (f"fleet-{number}", spec.flakes.spectrum))
+    turned = spectrum_of(spec.flakes.turned)(nm) if spec.flakes.turned else metal
+    light = np.array([40.0]), np.array([100.0])
+    factors = rendered_cars.factors(spec.material(), (body, metal, turned), light, (10.0, 270.0))
+    expected = reflectance_factor(
+        spec.material(), body, metal, light=40.0, view=10.0, azimuth=170.0, turned=turned
+    )
+    np.testing.assert_allclose(factors[0], expected, rtol=2e-3)

@@ -202,42 +202,73 @@ def truth_of(line: Any, along: Any, across: Any, *, spectrum: bool = True) -> An
     view = float(np.nanmean(line["view_zenith"].values[along, across]))
     azimuth = float(np.nanmedian(line["view_azimuth"].values[along, across]))
     metal = spectrum_of(spec.flakes.spectrum)(BANDS)
-    return Truth(words, _under_sky(line, spec.material(), body, metal, (view, azimuth)))
+    turned = spectrum_of(spec.flakes.turned)(BANDS) if spec.flakes.turned else metal
+    return Truth(words, _under_sky(line, spec.material(), (body, metal, turned), (view, azimuth)))
 
 
 PLAIN = ("white", "black", "grey", "silver")
 
 
-def _under_sky(line: Any, material: Any, body: Any, metal: Any, view: tuple[float, float]) -> Any:
+def _under_sky(line: Any, material: Any, spectra: tuple[Any, ...], view: tuple[float, float]) -> Any:
     """Return the reflectance factor (band,) of a level panel with flakes under the sun and sky of a line.
 
     Integral of the paint's reflectance factor over the directions of the light, weighted by their shares of
-    the level irradiance.
+    the level irradiance. ``spectra`` are those of body, flakes, and flakes at right angles.
     """
     from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
-    from hyperpaint.simulation.rendering.appearance import reflectance_factor
 
     zenith, azimuth = line.attrs["sun_zenith"], line.attrs["sun_azimuth"]
-
-    def factor(light: float, towards: float) -> Any:
-        apart = abs((towards - view[1] + 180.0) % 360.0 - 180.0)
-        return reflectance_factor(material, body, metal, light=light, view=view[0], azimuth=apart)
-
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    cosines = 0.5 * (nodes + 1.0)
-    molecular, aureole, overcast = line["true_shares"].values
-    shapes = function_shapes(float(zenith))
-    turns = np.arange(8) * 45.0 + 22.5
-    total, norm = np.zeros(BANDS.size), np.zeros(BANDS.size)
-    for cosine, weight in zip(cosines, weights, strict=True):
-        for turn in turns:
-            from_sun = scattering_cosine(np.array(cosine), np.radians(turn), zenith)
-            parts = [float(relative_radiance(one, np.array(cosine), from_sun)) for one in shapes]
-            # 1.5 cos goes with the unit level irradiance of a radiance in proportion to the cosine
-            radiance = molecular * parts[0] + aureole * parts[1] + overcast * 1.5 * cosine
-            radiance = radiance + (1.0 - molecular - aureole - overcast)
-            share = radiance * cosine * weight
-            total += share * factor(float(np.degrees(np.arccos(cosine))), azimuth + turn)
-            norm += share
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    # evenly in the zenith angle: the lobe of flakes is narrow around the mirror direction
+    tilt = 0.25 * np.pi * (nodes + 1.0)
+    angle, turn = np.meshgrid(tilt, np.radians(np.arange(48) * 7.5), indexing="ij")
+    cosine = np.cos(angle)
+    level = cosine * np.sin(angle) * weights[:, None]
+    from_sun = scattering_cosine(cosine, turn, zenith)
+    molecular, aureole, overcast = line["true_shares"].values[:, :, None, None]
+    parts = [relative_radiance(shape, cosine, from_sun) for shape in function_shapes(float(zenith))]
+    # 1.5 cos has the level irradiance of a uniform sky of radiance 1
+    radiance = molecular * parts[0] + aureole * parts[1] + overcast * 1.5 * cosine
+    share = (radiance + 1.0 - molecular - aureole - overcast) * level
+    share /= share.sum(axis=(1, 2), keepdims=True)
+    dome = np.degrees(angle).ravel(), azimuth + np.degrees(turn).ravel()
+    of_sky = factors(material, spectra, dome, view)
+    (of_sun,) = factors(material, spectra, (np.array([zenith]), np.array([azimuth])), view)
+    sky = np.einsum("bd,db->b", share.reshape(BANDS.size, -1), of_sky)
     direct = line["true_direct"].values
-    return direct * factor(zenith, azimuth) + (1.0 - direct) * total / norm
+    return direct * of_sun + (1.0 - direct) * sky
+
+
+def factors(
+    material: Any, spectra: tuple[Any, ...], light: tuple[Any, Any], view: tuple[float, float]
+) -> Any:
+    """Return reflectance factors (direction, band) without the mirror image in the coat.
+
+    Takes zenith and azimuth of the light (direction,), and of the view [degree]; what
+    `simulation.rendering.appearance.reflectance_factor` returns, for many directions.
+    """
+    from hyperpaint.simulation.rendering.materials import measured_factor
+    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
+
+    one, factor = np.ones(1), np.zeros(1, np.int32)
+    index, alpha, share = material.coat.index, material.flakes.roughness, material.flakes.share
+    surfaces = surfaces_of(index * one, 0 * one, 0 * one, 0.5 * one, alpha * one, factor, factor)
+    seen = _vector(view[0], 0.0)
+    lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
+    rows = np.empty((4, light[0].size))
+    for number, (zenith, azimuth) in enumerate(zip(*light, strict=True)):
+        at = _vector(float(zenith), float(azimuth) - view[1])
+        base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, at, at, 0.0)
+        # half of the light meets flakes
+        rows[:3, number] = 2.0 * base / at[2], 2.0 * flakes / at[2], 2.0 * recycled / at[2]
+        rows[3, number] = turned_part(lobes, at)
+    base, flakes, recycled, part = rows[:, :, None]
+    body, metal, turned = spectra
+    pigment, mixed = measured_factor(body, index), metal + part * (turned - metal)
+    again = share * mixed + (1.0 - share) * pigment
+    return (1.0 - share) * base * pigment + share * mixed * (flakes + recycled * again)
+
+
+def _vector(zenith: float, azimuth: float) -> tuple[float, float, float]:
+    a, b = np.radians([zenith, azimuth])
+    return float(np.sin(a) * np.cos(b)), float(np.sin(a) * np.sin(b)), float(np.cos(a))
