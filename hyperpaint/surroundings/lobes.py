@@ -149,7 +149,9 @@ def _add_sharp(
     peak = np.unravel_index(np.argmax(np.where(core, seen, -np.inf)), core.shape)
     around = picture.channels[wide][(body == own) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
     if np.isfinite(seen[peak]):
-        added = (picture.channels[wide][peak] - np.nanmedian(around, axis=0)) / picture.light.direct
+        added = (picture.channels[wide][peak] - np.nanmedian(around, axis=0)) / np.maximum(
+            picture.light.direct, 1e-6
+        )
         if not added.std() < LOBES.max_colour * added.mean():
             return
     surface = (body == own) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
