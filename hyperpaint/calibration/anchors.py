@@ -14,7 +14,7 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension, takes_quantities
 from hyperpaint.light.responses import Responses, log_slope
-from hyperpaint.radiometry.linearity import linearity_of
+from hyperpaint.radiometry.linear_counts import linearity_of
 
 from .detector import row_medians
 

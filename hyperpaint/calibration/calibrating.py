@@ -16,7 +16,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.radiometry.linearity import DARK_SUBTRACTED, Linearity, linearity_of
+from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
 
 from .calibration_dataset import Budget, Result, line_level
 from .detector import deviant_darks, factors_of, row_medians

@@ -15,7 +15,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
-from hyperpaint.radiometry.linearity import DARK_SUBTRACTED, RAW, Linearity
+from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
 
 from .detector import row_medians
 from .elements import at_steps, line_wavelengths

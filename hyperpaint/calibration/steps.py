@@ -12,7 +12,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
-from hyperpaint.radiometry.linearity import Linearity
+from hyperpaint.radiometry.linear_counts import Linearity
 
 from .lab_sweep import LabSweep, listed, refused
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window

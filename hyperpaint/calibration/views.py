@@ -14,7 +14,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, label, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import profiles
-from hyperpaint.radiometry.linearity import linearity_of
+from hyperpaint.radiometry.linear_counts import linearity_of
 
 from .detector import deviant_darks
 from .lab_sweep import LabSweep, check_sweep

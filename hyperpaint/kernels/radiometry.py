@@ -22,7 +22,7 @@ from .arguments import (
     LightCells,
     SlabOutputs,
 )  # fmt: skip
-from .linearity import LinearRow, scale_linear_row, signal_row, slope_row, straighten_row
+from .linear_counts import LinearRow, scale_linear_row, signal_row, slope_row, straighten_row
 from .pedestal import pedestal_of, raise_dark
 
 __all__ = ["calibrate_slab", "round_row"]

@@ -31,7 +31,7 @@ from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
-from .linearity import TABLE, Linearity, declared_linearity
+from .linear_counts import TABLE, Linearity, declared_linearity
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 

@@ -19,7 +19,7 @@ from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cel
 from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
-from .linearity import TABLE, Linearity
+from .linear_counts import TABLE, Linearity
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .tilted_light import tilt_factors

@@ -21,7 +21,7 @@ from hyperpaint.calibration import (
     panel_radiance,
 )
 from hyperpaint.calibration.responsivity import interpolate_nodes, monotone_slopes
-from hyperpaint.radiometry.linearity import Linearity
+from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.simulation import simulate_sweep
 
 ELEMENT = ("band", "cross_track")

@@ -15,7 +15,7 @@ from hyperpaint.calibration import linearity
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration, scale_attrs
 from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
 from hyperpaint.kernels.radiometry import calibrate_slab
-from hyperpaint.radiometry.linearity import Linearity
+from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 FULL = 4095.0
