@@ -111,7 +111,7 @@ class PaintAccessor:
         self,
         model: SceneModel | xr.Dataset | None = None,
         *,
-        glint: float = 0.02,
+        glint: float = 0.04,
         shadow: float = 0.2,
         adjacency: float = 0.01,
         edge: int = 1,

@@ -199,7 +199,10 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: _figure(library_overview(usable), caption)
     yield "paints", lambda: _table_of_paints(usable)
-    yield "provenance", lambda: _provenance(library.attrs)
+    if refused := library.attrs.get("refused"):
+        pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
+        yield "refused", lambda: page_part("facts", pairs=pairs, heading="Looked at, and refused")
+    yield "provenance", lambda: _provenance({k: text for k, text in library.attrs.items() if k != "refused"})
 
 
 def _refuse(problem: str) -> Markup:

@@ -135,7 +135,7 @@ def flag(
     >>> from hyperpaint.light.sun import diffuse_fraction
     >>> nm = np.linspace(400.0, 1000.0, 48)
     >>> seen = np.full((8, 48, 8), 0.3, np.float32)
-    >>> seen[4, :, 4] += 0.1 * (1 - diffuse_fraction(nm, 30.0))
+    >>> seen[4, :, 4] += 0.7 * (1 - diffuse_fraction(nm, 30.0))
     >>> line = xr.Dataset({"reflectance": (("along_track", "band", "cross_track"), seen, {"units": "1"})},
     ...                   {"wavelength": ("band", nm, {"units": "nm"})})
     >>> flagged = flag(line, sun_zenith=30.0)

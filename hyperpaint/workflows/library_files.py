@@ -35,6 +35,7 @@ __all__ = ["NOT_LOOKED_FOR", "check_table", "table_of", "validate_files", "write
 
 
 _MOST_TOLD = 10
+_MOST_REFUSED = 200
 NOT_LOOKED_FOR = "not looked for"
 """Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
@@ -114,7 +115,7 @@ def write_signatures(
         share = part_of(progress, number, len(wanted) + 1)
         flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
     origin = _origin(lines, flagged, looked_at)
-    targets = _proposed(lines, flagged, surveys) if given is None else given
+    targets, refused = _proposed(lines, flagged, surveys) if given is None else (given, [])
     lines |= {name: done.line for name, done in flagged.items()}
     if options.get("specular_sky"):
         options["sun_zenith"] = sun_zenith
@@ -124,6 +125,8 @@ def write_signatures(
     share = part_of(progress, len(wanted), len(wanted) + 1)
     library = extract_signatures(lines, targets, progress=share, **options)
     library.attrs |= {"store": around.name, "flags": origin}
+    if refused:
+        library.attrs["refused"] = refused[:_MOST_REFUSED]
     to_store(library, Path(out), overwrite=overwrite)
     return library
 
@@ -209,8 +212,11 @@ def _origin(
 
 def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
-) -> Regions:
-    """Return the regions that are proposed on flight lines, by the surveys that there are."""
+) -> tuple[Regions, list[str]]:
+    """Return the regions that are proposed on flight lines, by the surveys there are, and what is refused.
+
+    What is refused is said with its place and the reasons, cars before scenery.
+    """
     from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
@@ -225,13 +231,18 @@ def _proposed(
         shared = {key: options[key] for key in taken if key in options}
         by_line[name] = propose_regions(seen, model, flightline=name, name=paint, **shared)
     regions = Regions(tuple(region for proposals in by_line.values() for region in proposals))
+    refused = [
+        f"{name}, line {along:.0f}, column {across:.0f}: {'; '.join(region.properties['refused'])}"
+        for name, proposals in by_line.items()
+        for region in proposals.refused
+        for across, along in [region.polygon.mean(axis=0)]
+    ]
     if not len(regions):
-        refused = [text for proposals in by_line.values() for text in proposals.table().splitlines()]
         shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
         raise SchemaError(
             f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
         )
-    return regions
+    return regions, refused
 
 
 def table_of(library: xr.Dataset) -> str:

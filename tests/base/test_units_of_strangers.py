@@ -179,13 +179,12 @@ def test_a_view_in_quantities_goes_through_the_chain_like_the_line() -> None:
 
 def test_a_quantity_stays_lazy(no_compute: Any) -> None:
     line = worked_example()
-    lazy = line.assign(
-        irradiance=line.irradiance.copy(data=FIRST.Quantity(line.irradiance.chunk().data, "mW/m^2/nm"))
-    )
+    milliwatts = 1000.0 * line.irradiance.chunk().data
+    lazy = line.assign(irradiance=line.irradiance.copy(data=FIRST.Quantity(milliwatts, "mW/m^2/nm")))
     with no_compute():
         made = lazy.paint.reflectance()
     assert made.reflectance.chunks is not None
-    np.testing.assert_allclose(made.reflectance, 1000 * line.paint.reflectance().reflectance, rtol=3e-7)
+    np.testing.assert_allclose(made.reflectance, line.paint.reflectance().reflectance, rtol=3e-7)
 
 
 def test_quantities_inside_of_dask_blocks_are_refused() -> None:

@@ -80,6 +80,7 @@ def test_a_sphere_gives_every_element_its_gain(sweep: xr.Dataset) -> None:
     assert float(np.abs(error).max()) < 4e-4
 
 
+@pytest.mark.slow
 def test_one_factor_leaves_the_shape_of_the_sweep(sweep: xr.Dataset) -> None:
     shape = hp.calibrate(sweep.drop_vars(["capture_fraction", "etendue"]), absolute=False)
     anchored = anchor_to_radiance(

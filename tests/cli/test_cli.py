@@ -184,7 +184,7 @@ def _no_exposure(folder: Path) -> str:
 
 def _microwatts(folder: Path) -> str:
     _light_from_csv(folder, 1e6)
-    return "uW labelled as W"
+    return "uW m-2 nm-1 that are taken for W m-2 nm-1"
 
 
 def _light_from_csv(folder: Path, factor: float) -> None:

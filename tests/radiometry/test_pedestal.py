@@ -44,6 +44,7 @@ def test_a_drift_is_taken_out() -> None:
     assert np.isnan(made.values[:, :, COVER]).all()
 
 
+@pytest.mark.slow
 def test_with_noise_means_are_right_and_the_noise_is_stated() -> None:
     errors = []
     for seed in range(6):

@@ -126,7 +126,8 @@ def paints(line: xr.Dataset) -> xr.Dataset:
         ),
         hp.Region(name, [(3, 0), (5, 0), (5, 9), (3, 9)], flightline="raw_0"),
     )
-    return hp.extract_signatures({"raw_0": line}, hp.Regions(regions), exclude=0)
+    library = hp.extract_signatures({"raw_0": line}, hp.Regions(regions), exclude=0)
+    return library.assign_attrs(refused=["raw_0, line 7, column 3: it is a window: <b>"])
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +165,7 @@ def test_a_page_of_everything(whole: Path) -> None:
     assert "red hood" in shown
     assert "Ours & Co" in shown
     assert "Paint by paint" in shown
+    assert "Looked at, and refused raw_0, line 7, column 3 it is a window: <b>" in re.sub(r"\s+", " ", shown)
     # true colour, flags, irradiance and reflectance of two lines; the layer and two cards of one; the paints
     assert len(page.pictures) == 12
 
