@@ -23,7 +23,8 @@ def envi_cube(lines):
     header = path.with_suffix(".hdr")
     header.write_text(
         f"ENVI\nsamples = {COLUMNS}\nlines = {lines}\nbands = {BANDS}\nheader offset = 0\n"
-        "file type = ENVI Standard\ndata type = 12\ninterleave = bil\nbyte order = 0\n"
+        "description = {raw counts}\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
+        "byte order = 0\n"
     )
     return header
 

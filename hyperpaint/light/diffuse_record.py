@@ -187,14 +187,19 @@ def _split(
     ``sun_zenith``: where the clock is not to be believed [degree].
     """
     latitude, longitude, level_u, pressure = place
+    spectra = np.asarray(spectra, np.float64)
+    # a channel that most samples lack would leave none of which all is known
+    finite = np.isfinite(spectra)
+    held = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
+    spectra, channels = spectra[:, held], channels[held]
     windows = windows_in(channels)
     if not windows.centre.size:
         raise SchemaError(
-            f"irradiance covers {channels.min():g} to {channels.max():g} nm and none of the intervals that "
-            f"are compared, {RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm"
+            "irradiance has no channel in the intervals that are compared, "
+            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm, or no value there"
         )
     used = windows.operator.any(axis=0)
-    means = np.asarray(spectra, np.float64)[:, used] @ windows.operator[:, used].T
+    means = spectra[:, used] @ windows.operator[:, used].T
     means /= sun_distance_factor(time)[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
     if sun_zenith is not None:
@@ -265,7 +270,7 @@ def _at_lines(
 ) -> tuple[Array, Array, Array]:
     """Return fraction, uncertainty (line, band) and state (line,) between the samples around every line."""
     fraction, u, probability, _ = split
-    usable = np.flatnonzero(np.isfinite(fraction[:, 0]))
+    usable = np.flatnonzero(np.isfinite(fraction).any(axis=1))
     shape = (time.size, fraction.shape[1])
     state = np.full(time.size, len(SKY_STATES) - 1, np.int8)
     if not usable.size:

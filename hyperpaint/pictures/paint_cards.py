@@ -14,6 +14,8 @@ from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
 from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.signatures.extraction import EXCLUDED
+from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
@@ -100,7 +102,7 @@ def paint_card(
     panels["text"].set_axis_off()
     panels["text"].text(0.0, 1.0, "\n".join(lines_of_text), fontsize="small", va="top", in_layout=False)
     _draw_place(panels["place"], around, region)
-    _draw_exclusions(panels["used"], around, inside, region)
+    _draw_exclusions(panels["used"], around, inside, region, excluded_of(region, _usually_excluded(library)))
     _draw_signature(panels["signature"], own, colour)
     save_figure(figure, path)
     return figure
@@ -172,12 +174,10 @@ def _draw_outline(axes: Any, region: Region) -> None:
 # --- what was left out -------------------------------------------------------------------------------------
 
 
-def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Region) -> None:
+def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Region, excluded: int) -> None:
     """Draw the pixels that were used, and the flags of those inside and around that were not."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
-
-    from hyperpaint.paints.signatures.extraction import EXCLUDED
 
     orientation = orientation_of(around)
     grey = np.asarray(rgb(around).values).mean(axis=2, keepdims=True)
@@ -185,10 +185,10 @@ def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Regio
     bits = np.zeros(inside.shape, np.uint16)
     if "quality" in around.variables:
         bits = around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
-    used = inside & ((bits & np.uint16(EXCLUDED)) == 0)
+    used = inside & ((bits & np.uint16(excluded)) == 0)
     drawn[used] = np.asarray(rgb(around).values)[used]
     entries = {f"used  {used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}
-    shares = {flag: float(((bits & int(flag)) != 0)[inside].mean()) for flag in Quality if flag & EXCLUDED}
+    shares = {flag: float(((bits & int(flag)) != 0)[inside].mean()) for flag in Quality if flag & excluded}
     for flag, share in sorted(shares.items(), key=lambda pair: -pair[1]):
         here = (bits & int(flag)) != 0
         if not here.any():
@@ -201,6 +201,13 @@ def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Regio
     _draw_outline(axes, region)
     axes.set_title("what was used, and left out of the region", fontsize="small", loc="left")
     legend_below(axes, entries=entries)
+
+
+def _usually_excluded(library: xr.Dataset) -> int:
+    """Return the flags of pixels that a library says it left out."""
+    names = str(library.attrs.get("exclude", "")).split()
+    known = {str(flag.name).lower(): int(flag) for flag in Quality}
+    return sum(known[name] for name in set(names) & set(known)) if names else int(EXCLUDED)
 
 
 # --- the signature -----------------------------------------------------------------------------------------
@@ -226,7 +233,11 @@ def _draw_signature(axes: Any, own: xr.Dataset, colour: Array) -> None:
 
 def _interval(own: xr.Dataset) -> Array | None:
     """Return half of the interval of 95 % (band,) [1]; None where the library states no uncertainty."""
-    names = ("reflectance_u_random", "reflectance_u_systematic")
+    names = ["reflectance_u_random", "reflectance_u_systematic"]
+    if "reflectance_u_coat" in own.variables and not (
+        names[1] in own.variables and np.isfinite(own[names[1]]).any()
+    ):
+        names[1] = "reflectance_u_coat"  # which is part of the systematic one where that is known
     parts = [np.nan_to_num(own[name].values.astype(np.float64)) for name in names if name in own.variables]
     if "level_uncertainty" in own.variables and np.isfinite(own["level_uncertainty"].item()):
         parts.append(float(own["level_uncertainty"]) * own["reflectance"].values.astype(np.float64))

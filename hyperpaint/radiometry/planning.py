@@ -80,7 +80,9 @@ def make_plan(
         gain[tuple(masked.T)] = np.nan
         gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
     bad = np.isnan(gain)
-    bad_share = bad[good].mean(axis=0) if good.any() else np.zeros(columns)
+    seeing = good[:, None] & np.ones_like(bad)
+    seeing[tuple(masked.T)] = False  # what sees no light on purpose is not bad
+    bad_share = (bad & seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
     line_flags = np.zeros(lines, np.uint16)
     if time is not None:

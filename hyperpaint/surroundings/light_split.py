@@ -52,7 +52,13 @@ MAX_CLOCK_DEG = 2.0
 RECORDED = "as recorded"
 """Sky of a line whose ``sky_state`` says which it is."""
 
-UNKNOWN_SKY = SKY_STATES.index("contradictory")
+CONTRADICTORY = SKY_STATES.index("contradictory")
+
+UNSAID = -1
+"""In place of a number of `SKY_STATES` where nothing says what the sky was, as of a measured split."""
+
+MIN_STATE_SHARE = 0.1
+"""Share of the lines that have a word, from which on it counts among those of a mean [1]."""
 
 MODEL_U = 0.2
 """Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25."""
@@ -74,7 +80,7 @@ class LightSplit:
     source: str  #: Where the fraction is from, as attributes say it.
     sky: str  #: One of `SKIES`, or `RECORDED`.
     zenith: float
-    state: Any = UNKNOWN_SKY  #: Number of the sky's word, or of each line's.
+    state: Any = UNSAID  #: Number of the sky's word, or of each line's; `UNSAID` where nothing says it.
     states: tuple[str, ...] = ()  #: Words of ``sky_state`` that occur; of a mean only.
 
     def mean(self) -> LightSplit:
@@ -86,18 +92,38 @@ class LightSplit:
 
         fraction, u, cloud, state = dask.compute(self.fraction, self.u, self.cloud, self.state)
         warn_of_contradiction(state, self.zenith)
-        numbers = np.unique(state)
-        words = tuple(SKY_STATES[number] for number in numbers)
+        numbers, counts = np.unique(state, return_counts=True)
+        frequent = numbers[(counts > MIN_STATE_SHARE * counts.sum()) & (numbers != UNSAID)]
+        words = tuple(SKY_STATES[number] for number in frequent)
         # the sky's doubt is common to its lines
         spread = np.sqrt((u**2).mean(over) + fraction.var(over))
         weight = cloud.mean() if hasattr(cloud, "mean") else cloud
+        whole = fraction.mean(over)
+        known = np.isfinite(whole.values)
+        if not known.any():
+            raise SchemaError(
+                "the line has 'diffuse_fraction', or a record that it follows from, without any value",
+                mend="give diffuse= with a measured spectrum, or 'model' where the sky was clear",
+                option="give --diffuse",
+            )
+        if not known.all():  # bands without irradiance, which others around them stand for
+            nm = self.wavelength
+            whole, spread = (
+                each.copy(data=np.interp(nm, nm[known], each.values[known])) for each in (whole, spread)
+            )
         return LightSplit(
-            self.wavelength, fraction.mean(over), spread, float(weight), self.source, self.sky, self.zenith,
-            state=int(numbers[0]), states=words,
+            self.wavelength, whole, spread, float(weight), self.source, self.sky, self.zenith,
+            state=int(numbers[np.argmax(counts)]), states=words,
         )  # fmt: skip
 
     def mirrored(self) -> tuple[Floats, Floats]:
         """Return `mirrored_radiances` of a mean (band,) [1]."""
+        if not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"):
+            raise SchemaError(
+                "the sun's place is not known, which the mirrored sky depends on",
+                mend="give sun_zenith= [degree]",
+                option="give --sun-zenith",
+            )
         if self.sky in SKIES:
             return mirrored_radiances(self.sky, self.wavelength, self.zenith)
         clear = mirrored_radiances("clear", self.wavelength, self.zenith)
@@ -172,7 +198,7 @@ def says_its_split(line: xr.Dataset) -> bool:
 
 def warn_of_contradiction(states: Any, zenith: float) -> None:
     """Warn where most of the lines' words, numbers of `SKY_STATES`, are that of no sky."""
-    if np.mean(np.asarray(states) == UNKNOWN_SKY) > 0.5:
+    if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
         warnings.warn(CONTRADICTION.format(zenith=zenith), PaintWarning, stacklevel=3)
 
 
@@ -181,38 +207,57 @@ def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
     if PAINT in line.dims or ALONG_TRACK not in line.dims:
         # of paints it is small; one that is not known leaves nothing to go by
         held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
-        return _held(line) if held is not None and BAND in held.dims and np.isfinite(held).all() else None
+        return _held(line) if held is not None and BAND in held.dims and np.isfinite(held).any() else None
     if sun_zenith is not None and set(SUN_FROM) <= set(line.variables):
         clock = sun_zenith_of(line, None)
         if abs(clock - sun_zenith) > MAX_CLOCK_DEG:
-            return split_of_lines(line, sun_zenith=float(sun_zenith))
+            anew = split_of_lines(line, sun_zenith=float(sun_zenith))
+            if anew is not None:
+                return anew
     if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
         return _held(line)
     return split_of_lines(line)
 
 
 def _held(line: xr.Dataset) -> xr.Dataset:
+    """Return the split that a line or a library holds, refused where it is of samples of the record."""
+    dims = line["diffuse_fraction"].dims
+    if not set(dims) <= {ALONG_TRACK, PAINT, BAND}:
+        raise SchemaError(
+            f"'diffuse_fraction' has dims {dims}, expected ({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},); drop "
+            "it where the line has its record: it follows from that"
+        )
     return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
 
 
 def _recorded(
     line: xr.Dataset, own: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
 ) -> LightSplit:
+    import xarray as xr
+
     fraction = own["diffuse_fraction"].astype(np.float64)
     if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
         fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
     u = own["diffuse_fraction_u"].astype(np.float64) if "diffuse_fraction_u" in own else 0.0 * fraction
-    zenith = sun_zenith_of(line, sun_zenith)
+    try:
+        zenith = sun_zenith_of(line, sun_zenith)
+    except SchemaError:  # refused where it is needed
+        if sun_zenith is not None:
+            raise
+        zenith = float("nan")
     cloud: Any = float(sky == "overcast")
-    state: Any = UNKNOWN_SKY
+    state: Any = UNSAID
     if "sky_state" in own:
         state = own["sky_state"].reset_coords(drop=True)
-    if sky is None and "sky_state" in own:
+    if sky is None:
         middle = int(np.nanargmin(np.abs(wavelength - 550.0)))
-        clear = float(diffuse_fraction(wavelength[[middle]], zenith)[0])
+        clear = float(diffuse_fraction(wavelength[[middle]], zenith if np.isfinite(zenith) else 45.0)[0])
         share = ((fraction.isel({BAND: middle}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
         share = share.reset_coords(drop=True) if hasattr(share, "reset_coords") else share
-        overcast, hazy = SKY_STATES.index("overcast"), SKY_STATES.index("hazy")
-        cloud = share.where(state > hazy, 0.0).where(state != overcast, 1.0)
+        # where nothing says a word, as where clouds are broken: by the fraction
+        clear_words = [SKY_STATES.index(word) for word in ("clear", "hazy")]
+        overcast = SKY_STATES.index("overcast")
+        said = state if hasattr(state, "isin") else xr.full_like(share, state)
+        cloud = share.where(~said.isin(clear_words), 0.0).where(said != overcast, 1.0)
     source = "of the lines' own record"
     return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)

@@ -9,7 +9,12 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
-from hyperpaint.light.coat_transmission import COAT_INDEX, interface_reflectance, sky_reflectance
+from hyperpaint.light.coat_transmission import (
+    COAT_INDEX,
+    COAT_INDEX_U,
+    interface_reflectance,
+    sky_reflectance,
+)
 
 from .measured_spectra import Measured
 
@@ -91,6 +96,12 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     def times(spread: Floats | None) -> Floats | None:
         return None if spread is None else spread * factor
 
+    # the index is not known better than this, nor what is subtracted: of black paint it is most of all
+    index = reference.coat_index
+    normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
+    known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
+    systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
+
     note = (
         f"the reference, a reading of the coat's outside in {reference.geometry}, was brought to the body "
         f"under it: less {mirrored:.3f}, times {factor:.3f}"
@@ -99,7 +110,7 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         reference,
         values=(reference.values - mirrored) * factor,
         u_random=times(reference.u_random),
-        u_systematic=times(reference.u_systematic),
+        u_systematic=systematic,
         sd=times(reference.sd),
         mirror=EXCLUDED,
         quantity=BODY,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, UnitsError
-from hyperpaint.base.mirrored_light import mirror_reflection
+from hyperpaint.base.mirrored_light import BODY, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
 from hyperpaint.light.diffuse_record import SKY_STATES
@@ -222,8 +222,20 @@ def _of_library(
             mirror=mirror_reflection(dataset) or UNKNOWN,
             absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
             notes=(*channels.notes, *_light_of(dataset, number)),
-            **coat_of(attrs),
+            **(coat_of(attrs) | _as_seen(dataset, number, attrs)),
         )
+
+
+def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
+    """Return the quantity of a paint whose coat was left in among others of which it was divided out."""
+    if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
+        return {}
+    names = ("coat_transmission", "coat_transmission_u")
+    shares = [dataset[name].values for name in names if name in dataset]
+    if any(share.ndim != 2 for share in shares):
+        return {}
+    is_whole = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
+    return {"quantity": THROUGH_COAT} if is_whole else {}
 
 
 def _light_of(dataset: xr.Dataset, number: int) -> list[str]:

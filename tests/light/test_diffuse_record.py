@@ -142,7 +142,7 @@ def test_refusals() -> None:
     with pytest.raises(SchemaError, match="calibration_uncertainty"):
         split(light, time, calibration_uncertainty=0.0)
     far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
-    with pytest.raises(SchemaError, match="none of the intervals"):
+    with pytest.raises(SchemaError, match="no channel in the intervals"):
         diffuse_from_record(far, 0.0, 0.0)
 
 

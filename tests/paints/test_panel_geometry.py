@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.paints.signatures.panel_geometry import aspecular_angle, lean_range, panel_flop
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation import simulate_line
@@ -115,3 +116,24 @@ def test_the_coat_is_not_divided_out_of_a_metallic_paint() -> None:
     assert (paints.coat_transmission.values[0] < 0.999).all()
     np.testing.assert_array_equal(paints.coat_transmission.values[1], 1.0)
     assert (paints.reflectance.values[0] > paints.reflectance.values[1]).all()
+
+
+def test_what_a_metallic_paint_is_compared_with_does_not_depend_on_its_library() -> None:
+    line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+    corners = [(0, 0), (0, 31), (6, 31), (6, 0)]
+    regions = [Region(name, corners, properties={"finish": name}) for name in ("solid", "metallic")]
+    both = hp.extract_signatures(line, Regions(tuple(regions)), specular_sky=True, diffuse="model")
+    alone = both.isel(paint=[1])
+    reading = alone[["reflectance"]].assign(reflectance=alone.reflectance + np.float32(0.03))
+    reading.reflectance.attrs = {
+        "units": "1", "quantity": "reflectance factor of the outside of the coat",
+        "specular_component": "included", "measurement_geometry": "d/8",
+    }  # fmt: skip
+    reading.attrs = {}
+    for library in (both, alone):
+        # the reading of a coat's outside is not brought to a body that the signature is not of
+        with pytest.warns(
+            PaintWarning, match="body through its clear coat, the reference a reflectance factor"
+        ):
+            validation = hp.validate(library, reading, pairs={"metallic": "metallic"})
+        assert float(validation.statistics.bias.sel(part="VIS").item()) == pytest.approx(-0.03, abs=1e-3)

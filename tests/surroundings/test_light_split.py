@@ -117,3 +117,52 @@ def test_words_that_are_none() -> None:
         split_of(flat(), "guess", 30.0)
     with pytest.raises(SchemaError, match="expected 'model', 'pvlib' or a measured"):
         hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0)
+
+
+def test_signatures_take_the_split_that_they_state() -> None:
+    regions = hp.Regions((hp.Region("roof", [(0, 0), (0, 7), (5, 7), (5, 0)]),))
+    for fraction, word in ((0.6, "clear"), (1.0, "overcast")):
+        line = recorded(fraction, word)
+        paints = hp.extract_signatures(line, regions, specular_sky=True, coat=False, sun_zenith=40.0)
+        np.testing.assert_allclose(0.2 - paints.reflectance.values[0], taken(line), rtol=1e-4)
+        np.testing.assert_allclose(paints.diffuse_fraction.values[0], fraction)
+        assert float(paints.sun_zenith[0]) == 40.0
+
+
+def test_without_a_word_the_sky_is_told_by_the_fraction() -> None:
+    line = flat(diffuse_fraction=np.ones((LINES, NM.size), np.float32))
+    np.testing.assert_allclose(taken(line), 0.04 * 9.0 / 7.0, rtol=1e-4)
+    # nothing contradicts it, and the sun need not be known where it is not asked for
+    assert split_of(line, None, None).mean().states == ()
+    paints = hp.extract_signatures(line, hp.Regions((hp.Region("roof", [(0, 0), (0, 7), (5, 7), (5, 0)]),)))
+    assert int(paints.sky_state[0]) == -1
+    clear = recorded(0.3, "clear")
+    with pytest.raises(SchemaError, match="the sun's place is not known"):
+        split_of(clear, None, None).mean().mirrored()
+
+
+def test_a_word_of_few_lines_is_none_of_the_flight() -> None:
+    line = recorded(0.3, "clear").isel(along_track=np.arange(80) % LINES)
+    for count, words in ((4, ("clear",)), (12, ("clear", "broken"))):
+        state = line.sky_state.values.copy()
+        state[:count] = SKY_STATES.index("broken")
+        assert split_of(line.assign(sky_state=("along_track", state)), None, 40.0).mean().states == words
+
+
+def test_a_split_of_the_records_samples_is_refused() -> None:
+    line = flat().assign(diffuse_fraction=(("irradiance_time", "band"), np.full((3, NM.size), 0.3)))
+    with pytest.raises(SchemaError, match="where the line has its record"):
+        taken(line)
+
+
+def test_a_dead_channel_of_the_record_costs_itself_alone() -> None:
+    line = simulate_line(lines=16, bands=40, columns=6)
+    whole = split_of_lines(line)
+    dead = line.copy(deep=True).load()
+    nm = dead.irradiance_wavelength.values
+    dead.irradiance.values[:, np.abs(nm - 550.0).argmin()] = np.nan
+    without = split_of_lines(dead)
+    assert whole is not None
+    assert without is not None
+    assert np.isfinite(without.diffuse_fraction.values).all()
+    np.testing.assert_allclose(without.diffuse_fraction, whole.diffuse_fraction, atol=0.02)

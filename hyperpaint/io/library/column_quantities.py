@@ -53,6 +53,8 @@ _STATISTIC = re.compile(
     r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
     re.I,
 )
+_IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]?dev", re.I)
+_MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
 _OF_LIGHT = re.compile(
     r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
 )
@@ -108,7 +110,14 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
     """
     roles = np.full(len(values), NO_SPREAD)
     if headings:
-        is_spread = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
+        bare = [_bare(name) for name in headings[1:]]
+        named = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
+        means = [name for name, spread in zip(bare, named, strict=True) if not spread]
+        # a standard may be a paint: "White Std" is no spread where nothing is named "White"
+        in_full = [_IN_FULL.search(name) is not None for name in headings[1:]]
+        is_spread = named & np.array(
+            [full or not name or name in means for full, name in zip(in_full, bare, strict=True)]
+        )
         if is_spread[0]:
             raise FormatError(
                 f"{source}: its first spectrum is named {headings[1].strip()!r}, expected reflectance before "
@@ -116,7 +125,9 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
             )
         roles[is_spread] = IS_SPREAD
         for at in np.flatnonzero(is_spread):
-            owner = np.flatnonzero(~is_spread[:at])[-1]
+            others = np.flatnonzero(~is_spread)
+            alike = [int(other) for other in others if bare[at] and bare[other] == bare[at]]
+            owner = alike[0] if alike else others[others < at][-1]
             roles[owner] = at if roles[owner] == NO_SPREAD else roles[owner]
     elif len(values) == 2 and not sure and _looks_like_spread(*values):
         text = (
@@ -126,6 +137,12 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
         warnings.warn(text, PaintWarning, stacklevel=6)
         roles[:] = 1, IS_SPREAD
     return roles
+
+
+def _bare(heading: str) -> str:
+    """Return a heading without the words that say what statistic of a spectrum it is."""
+    text = _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))
+    return "".join(sign for sign in text if sign.isalnum())
 
 
 def _looks_like_spread(mean: Floats, spread: Floats) -> bool:

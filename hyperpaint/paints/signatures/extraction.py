@@ -16,7 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, flag_names
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, PAINT, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.radiometry.slabs import line_chunked
@@ -291,9 +291,9 @@ def extract_signatures(
     region_list = regions_from(regions)
     options.check(region_list)
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
-        if value is not None and not specular_sky:
+        if value is not None and not (specular_sky or coat):
             raise SchemaError(
-                f"{option}={value!r:.40} is for the mirrored sky only; pass specular_sky=True as well"
+                f"{option}={value!r:.40} is for the mirrored sky and the coat; pass specular_sky=True as well"
             )
     lines = lines_of(line, region_list)
     sources = {
@@ -328,10 +328,13 @@ def extract_signatures(
         problems.raise_if_any()
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
+    if sun_zenith is not None:  # which goes before that of the clock, here and in what is made of the library
+        told = np.full(library.sizes[PAINT], float(sun_zenith))
+        library = library.assign(sun_zenith=library["sun_zenith"].copy(data=told))
     library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, left, coat_index, sun_zenith)
-    library = with_panel_geometry(library, sun_zenith)
+    library = with_panel_geometry(library)
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 

@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
@@ -234,14 +235,14 @@ class SplitOfLines(NamedTuple):
     def mean(self, lines: Array) -> dict[str, Any]:
         """Return the mean over some lines, with the spread in its uncertainty, and the commonest sky."""
         rows = self.fraction[lines]
-        known = np.isfinite(rows).all(axis=1)
+        known = np.isfinite(rows).any(axis=1)
         if not known.any():
             return {}
         rows, u = rows[known], self.u[lines][known]
         return {
             "diffuse_fraction": rows.mean(axis=0),
             "diffuse_fraction_u": np.sqrt((u**2).mean(axis=0) + rows.var(axis=0)),
-            "sky_state": int(np.bincount(self.state[lines][known]).argmax()),
+            "sky_state": int(np.bincount(self.state[lines][known] + 1).argmax()) - 1,
         }
 
 
@@ -264,6 +265,9 @@ class Source:
     smoothing: str  #: How spectra are smoothed; "none".
     corrections: dict[str, str]  #: What was corrected, by name, see `CORRECTIONS`.
     components: dict[str, str]  #: What enters the uncertainties, by name.
+    said: dict[
+        str, str
+    ]  #: ``quantity`` and ``mirror_reflection`` of the line's reflectance, where it says them.
 
 
 def source_of(
@@ -305,11 +309,17 @@ def source_of(
         for key in CORRECTIONS
         if key in variables["reflectance"].attrs
     }
+    said = {
+        key: str(variables["reflectance"].attrs[key])
+        for key in ("mirror_reflection", "quantity")
+        if key in variables["reflectance"].attrs
+    }
     nominal = to_nominal(line)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrected))
     if specular_sky:
         where = nominal.assign(
             {name: variables[name] for name in ("wavelength", *_SMALL) if name in variables}
+            | {name: line[name].reset_coords(drop=True) for name in SPLIT if name in line.variables}
         )
         nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith, diffuse=diffuse)
     light = _light_of(line, diffuse, sun_zenith, needed=specular_sky)
@@ -343,6 +353,7 @@ def source_of(
         smoothing=str(cube.attrs.get("smoothing", before or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
+        said=said,
     )
 
 

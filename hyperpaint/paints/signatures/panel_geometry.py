@@ -28,6 +28,9 @@ FLOP_SHARE = 0.2
 MIN_FLOP_MEMBERS = 20
 """Pixels from which on both ends of a panel are told."""
 
+MIN_BAND_SHARE = 0.9
+"""Share of a panel's pixels that have a value in a band, from which on it counts [1]."""
+
 MAX_LEAN_DEG = 15.0
 """Lean of a panel up to which its change of brightness is taken for one [degree]."""
 
@@ -129,19 +132,21 @@ def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.A
     return np.asarray(np.minimum(lean, MAX_LEAN_DEG))
 
 
-def with_panel_geometry(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
+def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
     """Return a library that says at which angle to the sun's mirror image its panels were seen.
 
     Adds ``aspecular_angle`` (paint), of a level panel, ``aspecular_range`` (paint), by how much it may differ
     between the ends of the panel: twice `lean_range` [degree], and ``flop`` (paint, band), `panel_flop` of
-    the members [1]; NaN where members, sun or view are not known. ``sun_zenith`` [degree] goes before that
-    of the library.
+    the members [1]; NaN where members, sun or view are not known.
     """
     import xarray as xr
 
     good = library["good"].values.astype(bool)
     members = library["member_reflectance"].transpose(PAINT, ..., BAND).values
-    flops = [panel_flop(of_paint, good) for of_paint in members]
+    # a band that pixels lack, as one without irradiance, leaves none of them out
+    there = np.isfinite(members)
+    held = there.sum(axis=1) > MIN_BAND_SHARE * there.any(axis=2).sum(axis=1)[:, None]
+    flops = [panel_flop(of_paint, good & bands) for of_paint, bands in zip(members, held, strict=True)]
     contrast = np.array([flop.contrast for flop in flops])
     # where no split is known, all of the light turns with the panel: the least lean that explains a change
     direct = np.ones(len(flops))
@@ -151,8 +156,6 @@ def with_panel_geometry(library: xr.Dataset, sun_zenith: float | None = None) ->
             [np.nanmean(row[good]) if np.isfinite(row[good]).any() else 0.0 for row in split]
         )
     zenith, view, turn = (library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth"))
-    if sun_zenith is not None:
-        zenith = np.full(zenith.shape, sun_zenith)
     found = {
         "aspecular_angle": (PAINT, aspecular_angle(zenith, view, turn)),
         "aspecular_range": (PAINT, 2.0 * lean_range(contrast, zenith, direct)),

@@ -20,7 +20,7 @@ from hyperpaint.base.schema import (
     numbers_of,
     quality_attrs,
 )
-from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
+from hyperpaint.light.diffuse_record import sky_state_attrs
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
@@ -41,7 +41,7 @@ _CORRELATED_BANDS = 8
 
 _NAT = np.datetime64("NaT", "ns")
 
-_UNKNOWN_SKY = SKY_STATES.index("contradictory")
+_UNSAID_SKY = -1  # no number of `SKY_STATES`
 
 
 class Draft:
@@ -126,7 +126,7 @@ class Draft:
         self.at = _geometry({**of_lines, **of_pixels})
         split = {} if self._source.light is None else self._source.light.mean(self.cells[0][self._used])
         unknown = np.full(bands, np.nan)
-        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": _UNKNOWN_SKY}
+        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": _UNSAID_SKY}
         self.at |= split
         zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
         self.at |= {
@@ -317,11 +317,15 @@ def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
     """Return attributes that say what spectra hold of a coat; the line that holds most decides."""
 
-    def all_have(name: str) -> bool:
-        return all(name in source.corrections for source in sources.values())
+    def of_line(source: Source) -> str:
+        is_apart = source.said.get("mirror_reflection") == EXCLUDED
+        if not (is_apart or "mirrored_sky_removed" in source.corrections):
+            return OUTSIDE
+        return BODY if "coat_corrected" in source.corrections else THROUGH_COAT
 
-    word = EXCLUDED if all_have("mirrored_sky_removed") else INCLUDED
-    quantity = OUTSIDE if word == INCLUDED else BODY if all_have("coat_corrected") else THROUGH_COAT
+    lines = {of_line(source) for source in sources.values()}
+    quantity = next(each for each in (OUTSIDE, THROUGH_COAT, BODY) if each in lines)
+    word = INCLUDED if quantity == OUTSIDE else EXCLUDED
     return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
 
 

@@ -164,9 +164,9 @@ def propose_regions(
       is within 3 % of that, or within 6 or 12 % where these are too few; of these the largest connected set.
       ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
     * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
-      lean of 0.9 degrees that nothing shows, by how much more than a solid paint's its brightness changes,
+      lean of 1.1 degrees that nothing shows, by how much more than a solid paint's its brightness changes,
       and from where its middle is; the property ``level_uncertainty`` says it. It is refused above 4.2 %, or
-      0.0018 in reflectance where that is more.
+      0.0026 in reflectance where that is more.
     * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
       and so is ``kind``. Else it is "unknown": flakes of a flat lobe look like a solid paint from one side.
       What a signature of paint with flakes holds is its reflectance at this sun, seen from here.
