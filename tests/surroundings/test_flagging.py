@@ -18,6 +18,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import Quality
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
+from hyperpaint.regions.proposals.proposing import Proposals
 from hyperpaint.surroundings import flags
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.workflows import library_files
@@ -171,7 +172,10 @@ def test_regions_are_proposed_with_the_same_survey(
 
     def propose(line: xr.Dataset, model: Any = None, **options: Any) -> hp.Regions:
         given.append((model, options))
-        return hp.Regions((HOOD,))
+        window = hp.Region(
+            "refused_01", [(0, 0), (4, 0), (4, 2), (0, 2)], properties={"refused": ["a window"]}
+        )
+        return Proposals((HOOD,), refused=hp.Regions((window,)))
 
     monkeypatch.setattr(proposals, "propose_regions", propose)
     told: list[tuple[int, int]] = []
@@ -183,6 +187,7 @@ def test_regions_are_proposed_with_the_same_survey(
     assert isinstance(model, scene_model.SceneModel)
     assert options["glint"] == 0.03
     assert made.n_excluded[0] > 20
+    assert made.attrs["refused"] == [f"{made.flightline.item()}, line 1, column 2: a window"]
     # half of the way for the survey, half for the pixels
     assert told == sorted(told)
     assert told[-1] == (2000, 2000)
