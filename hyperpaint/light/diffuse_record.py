@@ -254,7 +254,7 @@ def split_of_lines(
     whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
     time = variables["time"].values
     parts: list[list[Any]] = [[], [], []]
-    for rows in np.split(time, range(1024, time.size, 1024)):
+    for rows in np.split(time, _block_starts(line)):
         three = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, one, shape, dtype in zip(parts, three, shapes, ("f4", "f4", "i1"), strict=True):
@@ -263,6 +263,15 @@ def split_of_lines(
     columns = zip(SPLIT, dims, parts, strict=True)
     split = xr.Dataset({name: (own, da.concatenate(blocks)) for name, own, blocks in columns})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
+
+
+def _block_starts(line: xr.Dataset) -> list[int]:
+    """Return where blocks of lines begin, but the first: those of the cube, few of which are held at once."""
+    for name in ("reflectance", "radiance", "counts"):
+        if name in line.variables and line[name].chunks is not None:
+            sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
+            return [int(start) for start in np.cumsum(sizes)[:-1]]
+    return list(range(1024, line.sizes[ALONG_TRACK], 1024))
 
 
 def _at_lines(
