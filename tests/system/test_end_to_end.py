@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,34 +113,39 @@ CHUNKS = (
 )
 
 
-@pytest.mark.slow
-def test_one_result__whatever_the_chunks_and_the_scheduler():
-    """Rationale: a result that depends on how it was computed cannot be checked by anyone.
+@pytest.fixture(scope="module")
+def made():
+    """Return what makes the bits of a line in some chunks, all at once."""
+    import dask
 
-    Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers.
-    """
-    distributed = pytest.importorskip("distributed")
     from hyperpaint.simulation import simulate_line
 
     line = simulate_line(lines=70, bands=40, columns=12, seed=2, smile_nm=1.2, glint=0.01)
 
-    def made(chunks):
+    def bits(chunks):
         lit = line.chunk(chunks).paint.reflectance(keep_bits=12)
-        return [array.tobytes() for array in (lit["reflectance"].values, lit["quality"].values)]
+        return [array.tobytes() for array in dask.compute(lit["reflectance"].data, lit["quality"].data)]
 
-    expected = made(CHUNKS[2])
-    for chunks in CHUNKS:
-        assert made(chunks) == expected
+    return bits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheduler", ["threads", "processes", "cluster"])
+def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
+    """Rationale: a result that depends on how it was computed cannot be checked by anyone.
+
+    Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers.
+    """
     import dask
 
-    with dask.config.set(scheduler="processes", num_workers=2):
-        for chunks in CHUNKS:
-            assert made(chunks) == expected
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-        ) as cluster,
-        distributed.Client(cluster),
-    ):
+    expected = made(CHUNKS[2])
+    with contextlib.ExitStack() as stack:
+        if scheduler == "cluster":
+            distributed = pytest.importorskip("distributed")
+            workers = {"n_workers": 2, "threads_per_worker": 1, "processes": True}
+            cluster = stack.enter_context(distributed.LocalCluster(**workers, dashboard_address=":0"))
+            stack.enter_context(distributed.Client(cluster))
+        else:
+            stack.enter_context(dask.config.set(scheduler=scheduler, num_workers=2))
         for chunks in CHUNKS:
             assert made(chunks) == expected
