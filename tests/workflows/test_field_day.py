@@ -202,6 +202,7 @@ def test_a_height_model_places_regions_and_is_looked_at_again(folder: Path, tmp_
     assert {one.step: one.state for one in day.outcomes}["map"] == "done"
 
 
+@pytest.mark.usefixtures("day")  # which writes the collect.toml
 def test_regions_are_read_before_anything_is_processed(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(hp.SchemaError, match=r"typo\.geojson: no such file"):
         run_field_day(folder / "collect.toml", tmp_path / "none", regions=tmp_path / "typo.geojson")
