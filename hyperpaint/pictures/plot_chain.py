@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.paints.signatures import EXCLUDED
-from hyperpaint.paints.signatures.extraction import gather
+from hyperpaint.paints.signatures.pixel_gathering import gather
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, PAINT, Quality, flag_names
+from hyperpaint.base.schema import PAINT, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
-from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
 
 from .coat_strength import with_coat_strength
@@ -27,111 +26,14 @@ from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
 from .panel_geometry import with_panel_geometry
+from .pixel_gathering import gather
 from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EXCLUDED", "extract_signatures", "gather"]
-
-
-def gather(
-    cubes: Mapping[str, xr.DataArray],
-    planes: Mapping[str, xr.DataArray],
-    along: Array,
-    across: Array,
-    bands: slice,
-    small: Mapping[str, xr.DataArray],
-    progress: Progress | None = None,
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the spectra of pixels (pixel, band), float32, by cube, and values by name of other variables.
-
-    Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
-    cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: which bands; ``small``:
-    variables (along_track), which are read whole, in the same pass; ``progress``: called with blocks done and
-    to do. Values are those of the planes (pixel,) and of the small variables (along_track,), and ``present``
-    (pixel,), whether a pixel has a value in any band of the first cube, also in one that was not asked for.
-    """
-    import dask
-
-    first = next(iter(cubes.values()))
-    # lines of the slabs that a flight line is computed in; a map has tiles, and rows of any width
-    sizes = (line_chunked(first) if first.chunks is None else first).variable.chunksizes
-    blocked: dict[str, Any] = {dim: sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK)}
-    aligned = [cube.transpose(*CUBE).chunk({**blocked, BAND: -1}) for cube in cubes.values()]
-    aligned += [plane.transpose(ALONG_TRACK, CROSS_TRACK).chunk(blocked) for plane in planes.values()]
-    blocks = [array.data.to_delayed(optimize_graph=False).ravel() for array in aligned]
-    rows, columns = (np.concatenate([[0], np.cumsum(part)]) for part in blocked.values())
-    block_row, block_column = (
-        np.searchsorted(edges, place, side="right") - 1 for edges, place in ((rows, along), (columns, across))
-    )
-    home = block_row * (len(columns) - 1) + block_column
-    order = np.argsort(home, kind="stable")
-    touched, starts = np.unique(home[order], return_index=True)
-    wanted = np.split(order, starts[1:]) if touched.size else []
-    take = dask.delayed(_taken, pure=False)
-    here = along - rows[block_row], across - columns[block_column]
-    tasks = [
-        take([of[block] for of in blocks], len(cubes), *(part[pixel] for part in here), bands)
-        for block, pixel in zip(touched, wanted, strict=True)
-    ]
-    lazy = {name: _whole(array) for name, array in small.items() if array.chunks is not None}
-    results = _computed([*tasks, *lazy.values()], progress)
-    values = {name: array.values for name, array in small.items() if name not in lazy}
-    values |= dict(zip(lazy, results[len(tasks) :], strict=True))
-    width = len(range(*bands.indices(first.sizes[BAND])))
-    spectra = {name: np.empty((along.size, width), np.float32) for name in cubes}
-    values |= {name: np.empty(along.size, plane.dtype) for name, plane in planes.items()}
-    values["present"] = np.empty(along.size, bool)
-    outputs = [*spectra.values(), *(values[name] for name in planes), values["present"]]
-    for block, pixel in enumerate(wanted):
-        for out, part in zip(outputs, results[block], strict=True):
-            out[pixel] = part
-        results[block] = None  # what is copied is let go, or everything would be held twice
-    return spectra, values
-
-
-def _whole(array: xr.DataArray) -> Any:
-    """Return a lazy variable of one dim as one task, which shares what it needs with all others."""
-    import dask
-
-    return dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
-
-
-def _taken(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
-    """Return pixels of a block's cubes, (pixel, band), of its planes, and which have a value, (pixel,)."""
-    spectra = [block[rows, bands, columns].astype(np.float32, copy=False) for block in blocks[:cubes]]
-    present = np.asarray(np.isfinite(blocks[0]).any(axis=1))[rows, columns]
-    return [*spectra, *(block[rows, columns] for block in blocks[cubes:]), present]
-
-
-def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
-    """Compute everything at once, so that what the tasks share is computed once."""
-    import dask
-    from dask.base import get_scheduler
-
-    if progress is None or not tasks:
-        return list(dask.compute(*tasks))
-    client = getattr(get_scheduler(), "__self__", None)
-    if client is not None and hasattr(client, "scheduler_info"):
-        from distributed import as_completed
-
-        futures = client.compute(tasks)
-        for done, _ in enumerate(as_completed(futures), start=1):
-            progress(done, len(futures))
-        return list(client.gather(futures))
-    from dask.callbacks import Callback
-
-    waiting = {task.key for task in tasks}
-
-    def report(key: Any, *_: Any) -> None:
-        if key in waiting:
-            waiting.discard(key)
-            progress(len(tasks) - len(waiting), len(tasks))
-
-    with Callback(posttask=report):
-        return list(dask.compute(*tasks))
+__all__ = ["EXCLUDED", "extract_signatures"]
 
 
 EXCLUDED = (
