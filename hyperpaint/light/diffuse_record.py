@@ -20,6 +20,7 @@ from hyperpaint.base.units import convert, takes_quantities
 
 from .sky_states import RULES, Evidence, explain, windows_in
 from .sun import solar_position
+from .synchrony import check_irradiance_times
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -87,9 +88,10 @@ def diffuse_from_record(
 
     Raises
     ------
-    SchemaError, UnitsError
-        Variables are missing, of other dims or units; the place is not known; or the record has none of the
-        intervals between the bands of oxygen and water, 407 to 1013 nm, that are compared.
+    SchemaError, TimeError, UnitsError
+        Stamps are missing, stand twice or run backwards; variables are missing, of other dims or units; the
+        place is not known; or the record has no channel in the intervals between the bands of oxygen and
+        water, 407 to 1013 nm, that are compared.
 
     Notes
     -----
@@ -120,6 +122,12 @@ def diffuse_from_record(
     channels = record[IRRADIANCE_WAVELENGTH]
     channels = convert(channels, "nm") if "units" in channels.attrs else channels
     _check(latitude, longitude, calibration_uncertainty, pressure)
+    check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
+    if not windows_in(channels.values.astype(np.float64)).centre.size:
+        raise SchemaError(
+            "irradiance has no channel in the intervals that are compared, "
+            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm"
+        )
     at = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
     place = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
@@ -193,18 +201,19 @@ def _split(
     held = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
     spectra, channels = spectra[:, held], channels[held]
     windows = windows_in(channels)
-    if not windows.centre.size:
-        raise SchemaError(
-            "irradiance has no channel in the intervals that are compared, "
-            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm, or no value there"
-        )
     used = windows.operator.any(axis=0)
+    # of a record without any value, no interval is left, and all of it is unknown
     means = spectra[:, used] @ windows.operator[:, used].T
     means /= sun_distance_factor(time)[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
-    usable = (means > 0.0).all(axis=1) & np.isfinite(means).all(axis=1) & np.isfinite(zenith)
+    usable = (
+        bool(windows.centre.size)
+        & (means > 0.0).all(axis=1)
+        & np.isfinite(means).all(axis=1)
+        & np.isfinite(zenith)
+    )
     samples, bands = len(means), wavelength.size
     fraction, u = np.full((samples, bands), np.nan), np.full((samples, bands), np.nan)
     probability = np.zeros((samples, len(SKY_STATES)))
@@ -250,6 +259,7 @@ def split_of_lines(
     place = round(float(latitude[known].mean()), 2), round(float(longitude[known].mean()), 2)
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
+    check_irradiance_times(samples.astype("datetime64[ns]"))
     numbers = (*place, calibration_uncertainty, 101_325.0)
     whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
     time = variables["time"].values

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record, split_of_lines
 from hyperpaint.light.sun import air_mass, solar_position
 from hyperpaint.simulation import simulate_line
@@ -144,6 +144,21 @@ def test_refusals() -> None:
     far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
     with pytest.raises(SchemaError, match="no channel in the intervals"):
         diffuse_from_record(far, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("order", "match"), [([1, 0, 2], "run backwards"), ([0, 1, 1], "duplicate stamps")])
+def test_stamps_that_do_not_increase_are_refused(order: list[int], match: str) -> None:
+    """Sorted wrongly, a clear sky would read as broken clouds."""
+    light, time = np.ones(NM.size), moments(40.0)
+    with pytest.raises(TimeError, match=match):
+        diffuse_from_record(record(light, time).isel(irradiance_time=order), 0.0, 0.0)
+
+
+def test_a_record_without_any_value_is_unknown() -> None:
+    light, time = np.full(NM.size, np.nan), moments(40.0)
+    unknown = split(light, time)
+    assert words(unknown) == {"contradictory"}
+    assert np.isnan(unknown.diffuse_fraction).all()
 
 
 def test_lines_have_the_split_of_their_record(no_compute: Any) -> None:
