@@ -15,8 +15,9 @@ from hyperpaint.surroundings import SceneModel
 from .candidates import Limits, Measures, Picture, Piece, measured
 from .footprints import WAYS, Footprint, Scene, footprint_of
 from .judging import Judged, Level, Verdict, judge_level, judge_pixels
+from .levels import level_light
 from .proposal_rules import CARS, JUDGING, SURFACES
-from .roofs import NoRoof, Roof, find_roof, level_light
+from .roofs import NoRoof, Roof, find_roof
 
 __all__ = ["Car", "find_cars", "judge_car"]
 

@@ -97,12 +97,6 @@ class RoofRules:
     used_width: float = 0.75  #: Part of a roof's width that is used [1].
     roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
     min_seen: float = 0.2  #: Share of a roof's tracks in which its side window is seen, at least [1].
-    rounds: int = 30  #: Turns in which glint is left out of the plane through a roof's brightness.
-    #: Residuals that stay in the fit above the plane: glint only adds [standard deviation].
-    max_above_sd: float = 1.5
-    max_below_sd: float = 3.0  #: The same below it [standard deviation].
-    min_sd: float = 0.003  #: That standard deviation relative to the brightness, at least [1].
-    min_fitted_px: int = 25  #: Pixels of the fit, at least.
 
 
 @dataclass(frozen=True)
