@@ -272,6 +272,17 @@ def test_black_paint__is_told_from_its_windows() -> None:
     assert len(propose(parked(paint=np.full(NM.size, 0.0125)))) == 0
 
 
+@pytest.mark.parametrize("windows", [((28, 42),), ((28, 42), (94, 98))])
+def test_black_roof_behind_a_windscreen__is_one(windows: tuple[tuple[int, int], ...]) -> None:
+    """Rationale: an estate has nothing behind its roof, or a tail of a few centimetres.
+
+    Expected: its roof is proposed by the bonnet and by the windows along it; without a bonnet it is refused.
+    """
+    (region,) = propose(parked(paint=np.full(NM.size, 0.03), windows=windows))
+    assert region.properties["kind"] == "roof"
+    assert len(propose(parked(paint=np.full(NM.size, 0.03), windows=((2, 16),)))) == 0
+
+
 def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
     """Rationale: lots are full of white cars. Expected: two regions, one on each car."""
     one = parked()

@@ -175,8 +175,7 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
     """Object where a window, or a bed, may be taken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
     own = float(np.median(level[footprint.paint & footprint.whole]))
-    darker = footprint.whole & ~footprint.paint & (level < own)
-    step = own - float(np.median(level[darker])) if darker.any() else 0.0
+    step = own - roof.window_level
     if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * own):
         verdict.objections.append(
             f"windows beside it are darker by {step:.4f} only: it may be a window itself; draw a region "
@@ -186,9 +185,10 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
         return
     rest = footprint.paint & footprint.whole & ~roof.inside
     ratio = float(np.median(level[roof.inside]) / np.median(level[rest])) if rest.any() else np.nan
-    if not (roof.complete and JUDGING.dark_roof[0] < ratio < JUDGING.dark_roof[1]):
+    if not ((roof.complete or roof.sided) and JUDGING.dark_roof[0] < ratio < JUDGING.dark_roof[1]):
         verdict.objections.append(
-            "dark, and not between two windows with the same paint beyond both: it may be a window or a bed"
+            "dark, and neither between two windows with the same paint beyond both, nor behind a windscreen "
+            "with a bonnet before it and windows along it: it may be a window or a bed; draw a region by hand"
         )
 
 

@@ -76,6 +76,7 @@ class RoofRules:
     min_roof: float = 0.12
     min_roof_px: int = 5  #: Tracks of a roof, at least [pixel].
     max_strip: float = 0.05  #: Length of a strip of paint between windows that goes with them, at most.
+    min_bonnet: float = 0.1  #: Length of a bonnet or a boot, at least.
     max_bonnet: float = 0.38  #: Length of a bonnet, at most: what is longer is a roof.
     max_windscreen: float = 0.2  #: Length of a windscreen, at most: what is longer may have a sunroof in it.
     min_sunroof: float = 0.24  #: Length of a windscreen with a sunroof, at least.

@@ -23,6 +23,9 @@ class Roof(NamedTuple):
     reason: str  #: Why it is thought to be one.
     worth: float  #: How sure that is, to choose among several.
     complete: bool  #: Whether it lies between windows, and these between paint.
+    #: Whether a window ends it beyond which there is a bonnet, and others run along it.
+    sided: bool
+    window_level: float  #: Mean reflectance of the windows that end it, the median [1].
 
 
 class NoRoof(NamedTuple):
@@ -73,11 +76,11 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     Takes ``car``: where; ``level`` (line, column): mean reflectance in its window [1].
     """
     glass = _glass(car, level)
-    roof = _roof_along(car, glass, _frame(car, car.axis, car.length, car.width))
+    roof = _roof_along(car, glass, level, _frame(car, car.axis, car.length, car.width))
     if isinstance(roof, NoRoof) and car.cut:
         # of a car that is cut off, the longer side may be its width
         aside = np.array([car.axis[1], -car.axis[0]])
-        other = _roof_along(car, glass, _frame(car, aside, car.width, car.length))
+        other = _roof_along(car, glass, level, _frame(car, aside, car.width, car.length))
         return roof if isinstance(other, NoRoof) else other
     return roof
 
@@ -97,7 +100,7 @@ def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
     return _Frame(y * axis[0] + x * axis[1] + 0.5 * length, across, length, width)
 
 
-def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
+def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> Roof | NoRoof:
     """Return the best roof among the stretches between windows along a frame."""
     crossed = (
         _share_of_tracks(glass, car.whole & (np.abs(frame.across) < ROOFS.middle), frame) > ROOFS.min_crossed
@@ -110,18 +113,34 @@ def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
     for number, run in enumerate(runs):
         if run.window or run.length < ROOFS.min_roof_px:
             continue
-        grounds = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
+        sided = float(beside[run.first : run.last].mean())
+        grounds = _judge_run(car, runs, number, sided, frame)
         if grounds is None or (best is not None and best.worth >= grounds.worth):
             continue
         pixels = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
         if pixels is not None:
             inside, middle, unsure = pixels
-            best = Roof(inside, middle, unsure, *grounds, 1 < number < len(runs) - 2)
+            beyond = [runs[one].length for one in (number - 2, number + 2) if 0 <= one < len(runs)]
+            has_bonnet = max(beyond, default=0) > ROOFS.min_bonnet * frame.length
+            ends = [runs[one] for one in (number - 1, number + 1) if 0 <= one < len(runs)]
+            best = Roof(
+                inside, middle, unsure, *grounds, 1 < number < len(runs) - 2,
+                has_bonnet and sided > ROOFS.surely_sided, _window_level(glass, ends, frame, level),
+            )  # fmt: skip
     if best is not None:
         return best
     slender = ROOFS.slenderness[0] < frame.length / frame.width < ROOFS.slenderness[1]
     is_car = not car.cut and slender and float(beside.mean()) > ROOFS.van_sided
     return NoRoof("no roof is seen: nothing lies between windows, or is longer than a bonnet", is_car)
+
+
+def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Floats) -> float:
+    """Return the median level of what crosses a car in some stretches [1]."""
+    inside = np.zeros_like(glass)
+    for run in windows:
+        inside |= (frame.along >= run.first) & (frame.along < run.last)
+    inside &= glass & (np.abs(frame.across) < ROOFS.middle)
+    return float(np.median(level[inside])) if inside.any() else np.nan
 
 
 def _judge_run(car: Footprint, runs: list[_Run], number: int, sided: float, frame: _Frame) -> _Grounds | None:
