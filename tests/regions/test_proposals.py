@@ -20,7 +20,7 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.candidates import Measures, Picture
 from hyperpaint.regions.proposals.footprints import hull_of
-from hyperpaint.regions.proposals.judging import Level, Verdict, judge_level
+from hyperpaint.regions.proposals.judging import Level, Verdict, judge_level, lean_to_sun
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
@@ -221,6 +221,38 @@ def test_roof_beside_a_sunroof__is_taken_at_the_sunroof() -> None:
     assert float(np.median(across)) < 30 + 67
 
 
+def test_roof_whose_far_side_is_dark__is_taken_at_its_axis() -> None:
+    """Rationale: under a low sun beside the car light falls by 2.5 % a pixel across it, and at the far rail
+    to a fifth, which is darker than paint elsewhere and no window.
+
+    Expected: the level is that of the middle between both rails; taken for glass, the far rail shifts it.
+    """
+    line = parked()
+    row = np.arange(line.sizes["along_track"]) - 20.0 - 19.5
+    light = 1.0 - 0.025 * row
+    light *= np.interp(row, [10.0, 14.0], [1.0, 0.2])
+    light[np.abs(row) > 20.0] = 1.0
+    sky = 0.04 * diffuse_fraction(NM, ZENITH).astype(np.float32)[:, None]
+    seen = line["reflectance"].values - sky
+    line["reflectance"].values[:] = seen * light.astype(np.float32)[:, None, None] + sky
+    (region,) = hp.regions.propose_regions(line, sun_zenith=62.0, sun_azimuth=180.0, heading=0.0)
+    along, across = pixels_of(hp.Regions((region,)), line)[0]
+    level = (line["reflectance"].values - sky)[along, :, across].mean()
+    assert level == pytest.approx(RED.mean(), rel=0.015)
+
+
+def test_lean__is_smaller_across_a_car() -> None:
+    """Rationale: the sides of a car are alike, its ends are not.
+
+    Expected: least with the sun beside it; where the sun's side is not known, the larger one.
+    """
+    axis = np.array([0.0, 1.0])
+    beside, behind, unknown = (
+        lean_to_sun(axis, side) for side in (np.array([1.0, 0.0]), np.array([0.0, -1.0]), None)
+    )
+    assert beside < behind == unknown
+
+
 def test_lobes_of_flakes__are_refused() -> None:
     """Rationale: metal flakes mirror the sun over a lobe that is wider than a roof.
 
@@ -238,7 +270,7 @@ def test_flakes_away_from_their_lobe__are_said() -> None:
     and of a level less certain; the change of a solid paint decides nothing.
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
-    picture = Picture(model, np.empty(0), {}, 45.0)
+    picture = Picture(model, np.empty(0), {}, 45.0, None)
     measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
     solid = float(np.radians(5.0) * (1.0 - model.diffuse_fraction.mean()))
     verdicts = [Verdict("roof"), Verdict("roof")]

@@ -97,6 +97,7 @@ class Picture(NamedTuple):
     #: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
     layers: Mapping[str, Array]
     zenith: float | None  #: Of the sun [degree]; None where it is not known.
+    shadow_side: Floats | None  #: (2,): Direction (line, column) in which shadows fall; None as well.
 
 
 def window_of(first: tuple[int, int], mask: Bools) -> tuple[slice, slice]:

@@ -14,7 +14,7 @@ from hyperpaint.surroundings import SceneModel
 
 from .candidates import Limits, Measures, Picture, Piece, measured
 from .footprints import WAYS, Footprint, Scene, footprint_of
-from .judging import Judged, Level, Verdict, judge_level, judge_pixels
+from .judging import Judged, Level, Verdict, judge_level, judge_pixels, lean_to_sun
 from .levels import level_light
 from .proposal_rules import CARS, JUDGING, SURFACES
 from .roofs import NoRoof, Roof, find_roof
@@ -145,7 +145,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     brightness = footprint.brightness[y : y + lines, x : x + columns]
     lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits.shadow)
     middle = (roof.middle[0] - y, roof.middle[1] - x)
-    level = level_light(brightness, piece.inside, lit, middle, roof.unsure, footprint.axis)
+    level = level_light(brightness, piece.inside, lit, middle, roof.unsure)
     verdict = Verdict("roof", reasons=[roof.reason])
     if level is None:
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
@@ -160,7 +160,8 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     judge_pixels(verdict, measures, limits)
     # the middle lies anywhere between both ends of what is unsure
     unsure = 0.5 * level.unsure + off
-    judge_level(verdict, measures, picture, JUDGING.rake_deg, Level(level.change, level.misfit, unsure))
+    lean = lean_to_sun(roof.axis, picture.shadow_side)
+    judge_level(verdict, measures, picture, lean, Level(level.change, level.misfit, unsure))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)

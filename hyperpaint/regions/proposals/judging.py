@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
+
 from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import JUDGING, SURFACES
 
-__all__ = ["Judged", "Level", "Verdict", "judge_level", "judge_pixels"]
+__all__ = ["Judged", "Level", "Verdict", "judge_level", "judge_pixels", "lean_to_sun"]
 
 
 @dataclass
@@ -45,6 +47,16 @@ class Level(NamedTuple):
     unsure: float = 0.0  #: By how much its middle and its pixels may be off.
 
 
+def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
+    """Return by how much a roof may lean towards the sun, which no brightness shows [degree].
+
+    Standard deviation. Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,):
+    in which shadows fall, None where that is not known.
+    """
+    along = 1.0 if shadow_side is None else float(abs(axis @ shadow_side))
+    return float(np.hypot(JUDGING.rake_deg * along, JUDGING.roll_deg * np.sqrt(max(1.0 - along**2, 0.0))))
+
+
 def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:
     """State how uncertain the level of a part is, and whether flakes show; object where it is too uncertain.
 
@@ -76,7 +88,8 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         )
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
     text = (
-        f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:g} degrees under this sun"
+        f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:.1f} degrees under this "
+        "sun"
     )
     if verdict.level_sd > allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"

@@ -38,7 +38,7 @@ class Levelled(NamedTuple):
 
 
 def level_light(
-    brightness: Floats, inside: Bools, lit: Bools, middle: tuple[float, float], unsure: float, axis: Floats
+    brightness: Floats, inside: Bools, lit: Bools, middle: tuple[float, float], unsure: Floats
 ) -> Levelled | None:
     """Return how bright a roof is in its middle; None where too little of it is seen.
 
@@ -46,8 +46,8 @@ def level_light(
     proportion: brightness is a plane. What glint adds lies above it, and is left out round by round.
 
     Takes ``brightness`` (line, column): of the roof [1]; ``inside``, ``lit``: the roof, and what of it is
-    fitted; ``middle``: line and column; ``unsure``: how far along the axis the middle may be elsewhere
-    [pixel]; ``axis`` (2,): direction (line, column) along the car.
+    fitted; ``middle``: line and column; ``unsure`` (way, 2): lines and columns by which the middle may be
+    elsewhere, along the car and across it.
     """
     y, x = np.nonzero(lit)
     if y.size < LEVELS.min_fitted_px:
@@ -69,4 +69,4 @@ def level_light(
     y, x = np.nonzero(inside)
     low, high = np.quantile(plane[1] * y + plane[2] * x, [0.1, 0.9])
     change = 0.5 * float(high - low) / max(abs(float(plane[0])), 1e-9)
-    return Levelled(float(plane[0]), abs(there), unsure * abs(float(plane[1:] @ axis)), change)
+    return Levelled(float(plane[0]), abs(there), float(np.linalg.norm(unsure @ plane[1:])), change)

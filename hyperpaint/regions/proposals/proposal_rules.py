@@ -98,6 +98,14 @@ class RoofRules:
     used_width: float = 0.75  #: Part of a roof's width that is used [1].
     roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
     min_seen: float = 0.2  #: Share of a roof's tracks in which its side window is seen, at least [1].
+    beyond: float = 1.3  #: Half width up to which a roof's side is looked for: beyond a car seen too narrow.
+    step_px: float = 0.25  #: Steps in which it is [pixel].
+    #: Natural logarithm of how much darker it becomes there within a pixel: shading at a rail makes 0.4 [1].
+    min_step: float = 0.7
+    window_width: float = 0.08  #: Half widths over which it stays dark, at least; and a pixel.
+    black: float = 0.004  #: Reflectance below which everything is as dark [1].
+    unsure_side_px: float = 0.5  #: Distance of their middle from where it truly is, at most [pixel].
+    unsure_window_px: float = 1.0  #: The same of windows' edges [pixel].
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,9 @@ class JudgingRules:
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
     least_sd: float = 0.012  #: What remains of a level roof: noise, dust, light of neighbours [1].
     mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
-    rake_deg: float = 1.1  #: Lean of the middle of a roof, which its brightness does not show [degree].
+    rake_deg: float = 1.1  #: Lean of the middle of a roof along its car, which nothing shows [degree].
+    #: The same across it: both sides of a car are alike, and what leans is the ground, which drains [degree].
+    roll_deg: float = 0.6
     panel_deg: float = 7.0  #: The same of any other part [degree].
     crown_deg: float = 5.0  #: Lean of the ends of a crowned roof against its middle [degree].
     #: Change with lean over that of a body under the same sun, at most; half of what the ends of a roof show

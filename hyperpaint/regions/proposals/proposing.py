@@ -18,7 +18,7 @@ from hyperpaint.regions import Region, Regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.flags import flag
-from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
+from hyperpaint.surroundings.sun_and_sky import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
@@ -164,9 +164,9 @@ def propose_regions(
       is within 3 % of that, or within 6 or 12 % where these are too few; of these the largest connected set.
       ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
     * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
-      lean of 1.1 degrees that nothing shows, by how much more than a solid paint's its brightness changes,
-      and from where its middle is; the property ``level_uncertainty`` says it. It is refused above 4.2 %, or
-      0.0026 in reflectance where that is more.
+      lean of 1.1 degrees along the car and 0.6 across it that nothing shows, by how much more than a solid
+      paint's its brightness changes, and from where its middle is; the property ``level_uncertainty`` says
+      it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more.
     * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
       and so is ``kind``. Else it is "unknown": flakes of a flat lobe look like a solid paint from one side.
       What a signature of paint with flakes holds is its reflectance at this sun, seen from here.
@@ -255,7 +255,8 @@ def propose_regions(
         model = survey(line, progress=progress, **options)
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     zenith = _zenith(line, options.get("sun_zenith"))
-    picture = Picture(scene, *_read(line, scene), zenith)
+    side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
+    picture = Picture(scene, *_read(line, scene), zenith, side)
     surfaces = Surfaces.of(scene)
     painted, judged = [], []
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):

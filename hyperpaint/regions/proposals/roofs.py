@@ -19,7 +19,9 @@ class Roof(NamedTuple):
 
     inside: Bools  #: (line, column): Its pixels, in the footprint's window.
     middle: tuple[float, float]  #: Where it is level: line and column in that window.
-    unsure: float  #: How far along the car that may be off [pixel].
+    axis: Floats  #: Unit vector (line, column) along the car.
+    #: (way, 2): Lines and columns by which the level place may be elsewhere, along the car and across it.
+    unsure: Floats
     reason: str  #: Why it is thought to be one.
     worth: float  #: How sure that is, to choose among several.
     complete: bool  #: Whether it lies between windows, and these between paint.
@@ -54,6 +56,7 @@ class _Frame(NamedTuple):
     across: Floats
     length: float
     width: float
+    axis: Floats  #: Unit vector (line, column) along it.
 
 
 class _Grounds(NamedTuple):
@@ -92,12 +95,17 @@ def _glass(car: Footprint, level: Floats) -> Bools:
     return np.asarray(~car.paint & car.whole & (level < limit))
 
 
+def _aside(frame: _Frame) -> Floats:
+    """Return the unit vector (line, column) across a car."""
+    return np.array([frame.axis[1], -frame.axis[0]])
+
+
 def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
     """Return where pixels are along and across a car."""
     y, x = np.indices(car.whole.shape, np.float64)
     y, x = y - car.middle[0], x - car.middle[1]
     across = (y * axis[1] - x * axis[0]) / (0.5 * width)
-    return _Frame(y * axis[0] + x * axis[1] + 0.5 * length, across, length, width)
+    return _Frame(y * axis[0] + x * axis[1] + 0.5 * length, across, length, width, axis)
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> Roof | NoRoof:
@@ -117,14 +125,18 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
         grounds = _judge_run(car, runs, number, sided, frame)
         if grounds is None or (best is not None and best.worth >= grounds.worth):
             continue
-        pixels = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
-        if pixels is not None:
-            inside, middle, unsure = pixels
+        place = _level_place(car, runs, number, frame)
+        sides = _sides(car, glass, level, frame, run)
+        inside = _roof(car, frame, run, sides)
+        if inside is not None:
+            middle = _place_of(car, place.along, sides.centre, frame)
+            complete = 1 < number < len(runs) - 2
+            unsure = np.stack([place.unsure * frame.axis, sides.unsure * _aside(frame)])
             beyond = [runs[one].length for one in (number - 2, number + 2) if 0 <= one < len(runs)]
             has_bonnet = max(beyond, default=0) > ROOFS.min_bonnet * frame.length
             ends = [runs[one] for one in (number - 1, number + 1) if 0 <= one < len(runs)]
             best = Roof(
-                inside, middle, unsure, *grounds, 1 < number < len(runs) - 2,
+                inside, middle, frame.axis, unsure, *grounds, complete,
                 has_bonnet and sided > ROOFS.surely_sided, _window_level(glass, ends, frame, level),
             )  # fmt: skip
     if best is not None:
@@ -201,27 +213,86 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
     return _LevelPlace(middle, ROOFS.unsure * unit)
 
 
-def _roof(
-    car: Footprint, glass: Bools, frame: _Frame, run: _Run, level: _LevelPlace
-) -> tuple[Bools, tuple[float, float], float] | None:
-    """Return the pixels of a roof, and where it is level."""
+class _Sides(NamedTuple):
+    """Sides of a roof, in half widths of the car from its axis."""
+
+    centre: float
+    half: float  #: Half width.
+    unsure: float  #: How far the centre may be off [pixel].
+    seen: bool  #: Whether both were.
+
+
+def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run) -> _Sides:
+    """Return where a roof ends to its sides.
+
+    Where brightness drops most: under a low sun the side that leans away is darker than paint elsewhere, and
+    no window yet. Of paint that is no brighter than windows, where side windows begin.
+    """
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
-    left, right = (_edge(glass & here, sign, frame, run) for sign in (-1, 1))
-    if car.cut and not (np.isfinite(left) and np.isfinite(right)):
-        return None
+    left, right = (_step(level, car, sign, frame, run) for sign in (-1, 1))
+    unsure = ROOFS.unsure_side_px
+    if np.isnan(left) or np.isnan(right):
+        left, right = (_edge(glass & here, sign, frame, run) for sign in (-1, 1))
+        unsure = ROOFS.unsure_window_px
+    seen = bool(np.isfinite(left) and np.isfinite(right))
     if np.isnan(left) and np.isnan(right):
         left = right = ROOFS.roof_width
     left, right = (
         2 * ROOFS.roof_width - other if np.isnan(one) else one
         for one, other in ((left, right), (right, left))
     )
-    centre, half = 0.5 * (right - left), 0.5 * (right + left)
-    inside = here & (np.abs(frame.across - centre) < ROOFS.used_width * half)
-    if not inside.any():
+    return _Sides(0.5 * (right - left), 0.5 * (right + left), unsure, seen)
+
+
+def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) -> float:
+    """Return where brightness first drops as at a window, to one side of the axis, median over the tracks.
+
+    In half widths; NaN where it drops by less in most tracks of a run.
+    """
+    from scipy.ndimage import map_coordinates
+
+    half = 0.5 * frame.width
+    out = np.arange(ROOFS.side * half, ROOFS.beyond * half, ROOFS.step_px)
+    along = np.arange(run.first + 0.5, run.last) - 0.5 * frame.length
+    places = (
+        np.array(car.middle)[:, None, None]
+        + frame.axis[:, None, None] * along[None, :, None]
+        + sign * _aside(frame)[:, None, None] * out[None, None, :]
+    )
+    seen = map_coordinates(np.log(np.maximum(level, ROOFS.black)), places, order=1, mode="nearest")
+    span, stay = round(1.0 / ROOFS.step_px), round(max(1.0, ROOFS.window_width * half) / ROOFS.step_px)
+    inner, outer = (
+        seen[:, : -span - stay],
+        [seen[:, span + n : seen.shape[1] - stay + n] for n in range(stay)],
+    )
+    # a window, and no seam: it stays dark
+    drop = inner - np.max(outer, axis=0)
+    found = (drop > ROOFS.min_step).any(axis=1)
+    if found.sum() < ROOFS.min_seen * found.size:
+        return np.nan
+    first = (drop[found] > ROOFS.min_step).argmax(axis=1)
+    steepest = [
+        int((one[at : at + span] - one[at + span : at + 2 * span]).argmax())
+        for one, at in zip(seen[found], first, strict=True)
+    ]
+    return float(np.median(out[first + steepest] + 0.5)) / half
+
+
+def _roof(car: Footprint, frame: _Frame, run: _Run, sides: _Sides) -> Bools | None:
+    """Return the pixels of a roof; None of a car at the picture's edge whose sides are not seen."""
+    if car.cut and not sides.seen:
         return None
-    away = np.hypot(frame.along - level.along, (frame.across - centre) * 0.5 * frame.width)
-    y, x = np.unravel_index(int(np.argmin(away)), away.shape)
-    return inside, (float(y), float(x)), level.unsure
+    here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
+    inside = here & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
+    return inside if inside.any() else None
+
+
+def _place_of(car: Footprint, along: float, centre: float, frame: _Frame) -> tuple[float, float]:
+    """Return line and column of a place along a car [pixel] and across it [half widths]."""
+    line, column = (
+        car.middle + (along - 0.5 * frame.length) * frame.axis + 0.5 * frame.width * centre * _aside(frame)
+    )
+    return float(line), float(column)
 
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
