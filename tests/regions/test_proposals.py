@@ -270,7 +270,7 @@ def test_flakes_away_from_their_lobe__are_said() -> None:
     and of a level less certain; the change of a solid paint decides nothing.
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
-    picture = Picture(model, np.empty(0), {}, 45.0, None)
+    picture = Picture(model, np.empty(0), {}, 45.0, None, None)
     measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
     solid = float(np.radians(5.0) * (1.0 - model.diffuse_fraction.mean()))
     verdicts = [Verdict("roof"), Verdict("roof")]

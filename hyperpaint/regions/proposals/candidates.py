@@ -13,6 +13,7 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
+from .between_clouds import FreeSun
 from .proposal_rules import SURFACES
 
 __all__ = [
@@ -98,6 +99,7 @@ class Picture(NamedTuple):
     layers: Mapping[str, Array]
     zenith: float | None  #: Of the sun [degree]; None where it is not known.
     shadow_side: Floats | None  #: (2,): Direction (line, column) in which shadows fall; None as well.
+    sun: FreeSun | None  #: What the record says of it between clouds; None where these were not broken.
 
 
 def window_of(first: tuple[int, int], mask: Bools) -> tuple[slice, slice]:

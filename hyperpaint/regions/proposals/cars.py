@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.surroundings import SceneModel
 
+from .between_clouds import doubt_about_clouds
 from .candidates import Limits, Measures, Picture, Piece, measured
 from .footprints import WAYS, Footprint, Scene, footprint_of
 from .judging import Judged, Level, Verdict, judge_level, judge_pixels, lean_to_sun
@@ -115,13 +116,16 @@ def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
     """Return the verdicts on a car's roof and of the other pieces of its paint; at most one is proposed."""
     judged = []
-    best: Judged | None = None
     if car.roof is not None and car.footprint is not None:
         one = _judge_roof(car.footprint, car.roof, picture, limits)
         if one is not None:
             judged.append(one)
-            best = None if one.verdict.objections else one
     panels = [_judge_panel(piece, car, picture, limits) for piece in car.pieces]
+    for one in judged + panels:
+        doubt = doubt_about_clouds(one.piece.window, picture.channels, picture.model, picture.sun)
+        if doubt:
+            one.verdict.objections.append(doubt)
+    best = next((one for one in judged if not one.verdict.objections), None)
     if best is None and judged and judged[0].measures.pixels:
         # what makes the level part wrong lies on the others, too
         for one in panels:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 
+from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import JUDGING, SURFACES
 
@@ -77,15 +78,11 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         0.5 * level.misfit,
         level.unsure,
         JUDGING.mirror_sd / brightness,
+        GAPS.sd if picture.sun is not None else 0.0,
     )
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(parts)), rake
     if direct >= JUDGING.min_flake_direct:
         _judge_flakes(verdict, zenith, gain, level.change if brightness > SURFACES.dark else 0.0)
-    if "broken" in str(picture.model.attrs.get("sky_states", "")).split():
-        verdict.objections.append(
-            "clouds were broken: whether the light of the record fell on this car is not known; take a line "
-            "flown between clouds, or draw the region and check its level by hand"
-        )
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
     text = (
         f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:.1f} degrees under this "

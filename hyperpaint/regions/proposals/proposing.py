@@ -21,6 +21,7 @@ from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.sun_and_sky import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
+from .between_clouds import sunny_lines
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
 from .cars import find_cars, judge_car
 from .footprints import Scene
@@ -167,6 +168,8 @@ def propose_regions(
       lean of 1.1 degrees along the car and 0.6 across it that nothing shows, by how much more than a solid
       paint's its brightness changes, and from where its middle is; the property ``level_uncertainty`` says
       it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more.
+    * Under broken clouds a car is judged where the record had free sun for 10 s around, and a shadow beside
+      the car says that the sun was free there, too.
     * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
       and so is ``kind``. Else it is "unknown": flakes of a flat lobe look like a solid paint from one side.
       What a signature of paint with flakes holds is its reflectance at this sun, seen from here.
@@ -256,7 +259,8 @@ def propose_regions(
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     zenith = _zenith(line, options.get("sun_zenith"))
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
-    picture = Picture(scene, *_read(line, scene), zenith, side)
+    sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
+    picture = Picture(scene, *_read(line, scene), zenith, side, sun)
     surfaces = Surfaces.of(scene)
     painted, judged = [], []
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):

@@ -1,0 +1,143 @@
+"""Whether the sun was free over a car while clouds were broken: by the record, and by a shadow beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Bools
+from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.surroundings import SceneModel
+from hyperpaint.surroundings.light_split import split_of
+from hyperpaint.surroundings.model import SHADED
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["GAPS", "FreeSun", "doubt_about_clouds", "sunny_lines"]
+
+
+@dataclass(frozen=True)
+class GapRules:
+    """Light between broken clouds."""
+
+    #: Where sunlight and the light of the sky differ most [nm].
+    infrared_nm: float = 780.0
+    #: Diffuse fraction of a line above a clear sky's, at most, in free sun: under a cloud that takes half of
+    #: the sunlight it is 0.1 higher and more [1].
+    max_above_clear: float = 0.08
+    #: Least over largest irradiance of the record, at most: of clouds that take less a shadow shows nothing.
+    max_dip: float = 0.65
+    #: Irradiance over that in free sun, below which a cloud begins [1].
+    min_of_free: float = 0.95
+    #: Seconds before and after a line in which the sun has to be free: an edge at 8 m/s comes 80 m far.
+    around_s: float = 10.0
+    #: Diffuse fraction that a shadow beside the car shows over that of the record, at most. It sees 0.6 to 1
+    #: of the sky; under such a cloud the fraction is 2 to 3 times as large [1].
+    max_over_record: float = 1.5
+    least_fraction: float = 0.06  #: That of the record, at least: light from around reaches every shadow [1].
+    min_px: int = 40  #: Pixels of the shadow, and of the same ground in the sun, at least.
+    sd: float = 0.025  #: Standard uncertainty of the level between clouds, relative [1].
+    around_px: int = 60  #: Margin around a part of a car in which its shadow may lie [pixel].
+
+
+GAPS = GapRules()
+
+
+class FreeSun(NamedTuple):
+    """What the record says of the sun between clouds."""
+
+    lines: Bools  #: (line,): Whether it was free.
+    fraction: float  #: Diffuse fraction of the infrared where it was [1].
+
+
+def sunny_lines(line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float | None) -> FreeSun | None:
+    """Return in which lines the record had free sun, between clouds that take much of it.
+
+    None where clouds were not broken.
+    """
+    if "broken" not in str(model.attrs.get("sky_states", "")).split():
+        return None
+    none = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
+    if zenith is None or "irradiance" not in line.variables:
+        return none
+    nm = line["wavelength"].values.astype(np.float64)
+    infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
+    fraction = split_of(line, diffuse, zenith).fraction
+    if ALONG_TRACK not in fraction.dims:
+        return none
+    level = line["irradiance"].mean([dim for dim in line["irradiance"].dims if dim != IRRADIANCE_TIME]).values
+    if not np.nanmin(level) < GAPS.max_dip * np.nanmax(level):
+        return none
+    seen = fraction.isel({BAND: infrared}).mean(BAND).values
+    clear = float(diffuse_fraction(nm[infrared], zenith).mean())
+    free = _stays(np.asarray(seen < clear + GAPS.max_above_clear), level, line)
+    return FreeSun(free, float(seen[free].mean())) if free.any() else none
+
+
+def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
+    """Return the lines around which no sample of the record falls below what it is in free sun (line,)."""
+    time, stamps = (
+        line[name].values.astype("datetime64[ns]").astype(np.int64) for name in ("time", IRRADIANCE_TIME)
+    )
+    if not free.any():
+        return free
+    in_sun = np.median(np.interp(time[free], stamps, level))
+    dark = stamps[~(level > GAPS.min_of_free * in_sun)]
+    bounds = np.concatenate([[stamps[0]], dark, [stamps[-1]]])
+    after = np.clip(np.searchsorted(bounds, time), 1, bounds.size - 1)
+    distance = np.minimum(bounds[after] - time, time - bounds[after - 1])
+    return np.asarray(free & (distance > GAPS.around_s * 1e9))
+
+
+def doubt_about_clouds(
+    window: tuple[slice, slice], channels: Array, model: SceneModel, sun: FreeSun | None
+) -> str:
+    """Return why the light of a car between broken clouds is not known; empty where it is.
+
+    Takes ``window``: the part of the picture that it lies in; ``channels`` (line, column, channel):
+    reflectance [1]; ``sun``: see `sunny_lines`.
+    """
+    if sun is None:
+        return ""
+    advice = "take a line flown between clouds, or draw the region and check its level by hand"
+    if not sun.lines[window[0]].all():
+        return (
+            "clouds were broken, and the sun of the record was not free from "
+            f"{GAPS.around_s:g} s before this car was seen to {GAPS.around_s:g} s after; {advice}"
+        )
+    shape = channels.shape[:2]
+    near = tuple(
+        slice(max(one.start - GAPS.around_px, 0), min(one.stop + GAPS.around_px, size))
+        for one, size in zip(window, shape, strict=True)
+    )
+    infrared = model.channel_wavelength >= min(GAPS.infrared_nm, float(model.channel_wavelength.max()))
+    brightness = channels[near][..., infrared].mean(axis=2)
+    segment = model.segment[near]
+    body = np.append(model.body, np.int32(-1))[segment]
+    shaded = np.append(model.state == SHADED, False)[segment]
+    fraction = _of_shadow(brightness, body, shaded)
+    recorded = max(sun.fraction, GAPS.least_fraction)
+    if fraction is None:
+        return f"clouds were broken, and no shadow beside this car shows that the sun was free here; {advice}"
+    if fraction > GAPS.max_over_record * recorded:
+        return (
+            f"clouds were broken, and a shadow beside this car has {fraction:.0%} of all light, where the "
+            f"record says {recorded:.0%}: a cloud was over it; {advice}"
+        )
+    return ""
+
+
+def _of_shadow(brightness: Array, body: Array, shaded: Bools) -> float | None:
+    """Return the diffuse fraction that the largest shadow shows; None without one beside its ground."""
+    inside = shaded & (body >= 0) & np.isfinite(brightness)
+    if not inside.any():
+        return None
+    ground = int(np.bincount(body[inside]).argmax())
+    dark, lit = brightness[inside & (body == ground)], brightness[~shaded & (body == ground)]
+    if min(dark.size, lit.size) < GAPS.min_px:
+        return None
+    return float(np.median(dark) / np.median(lit))
