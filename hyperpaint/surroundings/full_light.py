@@ -14,8 +14,8 @@ from .model import CELL, GLINTED, LIT, SHADED
 from .segments import Touching, distinct_pairs
 
 __all__ = [
-    "AS_GLINT", "Light", "Matches", "Mixtures", "in_parts", "match_segments", "median_spectra", "mixtures_of",
-    "most_amounts", "senders_of", "solve", "unmix_spectra", "without_sun",
+    "AS_GLINT", "Light", "Matches", "Mixtures", "in_parts", "least_amounts", "match_segments",
+    "median_spectra", "mixtures_of", "most_amounts", "senders_of", "solve", "unmix_spectra", "without_sun",
 ]  # fmt: skip
 
 
@@ -221,6 +221,13 @@ class Mixtures(NamedTuple):
     sent: Floats
     misfit: Floats  #: (n,): Root mean square of what remains, relative to what is seen [1].
 
+    def subset(self, chosen: Bools) -> Mixtures:
+        """Return some of them."""
+        return Mixtures(
+            self.segment[chosen], self.body[chosen], self.direct[chosen], self.sky[chosen],
+            self.sent[chosen], self.misfit[chosen],
+        )  # fmt: skip
+
 
 def without_sun(mixtures: Mixtures) -> Bools:
     """Tell which get so little direct light that, for the sky they see, grey things may send it."""
@@ -301,14 +308,27 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
 
 
 def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tuple[Floats, Floats]:
-    """Return amounts (n, 2 or 3) that are not negative and relative misfits (n,), of spectra (n, channel).
+    """Return amounts (n, 2 or 3) of sun, sky and sender, and relative misfits (n,), of spectra (n, channel).
 
-    The exact minimum: of all sets of parts, that which leaves least without any negative amount.
+    What casts a shadow hides the sky around the sun first, so that what is left of it may be as blue as the
+    zenith: the sky is any sum of both, and its amount that of the irradiance. See `least_amounts`.
     """
-    sigma = MIXTURES.tolerance * np.abs(seen) + MIXTURES.floor
-    parts = [body * light.direct, body * light.diffuse]
+    parts = [body * light.direct, body * light.diffuse, body * light.above]
     if sender is not None:
         parts.append(body * sender)
+    amounts, misfit = least_amounts(seen, parts)
+    whole = light.diffuse.sum()
+    amounts[:, 1] += amounts[:, 2] * (light.above.sum() / whole if whole > 0 else 0.0)
+    return np.delete(amounts, 2, axis=1), misfit
+
+
+def least_amounts(seen: Floats, parts: list[Floats]) -> tuple[Floats, Floats]:
+    """Return amounts (n, part) that are not negative and relative misfits (n,), of spectra (n, channel).
+
+    The exact minimum: of all sets of parts (channel,) or (n, channel), that which leaves least without any
+    negative amount.
+    """
+    sigma = MIXTURES.tolerance * np.abs(seen) + MIXTURES.floor
     design = np.stack([part / sigma for part in parts], axis=2)
     target = seen / sigma
     gram = np.einsum("nki,nkj->nij", design, design)

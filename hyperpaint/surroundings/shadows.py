@@ -11,8 +11,18 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.base.errors import PaintWarning
 
-from .detection_rules import SHADOWS
-from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
+from .detection_rules import DARK_COATS, SHADOWS
+from .full_light import (
+    Light,
+    Matches,
+    Mixtures,
+    in_parts,
+    least_amounts,
+    mixtures_of,
+    senders_of,
+    solve,
+    without_sun,
+)  # fmt: skip
 from .model import LIT, SHADED
 from .segments import Touching, beyond, distinct_pairs
 
@@ -56,6 +66,8 @@ def match_shade(
     4. Whatever lies around: what has the sky's part of a body's light to 2 % in all channels, and more of it
        than glass or black paint could mirror, beside that body.
 
+    What is a dark body in the sun under a coat that mirrors the sky, by its spectrum, is none of 2 to 4.
+
     Where clear shadows fall to another side than they are said to, a `PaintWarning` says so, and the side
     that is seen is used.
 
@@ -92,6 +104,8 @@ def match_shade(
     length, way = sides.sum(axis=1), sides @ (_STEPS @ side)
     _assign(mixtures, _beyond_doubt(mixtures, length, way, border), state, body)
     ground = _ground(scene, state, body)
+    possible = ~_coats_in_the_sun(mixtures, spectrum, light)
+    mixtures, length, way = mixtures.subset(possible), length[possible], way[possible]
     on_ground = ground[mixtures.body]
     around = border[mixtures.segment]
     touches = (length >= SHADOWS.on_ground.border * around) & (way >= SHADOWS.on_ground.way * length)
@@ -187,6 +201,28 @@ def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Float
     return np.asarray(_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (away | island))
 
 
+def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:
+    r"""Tell which are rather a dark body in the sun whose coat mirrors the sky.
+
+    :math:`\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with :math:`\rho` linear in wavelength and m what a
+    clear coat mirrors: of the zenith, or of the whole sky.
+    """
+    segments, place = np.unique(mixtures.segment, return_inverse=True)
+    seen = np.nan_to_num(spectrum[segments])
+    ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, seen.shape[1])
+    parts = [
+        np.broadcast_to(part, seen.shape) for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
+    ]
+    amount, misfit = least_amounts(seen, parts)
+    body, mirrored = amount[:, :2].sum(axis=1), amount[:, 2:].sum(axis=1)
+    dark = (body > DARK_COATS.min_body) & (seen.mean(axis=1) < DARK_COATS.max_level)
+    dark &= (mirrored > DARK_COATS.min_mirrored) & (mirrored < DARK_COATS.max_mirrored)
+    dark &= misfit < DARK_COATS.max_misfit
+    return np.asarray(
+        (dark & (seen > 0).all(axis=1))[place] & (DARK_COATS.worse_factor * misfit[place] < mixtures.misfit)
+    )
+
+
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
     """Tell which are a body without the sun by spectrum and level alone, and lie beside it."""
     from scipy.ndimage import binary_dilation, find_objects
@@ -248,14 +284,19 @@ def penumbrae(
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
-    """Return which segments are ground (segment,): the largest, and what most shadows lie on."""
+    """Return which segments are ground (segment,): the largest, and what most shadows lie on.
+
+    But for what is too bright, or too rare: the white cars that shadows of others fall on.
+    """
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
     is_ground = np.zeros(count, bool)
-    for one in np.flatnonzero(
-        (area > SHADOWS.min_ground_share * area.sum()) | (scene.size == scene.size.max())
-    ):
-        is_ground |= _alike(scene.spectrum, np.arange(count), np.full(count, one))
+    largest = scene.size == scene.size.max()
+    bright = np.nan_to_num(scene.spectrum).mean(axis=1) > SHADOWS.max_ground_level
+    for one in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
+        alike = _alike(scene.spectrum, np.arange(count), np.full(count, one))
+        if largest[one] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
+            is_ground |= alike
     return is_ground
 
 

@@ -12,6 +12,7 @@ from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
 from hyperpaint.surroundings.shadows import match_shade, of_shadows, shaded_pixels
+from hyperpaint.surroundings.sun_and_sky import mirrored_radiances
 
 NM = np.linspace(412.0, 988.0, 24)
 DIFFUSE = diffuse_fraction(NM, 40.0)
@@ -27,12 +28,14 @@ def shadow_of(body: np.ndarray, direct: float, sky: float, sent: float = 0.0) ->
     return body * (direct * LIGHT.direct + sky * LIGHT.diffuse + sent * RED)
 
 
-def matched(number: np.ndarray, spectra: list[np.ndarray], side: np.ndarray | None = AWAY) -> list[int]:
+def matched(
+    number: np.ndarray, spectra: list[np.ndarray], side: np.ndarray | None = AWAY, light: Light = LIGHT
+) -> list[int]:
     """Return the segments that are taken for shadows on the first one."""
     count = len(spectra)
     numbers = number.astype(np.int32)
     size = np.bincount(number.ravel(), minlength=count).astype(np.int64)
-    found, ground = match_shade(numbers, np.stack(spectra), size, touching(numbers, count), LIGHT, side)
+    found, ground = match_shade(numbers, np.stack(spectra), size, touching(numbers, count), light, side)
     assert ground[0]
     assert set(found.state) <= {LIT, SHADED}
     shaded = np.flatnonzero(found.state == SHADED)
@@ -140,3 +143,30 @@ def test_dark_pixels_of_a_texture_are_no_shadows_and_a_post_is_one() -> None:
     assert found[5:35, 50].all()
     assert found.sum() == 32 + 30
     assert not of_shadows(dark, np.zeros_like(dark))[~dark].any()
+
+
+LOW_SUN = 65.0
+LOW_LIGHT = Light.under(diffuse_fraction(NM, LOW_SUN), *mirrored_radiances("clear", NM, LOW_SUN))
+"""Under a low sun most of the sky's light is around it, and the zenith is much bluer than the mean."""
+
+
+def test_under_a_low_sun_shade_is_as_blue_as_the_zenith() -> None:
+    seen = 0.3 * ASPHALT * LOW_LIGHT.diffuse + 0.7 * ASPHALT * LOW_LIGHT.above
+    amount, misfit = solve(seen[None], ASPHALT[None], None, LOW_LIGHT)
+    assert misfit[0] < 1e-3
+    assert amount[0, 0] == 0.0
+    assert amount[0, 1] == pytest.approx(
+        0.3 + 0.7 * LOW_LIGHT.above.sum() / LOW_LIGHT.diffuse.sum(), rel=1e-4
+    )
+    mean_only = LOW_LIGHT._replace(above=LOW_LIGHT.diffuse)
+    assert solve(seen[None], ASPHALT[None], None, mean_only)[1][0] > 0.03
+
+
+@pytest.mark.parametrize(("sun", "shaded"), [(0.0, [1]), (1.0, [])])
+def test_black_paint_in_the_sun_that_mirrors_the_sky_is_no_shadow(sun: float, shaded: list[int]) -> None:
+    number = np.zeros((60, 60), int)
+    number[20:40, 20:40] = 1
+    body = np.linspace(0.011, 0.013, NM.size)
+    coat = body * (LOW_LIGHT.direct + LOW_LIGHT.diffuse) + 0.05 * LOW_LIGHT.above
+    shade = ASPHALT * (0.02 * LOW_LIGHT.direct + 0.6 * LOW_LIGHT.diffuse)
+    assert matched(number, [ASPHALT, sun * coat + (1.0 - sun) * shade], light=LOW_LIGHT) == shaded
