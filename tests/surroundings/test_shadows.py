@@ -162,11 +162,13 @@ def test_under_a_low_sun_shade_is_as_blue_as_the_zenith() -> None:
     assert solve(seen[None], ASPHALT[None], None, mean_only)[1][0] > 0.03
 
 
-@pytest.mark.parametrize(("sun", "shaded"), [(0.0, [1]), (1.0, [])])
-def test_black_paint_in_the_sun_that_mirrors_the_sky_is_no_shadow(sun: float, shaded: list[int]) -> None:
+@pytest.mark.parametrize(("is_coat", "shaded"), [(False, [1, 2]), (True, [1])])
+def test_black_paint_in_the_sun_that_mirrors_the_sky_is_no_shadow(is_coat: bool, shaded: list[int]) -> None:
     number = np.zeros((60, 60), int)
-    number[20:40, 20:40] = 1
-    body = np.linspace(0.011, 0.013, NM.size)
+    number[20:40, 10:50] = 1
+    number[24:36, 14:30] = 2
+    body = np.linspace(0.0065, 0.008, NM.size)
     coat = body * (LOW_LIGHT.direct + LOW_LIGHT.diffuse) + 0.05 * LOW_LIGHT.above
-    shade = ASPHALT * (0.02 * LOW_LIGHT.direct + 0.6 * LOW_LIGHT.diffuse)
-    assert matched(number, [ASPHALT, sun * coat + (1.0 - sun) * shade], light=LOW_LIGHT) == shaded
+    shade = ASPHALT * (0.02 * LOW_LIGHT.direct + 0.7 * LOW_LIGHT.diffuse)
+    spectra = [ASPHALT, shade, coat if is_coat else 0.6 * shade]
+    assert matched(number, spectra, light=LOW_LIGHT) == shaded
