@@ -253,29 +253,38 @@ def test_lean__is_smaller_across_a_car() -> None:
     assert beside < behind == unknown
 
 
-def test_lobes_of_flakes__are_refused() -> None:
+def test_lobes_of_flakes__are_known_where_they_are_level_or_refused() -> None:
     """Rationale: metal flakes mirror the sun over a lobe that is wider than a roof.
 
-    Expected: brightness that changes by 40 % along a roof is no lean; no region, and a reason.
+    Expected: of brightness that changes by 70 % along a roof a band across its middle, whose level is
+    known to more than 3 %; of 100 % no region, and a reason.
     """
-    found = propose(parked(gain=0.02))
-    assert len(found) == 0
-    assert any("flakes" in " ".join(region.properties["refused"]) for region in found.refused)
+    line = parked(gain=0.02)
+    beside = {"sun_azimuth": 180.0, "heading": 0.0}
+    (region,) = found = propose(line, **beside)
+    assert region.properties["level_uncertainty"] > 0.03
+    along, across = pixels_of(found, line)[0]
+    assert abs(float(np.mean(across)) - (30 + 55)) < 1.5
+    seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
+    assert np.mean(seen) == pytest.approx(np.mean(RED), rel=2.0 * region.properties["level_uncertainty"])
+    refused = propose(parked(gain=0.028), **beside)
+    assert len(refused) == 0
+    assert any("flakes" in " ".join(region.properties["refused"]) for region in refused.refused)
 
 
 def test_flakes_away_from_their_lobe__are_said() -> None:
     """Rationale: under a lower sun flakes still change more over a roof than a solid paint does.
 
-    Expected: four times the change of a solid paint, whose roof leans by 5 degrees at its ends, is metallic
-    and of a level less certain; the change of a solid paint decides nothing.
+    Expected: four times the change of a solid paint with lean is metallic and of a level less certain; the
+    change of a solid paint decides nothing.
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     picture = Picture(model, np.empty(0), {}, 45.0, None, None)
     measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
-    solid = float(np.radians(5.0) * (1.0 - model.diffuse_fraction.mean()))
+    solid = float(1.0 - model.diffuse_fraction.mean())
     verdicts = [Verdict("roof"), Verdict("roof")]
     for verdict, change in zip(verdicts, (solid, 4.0 * solid), strict=True):
-        judge_level(verdict, measures, picture, 0.5, Level(change))
+        judge_level(verdict, measures, picture, 0.5, Level(lean_change=change))
     assert [one.finish for one in verdicts] == ["unknown", "metallic"]
     assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
     assert not any(one.objections for one in verdicts)

@@ -15,9 +15,9 @@ from hyperpaint.surroundings import SceneModel
 from .between_clouds import doubt_about_clouds
 from .candidates import Limits, Measures, Picture, Piece, measured
 from .footprints import WAYS, Footprint, Scene, footprint_of
-from .judging import Judged, Level, Verdict, judge_level, judge_pixels, lean_to_sun
-from .levels import level_light
-from .proposal_rules import CARS, JUDGING, SURFACES
+from .judging import Judged, Level, Verdict, direct_share, judge_level, judge_pixels, lean_to_sun
+from .levels import level_light, level_place
+from .proposal_rules import CARS, FOOTPRINTS, JUDGING, SURFACES
 from .roofs import NoRoof, Roof, find_roof
 
 __all__ = ["Car", "find_cars", "judge_car"]
@@ -148,8 +148,9 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     lines, columns = piece.inside.shape
     brightness = footprint.brightness[y : y + lines, x : x + columns]
     lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits.shadow)
-    middle = (roof.middle[0] - y, roof.middle[1] - x)
-    level = level_light(brightness, piece.inside, lit, middle, roof.unsure)
+    place = level_place(footprint, roof)
+    place = place._replace(line=place.line - y, column=place.column - x)
+    level = level_light(brightness, lit, place, roof.axis)
     verdict = Verdict("roof", reasons=[roof.reason])
     if level is None:
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
@@ -160,19 +161,14 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
         measures = measured(piece, picture, allowed, relative)
         if measures.pixels >= limits.min_pixels:
             break
-    off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
+    # how far the pixels that are left are off what is level
+    off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    # the middle lies anywhere between both ends of what is unsure
-    unsure = 0.5 * level.unsure + off
     lean = lean_to_sun(roof.axis, picture.shadow_side)
-    judge_level(verdict, measures, picture, lean, Level(level.change, level.misfit, unsure))
+    judge_level(verdict, measures, picture, lean, Level(float(np.hypot(level.sd, off)), level.lean_change))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
-    if level.misfit > CARS.max_misfit:
-        verdict.objections.append(
-            f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
-        )
     return Judged(piece, measures, verdict)
 
 
@@ -198,10 +194,14 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
-    """Return the pixels of a roof that are away from what has another colour."""
+    """Return the pixels of a roof that are away from what has another colour.
+
+    What is brighter than the paint is elsewhere is paint, too: in the lobe of flakes, or in glint.
+    """
     from scipy.ndimage import distance_transform_edt
 
-    inside = roof.inside & (distance_transform_edt(np.pad(footprint.paint, 1))[1:-1, 1:-1] > erode)
+    paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.max_brightness)
+    inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not lines.size:
         return None
@@ -223,7 +223,8 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
     verdict.kind = "panel"
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
-    judge_level(verdict, measures, picture, JUDGING.panel_deg, Level())
+    unseen = Level(lean_change=JUDGING.unseen_change * direct_share(picture))
+    judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
     if _mean_level(measures) < SURFACES.dark:
         verdict.objections.append("as dark as a window, and not known to be the roof")
     return Judged(piece, measures, verdict)

@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.light.coat_transmission import interface_reflectance
 
 from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
-from .proposal_rules import JUDGING, SURFACES
+from .proposal_rules import FOOTPRINTS, JUDGING
 
-__all__ = ["Judged", "Level", "Verdict", "judge_level", "judge_pixels", "lean_to_sun"]
+__all__ = ["Judged", "Level", "Verdict", "direct_share", "judge_level", "judge_pixels", "lean_to_sun"]
 
 
 @dataclass
@@ -43,9 +44,24 @@ class Judged(NamedTuple):
 class Level(NamedTuple):
     """What is known of the brightness of a part where it is level, relative [1]."""
 
-    change: float = 0.0  #: Half of what lies between the 10th and 90th percentiles over the part.
-    misfit: float = 0.0  #: How far what is seen in its middle is off a plane around it.
-    unsure: float = 0.0  #: By how much its middle and its pixels may be off.
+    sd: float = 0.0  #: By how much its pixels may be off that.
+    lean_change: float = 0.0  #: Its change a radian of lean, as far as the crown of a roof shows it.
+
+
+def direct_share(picture: Picture) -> float:
+    """Return the direct part of the light on level ground, mean over the channels [1]."""
+    return 1.0 - float(picture.model.diffuse_fraction.mean())
+
+
+def change_with_lean(zenith: float) -> float:
+    """Return the relative change of the sun's light in a body under a coat for a lean towards it [1/rad].
+
+    Takes ``zenith``: angle of the sun to the panel's normal [degree]. It is -d ln(cos t (1 - F(t))) / dt:
+    tan t, and what the coat lets through of light that comes in steeper.
+    """
+    angles = np.radians(zenith) + np.array([-1e-3, 1e-3])
+    light = np.log(np.cos(angles) * (1.0 - interface_reflectance(np.degrees(angles))))
+    return float(light[0] - light[1]) / 2e-3
 
 
 def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
@@ -61,33 +77,40 @@ def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
 def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:
     """State how uncertain the level of a part is, and whether flakes show; object where it is too uncertain.
 
-    A lean of small angle b towards the sun changes a body's light by f_dir tan(zenith) b, and that of flakes
-    by more. By how much more tells how brightness changes over a roof, whose ends lean by some 5 degrees.
+    A lean of small angle b towards the sun changes a body's light by some f_dir tan(zenith) b, and that of
+    flakes by more. By how much more tells how brightness changes over a roof, whose crown leans by known
+    angles.
     Takes ``rake``: standard deviation of a lean that no brightness shows [degree].
     """
     if not measures.pixels:
         return
     zenith = 45.0 if picture.zenith is None else picture.zenith
-    direct = 1.0 - float(picture.model.diffuse_fraction.mean())
-    slope = direct * float(np.tan(np.radians(zenith)))
-    gain = level.change / max(float(np.radians(JUDGING.crown_deg)) * slope, 0.02)
+    direct = direct_share(picture)
+    slope = direct * change_with_lean(zenith)
     brightness = max(float(measures.spectrum.mean()), 1e-3)
+    mirrored = FOOTPRINTS.mirrored * float(
+        (picture.model.diffuse_fraction * picture.model.zenith_radiance).mean()
+    )
     parts = (
         JUDGING.least_sd,
-        float(np.radians(rake)) * slope * float(np.clip(0.5 + 0.5 * gain, 1.0, JUDGING.max_gain)),
-        0.5 * level.misfit,
-        level.unsure,
+        float(np.radians(rake)) * max(slope, level.lean_change),
+        level.sd,
         JUDGING.mirror_sd / brightness,
+        # a covered sky is as bright everywhere, and known
+        JUDGING.mirror_share_sd * direct * mirrored / brightness,
         GAPS.sd if picture.sun is not None else 0.0,
     )
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(parts)), rake
-    if direct >= JUDGING.min_flake_direct:
-        _judge_flakes(verdict, zenith, gain, level.change if brightness > SURFACES.dark else 0.0)
+    gain = level.lean_change / max(slope, 0.02)
+    if direct >= JUDGING.min_flake_direct and zenith >= JUDGING.min_flake_zenith_deg:
+        _judge_flakes(verdict, gain)
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
     text = (
         f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:.1f} degrees under this "
         "sun"
     )
+    if gain > JUDGING.metallic_gain:
+        text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
     if verdict.level_sd > allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"
         verdict.objections.append(f"{text}: {allowed:.1%} is allowed; {advice}")
@@ -95,15 +118,9 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         verdict.reasons.append(text)
 
 
-def _judge_flakes(verdict: Verdict, zenith: float, gain: float, change: float) -> None:
-    """Say where brightness changes as only flakes make it change; object near their lobe."""
-    if zenith < JUDGING.min_flake_zenith_deg:
-        if change > JUDGING.max_high_sun_change:
-            verdict.objections.append(
-                f"its brightness changes by {change:.0%} under a high sun: the lobe of metal flakes may lie "
-                "on part of it; fly when the sun is lower"
-            )
-    elif gain > JUDGING.metallic_gain:
+def _judge_flakes(verdict: Verdict, gain: float) -> None:
+    """Say where brightness changes as only flakes make it change."""
+    if gain > JUDGING.metallic_gain:
         verdict.finish = "metallic"
         verdict.reasons.append(
             f"metallic: its brightness changes {gain:.1f} times as much as a solid paint's would"

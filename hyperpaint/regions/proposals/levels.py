@@ -1,4 +1,4 @@
-"""How bright the roof of a car is where it is level."""
+"""How bright the roof of a car is where it is level, and how surely."""
 
 from __future__ import annotations
 
@@ -7,66 +7,177 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats
 
-__all__ = ["LEVELS", "Levelled", "level_light"]
+from .footprints import Footprint
+from .proposal_rules import ROOFS
+from .roofs import Roof
+
+__all__ = ["LEVELS", "Levelled", "Place", "level_light", "level_place"]
 
 
 @dataclass(frozen=True)
 class LevelRules:
-    """The fit to a roof's brightness."""
+    """The axis of a roof, and the surface through its brightness.
 
-    rounds: int = 30  #: Turns in which glint is left out of the plane through a roof's brightness.
-    #: Residuals that stay in the fit above the plane: glint only adds [standard deviation].
-    max_above_sd: float = 1.5
+    Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
+    """
+
+    #: Where its edges are looked for, in half widths as its windows tell them.
+    edge_span: tuple[float, float] = (0.7, 1.25)
+    #: Factor by which brightness falls at an edge within `edge_px`, at least: windows reflect less than half
+    #: of what paint does, unless that is dark [1].
+    min_edge_ratio: float = 1.2
+    edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
+    steps_per_px: int = 4  #: Samples of a profile across a roof: a tenth of what its place is off by.
+    #: Edges whose middle is farther than this from where windows put it are not both those of the roof.
+    max_shift: float = 0.3
+    #: Standard deviation of the axis between two edges: either is off by a half when its pixel is mixed
+    #: [pixel].
+    edged_sd_px: float = 0.4
+    #: Half of what is fitted, along and across: within, slopes are in proportion to the distance, and what a
+    #: lobe adds is of second order.
+    fitted: tuple[float, float] = (0.9, 0.5)
+    rounds: int = 30  #: Turns in which glint is left out of the surface.
+    #: Residuals that stay in the fit above the surface: glint only adds [standard deviation].
+    max_above_sd: float = 2.5
     max_below_sd: float = 3.0  #: The same below it [standard deviation].
     min_sd: float = 0.003  #: That standard deviation relative to the brightness, at least [1].
     min_fitted_px: int = 25  #: Pixels of the fit, at least.
+    #: Pixels that err together, by dust, orange peel and the camera's point spread: squares of three.
+    clump_px: float = 9.0
+    #: Lean over half a width from the middle of a roof [degree]: roofs drop by 3 to 5 cm over 0.7 m of their
+    #: length, a radius of 6 m; across they are bent to some 2.5 to 3 m.
+    crown_deg: tuple[float, float] = (5.0, 12.0)
 
 
 LEVELS = LevelRules()
 
 
+class Place(NamedTuple):
+    """Where a roof is level."""
+
+    line: float  #: In the window of the footprint, as `column` is.
+    column: float
+    along_sd: float  #: How far that may be off along the car, standard deviation [pixel].
+    across_sd: float  #: The same across it [pixel].
+    half_width: float  #: Half of the width of the roof [pixel].
+
+
 class Levelled(NamedTuple):
-    """Brightness of a roof."""
+    """Brightness of a roof where it is level."""
 
-    middle: float  #: In its middle, relative to what brightness is given in [1].
-    misfit: float  #: How far what is seen there is off the fit [1].
-    unsure: float  #: What it may be off by because the middle is elsewhere [1].
-    #: Half of what lies between the 10th and 90th percentiles of the fit over the roof, relative [1].
-    change: float
+    middle: float  #: There, relative to what brightness is given in [1].
+    sd: float  #: What that may be off by for its fit and its place, relative [1].
+    lean_change: float  #: Relative change a radian of lean, as far as the roof's crown shows it [1].
 
 
-def level_light(
-    brightness: Floats, inside: Bools, lit: Bools, middle: tuple[float, float], unsure: Floats
-) -> Levelled | None:
-    """Return how bright a roof is in its middle; None where too little of it is seen.
+def level_place(footprint: Footprint, roof: Roof) -> Place:
+    """Return where a roof is level: along the car where windows say so, across it between the roof's edges.
 
-    A crowned roof leans in proportion to the distance from its middle, and a small lean changes its light in
-    proportion: brightness is a plane. What glint adds lies above it, and is left out round by round.
-
-    Takes ``brightness`` (line, column): of the roof [1]; ``inside``, ``lit``: the roof, and what of it is
-    fitted; ``middle``: line and column; ``unsure`` (way, 2): lines and columns by which the middle may be
-    elsewhere, along the car and across it.
+    A car is its own mirror image, so that its roof is level across halfway between its edges. An edge is
+    where brightness falls most steeply in proportion: shading changes brightness over a roof by factors, too,
+    and a difference would put the edge of the darker side too far in.
     """
-    y, x = np.nonzero(lit)
-    if y.size < LEVELS.min_fitted_px:
+    from scipy.ndimage import map_coordinates
+
+    along, across = _from(roof.middle, roof.axis, *np.nonzero(roof.inside))
+    half = max(float(np.abs(across).max()) / ROOFS.used_width, 1.0)
+    tracks = np.arange(np.ceil(along.min()), np.floor(along.max()) + 1.0)
+    # one line of sight across at a time, over all tracks: a median that no roof rail or antenna moves
+    aside = np.arange(0.0, LEVELS.edge_span[1] * half + 2.0 * LEVELS.edge_px, 1.0 / LEVELS.steps_per_px)
+    edges = []
+    for sign in (-1.0, 1.0):
+        places = _to(roof.middle, roof.axis, tracks[:, None], sign * aside)
+        profile = np.median(map_coordinates(footprint.brightness, places, order=1, mode="nearest"), axis=0)
+        edges.append(sign * _edge(aside, profile, half))
+    shift = 0.5 * (edges[0] + edges[1])
+    seen = bool(abs(shift) < LEVELS.max_shift * half)
+    if seen:
+        half = 0.5 * (edges[1] - edges[0])
+    line, column = _to(roof.middle, roof.axis, np.zeros(()), np.array(shift if seen else 0.0))
+    # the middle lies anywhere between both ends of what is unsure
+    along_sd, unsure_sd = (part / float(np.sqrt(3.0)) for part in (roof.unsure, roof.unsure_across))
+    return Place(float(line), float(column), along_sd, LEVELS.edged_sd_px if seen else unsure_sd, half)
+
+
+def _from(middle: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
+    """Return how far places are from a middle, along and across a car [pixel]."""
+    y, x = np.asarray(y - middle[0], np.float64), np.asarray(x - middle[1], np.float64)
+    return y * axis[0] + x * axis[1], y * axis[1] - x * axis[0]
+
+
+def _to(middle: tuple[float, float], axis: Floats, along: Floats, across: Floats) -> tuple[Floats, Floats]:
+    """Return line and column of what is somewhere along and across a car [pixel]."""
+    return middle[0] + along * axis[0] + across * axis[1], middle[1] + along * axis[1] - across * axis[0]
+
+
+def _edge(aside: Floats, profile: Floats, half: float) -> float:
+    """Return how far from the middle paint ends [pixel]; NaN where nothing is seen to end.
+
+    Takes ``aside``, ``profile`` (sample,): distance from the middle [pixel], and brightness there.
+    """
+    width = round(0.5 * LEVELS.edge_px * LEVELS.steps_per_px)
+    logs = np.log(np.maximum(profile, 1e-3))
+    fall = np.zeros(logs.size)
+    fall[width:-width] = logs[: -2 * width] - logs[2 * width :]
+    fall[(aside < LEVELS.edge_span[0] * half) | (aside > LEVELS.edge_span[1] * half)] = 0.0
+    at = int(np.argmax(fall))
+    if fall[at] < np.log(LEVELS.min_edge_ratio):
+        return np.nan
+    near = slice(max(at - width, 0), at + width + 1)
+    # the centroid of the fall: less than a sample of the profile
+    return float(np.average(aside[near], weights=np.maximum(fall[near], 0.0)))
+
+
+def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> Levelled | None:
+    r"""Return how bright a roof is where it is level; None where too little of it is seen.
+
+    A crowned roof leans in proportion to the distance from there, so that the logarithm of its brightness is
+    a smooth function of place: a plane of a solid paint, bent by the lobe of flakes. Near the middle a
+    surface of second order is enough, and is taken where it is significantly better than the plane (Schwarz
+    1978). What glint adds lies above it, and is left out round by round.
+
+    Takes ``brightness`` (line, column): of the roof [1]; ``lit`` (line, column): what of it is fitted;
+    ``place``: where it is level, in the same window; ``axis`` (2,): direction (line, column) along the car.
+    """
+    y, x = np.nonzero(lit & (brightness > 0.0))
+    along, across = _from((place.line, place.column), axis, y, x)
+    u, v = along / place.half_width, across / place.half_width
+    near = (np.abs(u) < LEVELS.fitted[0]) & (np.abs(v) < LEVELS.fitted[1])
+    if near.sum() < LEVELS.min_fitted_px:
         return None
-    place = np.stack([np.ones(y.size), y - middle[0], x - middle[1]], axis=1)
-    seen = brightness[lit]
-    fitted = np.ones(seen.size, bool)
-    for _ in range(LEVELS.rounds):
-        plane = np.linalg.lstsq(place[fitted], seen[fitted], rcond=None)[0]
-        off = seen - place @ plane
-        spread = max(1.4826 * float(np.median(np.abs(off[fitted]))), LEVELS.min_sd * abs(float(plane[0])))
-        chosen = (off < LEVELS.max_above_sd * spread) & (off > -LEVELS.max_below_sd * spread)
-        if chosen.sum() < LEVELS.min_fitted_px or np.array_equal(chosen, fitted):
-            break
-        fitted = chosen
-    near = np.hypot(*(place[:, 1:].T)) < np.quantile(np.hypot(*(place[:, 1:].T)), 0.4)
-    # of all that is there, and not of what was fitted: on flakes, what is above the plane may be most of it
-    there = float(np.median(off[near])) if near.any() else 0.0
-    y, x = np.nonzero(inside)
-    low, high = np.quantile(plane[1] * y + plane[2] * x, [0.1, 0.9])
-    change = 0.5 * float(high - low) / max(abs(float(plane[0])), 1e-9)
-    return Levelled(float(plane[0]), abs(there), float(np.linalg.norm(unsure @ plane[1:])), change)
+    u, v, logs = u[near], v[near], np.log(brightness[y[near], x[near]])
+    plane = _Surface.through(np.stack([np.ones(u.size), u, v], axis=1), logs)
+    bent = _Surface.through(np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1), logs)
+    independent = u.size / LEVELS.clump_px
+    gain = independent * np.log(plane.rms**2 / bent.rms**2)
+    best = bent if gain > 3.0 * np.log(max(independent, 2.0)) else plane
+    slope = best.terms[1:3]
+    place_sd = np.hypot(*(slope * np.array([place.along_sd, place.across_sd]) / place.half_width))
+    lean_change = float(np.hypot(*(slope / np.radians(LEVELS.crown_deg))))
+    return Levelled(float(np.exp(best.terms[0])), float(np.hypot(best.sd, place_sd)), lean_change)
+
+
+class _Surface(NamedTuple):
+    """A surface through the logarithm of brightness."""
+
+    terms: Floats  #: (term,): Its value in the middle, its slopes, and what bends it.
+    rms: float  #: Of what is left of what was fitted [1].
+    sd: float  #: Standard error of its value in the middle [1].
+
+    @classmethod
+    def through(cls, place: Floats, logs: Floats) -> _Surface:
+        """Return the one through logarithms of brightness (pixel,) at places (pixel, term)."""
+        fitted = np.ones(logs.size, bool)
+        for _ in range(LEVELS.rounds):
+            terms = np.asarray(np.linalg.lstsq(place[fitted], logs[fitted], rcond=None)[0], np.float64)
+            off = logs - place @ terms
+            spread = max(1.4826 * float(np.median(np.abs(off[fitted]))), LEVELS.min_sd)
+            chosen = (off < LEVELS.max_above_sd * spread) & (off > -LEVELS.max_below_sd * spread)
+            if chosen.sum() < LEVELS.min_fitted_px or np.array_equal(chosen, fitted):
+                break
+            fitted = chosen
+        rms = max(float(np.sqrt(np.mean(off[fitted] ** 2))), LEVELS.min_sd)
+        inverse = np.linalg.pinv(place[fitted].T @ place[fitted])
+        return cls(terms, rms, rms * float(np.sqrt(LEVELS.clump_px * inverse[0, 0])))

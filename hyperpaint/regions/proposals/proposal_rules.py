@@ -115,21 +115,21 @@ class JudgingRules:
     #: Standard uncertainty of the level, relative, at most: half of the 6 % that a signature may be off [1].
     max_level_sd: float = 0.042
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
-    least_sd: float = 0.012  #: What remains of a level roof: noise, dust, light of neighbours [1].
+    least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
     mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
+    #: The same relative to what is mirrored: zeniths of clear and hazy skies differ so much [1].
+    mirror_share_sd: float = 0.4
     rake_deg: float = 1.1  #: Lean of the middle of a roof along its car, which nothing shows [degree].
     #: The same across it: both sides of a car are alike, and what leans is the ground, which drains [degree].
     roll_deg: float = 0.6
     panel_deg: float = 7.0  #: The same of any other part [degree].
-    crown_deg: float = 5.0  #: Lean of the ends of a crowned roof against its middle [degree].
-    #: Change with lean over that of a body under the same sun, at most; half of what the ends of a roof show
-    #: is their stronger curvature [1].
-    max_gain: float = 2.5
-    metallic_gain: float = 3.0  #: The same from which on flakes are certain [1].
+    #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
+    #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.
+    unseen_change: float = 3.0
+    #: Change with lean over that of a solid body under the same sun from which on flakes are certain [1].
+    metallic_gain: float = 3.0
     #: Sun's zenith angle from which a roof seen from above is away from the sun's mirror image [degree].
     min_flake_zenith_deg: float = 32.0
-    #: Change of brightness over a roof under a higher sun from which on it may be flakes near that image [1].
-    max_high_sun_change: float = 0.09
     min_flake_direct: float = 0.5  #: Direct share from which flakes show [1].
     #: Darkness of the windows relative to the paint from which on they are told from it [1].
     min_window_contrast: float = 0.25
@@ -150,8 +150,7 @@ class CarRules:
     min_piece_share: float = 0.5  #: Share of a piece from which on it lies on a car seen before [1].
     min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
     #: Factors of the brightness limit, the next where too few pixels of a roof are within [1].
-    wider: tuple[float, float] = (1.0, 2.0)
-    max_misfit: float = 0.10  #: Misfit of the plane in the middle of a roof, relative, at most [1].
+    wider: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
 
 
 SURFACES = SurfaceRules()

@@ -20,8 +20,8 @@ class Roof(NamedTuple):
     inside: Bools  #: (line, column): Its pixels, in the footprint's window.
     middle: tuple[float, float]  #: Where it is level: line and column in that window.
     axis: Floats  #: Unit vector (line, column) along the car.
-    #: (way, 2): Lines and columns by which the level place may be elsewhere, along the car and across it.
-    unsure: Floats
+    unsure: float  #: How far along the car the level place may be elsewhere, at most [pixel].
+    unsure_across: float  #: The same across it [pixel].
     reason: str  #: Why it is thought to be one.
     worth: float  #: How sure that is, to choose among several.
     complete: bool  #: Whether it lies between windows, and these between paint.
@@ -131,12 +131,11 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
         if inside is not None:
             middle = _place_of(car, place.along, sides.centre, frame)
             complete = 1 < number < len(runs) - 2
-            unsure = np.stack([place.unsure * frame.axis, sides.unsure * _aside(frame)])
             beyond = [runs[one].length for one in (number - 2, number + 2) if 0 <= one < len(runs)]
             has_bonnet = max(beyond, default=0) > ROOFS.min_bonnet * frame.length
             ends = [runs[one] for one in (number - 1, number + 1) if 0 <= one < len(runs)]
             best = Roof(
-                inside, middle, frame.axis, unsure, *grounds, complete,
+                inside, middle, frame.axis, place.unsure, sides.unsure, *grounds, complete,
                 has_bonnet and sided > ROOFS.surely_sided, _window_level(glass, ends, frame, level),
             )  # fmt: skip
     if best is not None:
