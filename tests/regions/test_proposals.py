@@ -267,7 +267,7 @@ def test_lobes_of_flakes__are_known_where_they_are_level_or_refused() -> None:
     assert abs(float(np.mean(across)) - (30 + 55)) < 1.5
     seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
     assert np.mean(seen) == pytest.approx(np.mean(RED), rel=2.0 * region.properties["level_uncertainty"])
-    refused = propose(parked(gain=0.028), **beside)
+    refused = propose(parked(gain=0.028))
     assert len(refused) == 0
     assert any("flakes" in " ".join(region.properties["refused"]) for region in refused.refused)
 
