@@ -14,6 +14,7 @@ from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
 from .between_clouds import FreeSun
+from .leans import HeightModel
 from .proposal_rules import SURFACES
 
 __all__ = [
@@ -99,6 +100,7 @@ class Picture(NamedTuple):
     layers: Mapping[str, Array]
     zenith: float | None  #: Of the sun [degree]; None where it is not known.
     shadow_side: Floats | None  #: (2,): Direction (line, column) in which shadows fall; None as well.
+    heights: HeightModel | None  #: None where the line has none.
     sun: FreeSun | None  #: What the record says of it between clouds; None where these were not broken.
 
 

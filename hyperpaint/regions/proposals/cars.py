@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .between_clouds import doubt_about_clouds
 from .candidates import Limits, Measures, Picture, Piece, measured
 from .footprints import WAYS, Footprint, Scene, footprint_of
-from .judging import Judged, Level, Verdict, direct_share, judge_level, judge_pixels, lean_to_sun
+from .judging import Judged, Level, Verdict, direct_share, judge_level, judge_pixels
+from .leans import lean_to_sun, measured_lean
 from .levels import level_light, level_place
 from .proposal_rules import CARS, FOOTPRINTS, JUDGING, SURFACES
 from .roofs import NoRoof, Roof, find_roof
@@ -149,9 +150,19 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     brightness = footprint.brightness[y : y + lines, x : x + columns]
     lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits.shadow)
     place = level_place(footprint, roof)
-    place = place._replace(line=place.line - y, column=place.column - x)
-    level = level_light(brightness, lit, place, roof.axis)
+    middle = (place.line - y, place.column - x)
+    prior = lean_to_sun(roof.axis, picture.shadow_side)
+    lean = measured_lean(picture.heights, piece.window, piece.inside, middle, prior, picture.shadow_side)
+    middle = (middle[0] + lean.shift[0], middle[1] + lean.shift[1])
     verdict = Verdict("roof", reasons=[roof.reason])
+    if np.isfinite(lean.angle):
+        text = f"leans by {lean.angle:.1f} degrees towards the sun, says the height model"
+        verdict.reasons.append(text)
+        if not _holds(piece.inside, middle):
+            verdict.objections.append(f"{text}, and is level nowhere; draw a region on a part that is level")
+            return Judged(piece, measured(piece, picture, limits), verdict)
+    place = place._replace(line=middle[0], column=middle[1])
+    level = level_light(brightness, lit, place, roof.axis)
     if level is None:
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
         return Judged(piece, measured(piece, picture, limits), verdict)
@@ -164,12 +175,17 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     # how far the pixels that are left are off what is level
     off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    lean = lean_to_sun(roof.axis, picture.shadow_side)
-    judge_level(verdict, measures, picture, lean, Level(float(np.hypot(level.sd, off)), level.lean_change))
+    judge_level(verdict, measures, picture, lean.sd, Level(float(np.hypot(level.sd, off)), level.lean_change))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
     return Judged(piece, measures, verdict)
+
+
+def _holds(mask: Bools, place: tuple[float, float]) -> bool:
+    """Return whether a place (line, column) lies within the lines and columns of a mask."""
+    lines, columns = mask.shape
+    return bool(-1.0 <= place[0] <= lines and -1.0 <= place[1] <= columns)
 
 
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:

@@ -7,14 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.light.coat_transmission import interface_reflectance
 
 from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import FOOTPRINTS, JUDGING
 
-__all__ = ["Judged", "Level", "Verdict", "direct_share", "judge_level", "judge_pixels", "lean_to_sun"]
+__all__ = ["Judged", "Level", "Verdict", "direct_share", "judge_level", "judge_pixels"]
 
 
 @dataclass
@@ -62,16 +61,6 @@ def change_with_lean(zenith: float) -> float:
     angles = np.radians(zenith) + np.array([-1e-3, 1e-3])
     light = np.log(np.cos(angles) * (1.0 - interface_reflectance(np.degrees(angles))))
     return float(light[0] - light[1]) / 2e-3
-
-
-def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
-    """Return by how much a roof may lean towards the sun, which no brightness shows [degree].
-
-    Standard deviation. Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,):
-    in which shadows fall, None where that is not known.
-    """
-    along = 1.0 if shadow_side is None else float(abs(axis @ shadow_side))
-    return float(np.hypot(JUDGING.rake_deg * along, JUDGING.roll_deg * np.sqrt(max(1.0 - along**2, 0.0))))
 
 
 def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:

@@ -119,10 +119,7 @@ class JudgingRules:
     mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
     #: The same relative to what is mirrored: zeniths of clear and hazy skies differ so much [1].
     mirror_share_sd: float = 0.4
-    rake_deg: float = 1.1  #: Lean of the middle of a roof along its car, which nothing shows [degree].
-    #: The same across it: both sides of a car are alike, and what leans is the ground, which drains [degree].
-    roll_deg: float = 0.6
-    panel_deg: float = 7.0  #: The same of any other part [degree].
+    panel_deg: float = 7.0  #: Lean of a part that is no roof, which nothing shows [degree].
     #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
     #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.
     unseen_change: float = 3.0

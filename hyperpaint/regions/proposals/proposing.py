@@ -26,6 +26,7 @@ from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pi
 from .cars import find_cars, judge_car
 from .footprints import Scene
 from .judging import Judged, Verdict
+from .leans import height_model_of
 from .proposal_rules import SURFACES
 
 if TYPE_CHECKING:
@@ -167,7 +168,9 @@ def propose_regions(
     * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
       lean of 1.1 degrees along the car and 0.6 across it that nothing shows, by how much more than a solid
       paint's its brightness changes, and from where its middle is; the property ``level_uncertainty`` says
-      it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more.
+      it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more. Where the line has the
+      heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows cars, the lean and where
+      the roof is level follow from them, too.
     * Under broken clouds a car is judged where the record had free sun for 10 s around, and a shadow beside
       the car says that the sun was free there, too.
     * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
@@ -260,7 +263,7 @@ def propose_regions(
     zenith = _zenith(line, options.get("sun_zenith"))
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
-    picture = Picture(scene, *_read(line, scene), zenith, side, sun)
+    picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
     surfaces = Surfaces.of(scene)
     painted, judged = [], []
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):

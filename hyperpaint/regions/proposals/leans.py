@@ -1,0 +1,137 @@
+"""By how much a roof leans towards the sun: what nothing shows, and what a height model shows of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Bools, Floats
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["LEANS", "HeightModel", "Lean", "height_model_of", "lean_to_sun", "measured_lean"]
+
+
+@dataclass(frozen=True)
+class LeanRules:
+    """Leans of roofs, and height models."""
+
+    rake_deg: float = 1.1  #: Lean of the middle of a roof along its car, which nothing shows [degree].
+    #: The same across it: both sides of a car are alike, and what leans is the ground, which drains [degree].
+    roll_deg: float = 0.6
+    #: Height of a roof above what is around it, from which on a height model shows cars and not bare ground;
+    #: cars are 1.4 m high and more [m].
+    min_above_m: float = 0.7
+    around_px: int = 25  #: Margin in which there is ground [pixel].
+    #: Distance over which errors of heights are alike: photogrammetry matches patches [m].
+    alike_m: float = 0.15
+    floor_deg: float = 0.3  #: Lean of the height model itself, standard deviation [degree].
+    min_px: int = 40  #: Pixels with a height, at least.
+    min_side_px: int = 4  #: Lines, and columns, that they lie in.
+
+
+LEANS = LeanRules()
+
+
+class HeightModel(NamedTuple):
+    """Height of what every pixel shows."""
+
+    height: Array  #: (line, column) [m].
+    spacing: float  #: Between pixels [m].
+
+
+class Lean(NamedTuple):
+    """Lean of a roof towards the sun."""
+
+    sd: float  #: Standard deviation of what is not known of it [degree].
+    #: Lines and columns from its middle to where it is level along the sun's direction.
+    shift: Floats
+    angle: float = np.nan  #: In its middle, positive where it faces the sun [degree]; NaN if not measured.
+
+
+def height_model_of(line: xr.Dataset) -> HeightModel | None:
+    """Return the heights that a line has; None where it has none.
+
+    As `hyperpaint.locate` writes ``east``, ``north`` and ``ground_height`` with a ``dem`` of surfaces.
+    """
+    names = ("east", "north", "ground_height")
+    if not set(names) <= set(line.variables):
+        return None
+    import dask
+
+    east, north, height = dask.compute(*(line[name].data for name in names))
+    steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
+    known = np.concatenate([step[np.isfinite(step)] for step in steps])
+    if not known.size or not float(np.median(known)) > 0.0:
+        return None
+    return HeightModel(np.asarray(height, np.float64), float(np.median(known)))
+
+
+def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
+    """Return by how much a roof may lean towards the sun, which no brightness shows [degree].
+
+    Standard deviation. Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,):
+    in which shadows fall, None where that is not known.
+    """
+    along = 1.0 if shadow_side is None else float(abs(axis @ shadow_side))
+    return float(np.hypot(LEANS.rake_deg * along, LEANS.roll_deg * np.sqrt(max(1.0 - along**2, 0.0))))
+
+
+def measured_lean(
+    model: HeightModel | None,
+    window: tuple[slice, slice],
+    inside: Bools,
+    middle: tuple[float, float],
+    prior: float,
+    shadow_side: Floats | None,
+) -> Lean:
+    r"""Return the lean of a roof; as `lean_to_sun` says where no height model shows the car.
+
+    A polynomial of second order through the heights of the roof,
+
+    .. math:: z = z_0 + b \cdot p + p^T H p / 2,
+
+    with p [pixel] from its middle, has the slope :math:`b \cdot s` towards the sun s, and is level there
+    after :math:`- (b \cdot s) / (s^T H s)` pixels. The lean that is known before, 0 with the standard
+    deviation ``prior``, and the fitted one are weighted by their variances.
+
+    Takes ``window`` and ``inside`` (line, column): the roof; ``middle``: line and column in the window;
+    ``prior`` [degree]; ``shadow_side`` (2,): see `lean_to_sun`.
+    """
+    unknown = Lean(prior, np.zeros(2))
+    if model is None or shadow_side is None:
+        return unknown
+    height = model.height[window]
+    used = inside & np.isfinite(height)
+    if used.sum() < LEANS.min_px or min(used.any(axis=0).sum(), used.any(axis=1).sum()) < LEANS.min_side_px:
+        return unknown
+    if not _stands_above_ground(model, window, height[used]):
+        return unknown
+    rows, columns = np.nonzero(used)
+    y, x = rows - middle[0], columns - middle[1]
+    terms = np.stack([np.ones(y.size), y, x, 0.5 * y * y, y * x, 0.5 * x * x], axis=1)
+    fitted = np.linalg.lstsq(terms, height[used], rcond=None)[0]
+    off = height[used] - terms @ fitted
+    # pixels of one patch say the same
+    alike = max(1.0, (LEANS.alike_m / model.spacing) ** 2)
+    covariance = np.linalg.inv(terms.T @ terms) * float(off @ off) / (y.size - terms.shape[1]) * alike
+    sun = -shadow_side
+    slope = float(fitted[1:3] @ sun) / model.spacing
+    u = float(np.sqrt(sun @ covariance[1:3, 1:3] @ sun)) / model.spacing
+    sd = float(np.hypot(np.degrees(np.arctan(u)), LEANS.floor_deg))
+    weight = prior**2 / (prior**2 + sd**2)
+    hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
+    bend = float(sun @ hessian @ sun) / model.spacing**2
+    # a crown bends down; what does not is nowhere level
+    shift = weight * slope / -bend / model.spacing * sun if bend < 0.0 else np.full(2, np.inf)
+    return Lean(prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope))))
+
+
+def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
+    """Return whether heights are those of a car's roof, and not of the ground below it."""
+    around = tuple(slice(max(one.start - LEANS.around_px, 0), one.stop + LEANS.around_px) for one in window)
+    low = np.nanquantile(model.height[around], 0.1)
+    return bool(np.median(roof) - low > LEANS.min_above_m)
