@@ -54,6 +54,8 @@ def nearest_coloured(
         (coloured(spectrum, light) > BODIES.min_sender_colour)
         & (matches.state == LIT)
         & (size >= BODIES.min_sender_px)
+        & (np.nan_to_num(spectrum).mean(axis=1) < BODIES.max_sender_level)
+        & coloured_bodies(spectrum, light)
     )
     centre = number[CELL // 2 :: CELL, CELL // 2 :: CELL]
     cells = tuple(-(-length // CELL) for length in number.shape)

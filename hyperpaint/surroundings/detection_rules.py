@@ -248,6 +248,12 @@ class ShadowRules:
     #: Sky's light of the same times the body's reflectance, at least: a coat on black mirrors 0.04 of the
     #: sky, whose spectrum that is, up to twice as bright as its mean, and the darkest bodies send 0.01 [1].
     min_spectral_level: float = 0.09
+    #: Direct light, as the ground and cars around send it, of sides that are turned away from the sun, at
+    #: most [1].
+    max_turned_direct: float = 0.1
+    max_lit_level: float = 1.0  #: Reflectance of their lit body, at most: what is brighter is in glint [1].
+    #: Sky's light of the same over its direct light, at least: of a darker paint it would be 1 [1].
+    min_turned_ratio: float = 2.5
     beside_px: int = 8  #: Distance of the lit body from the same, and its pixels there, at least [pixel].
     penumbra_px: int = 8  #: Distance from a shadow over which light fades, at most [pixel].
     max_penumbra_sky: float = 1.3  #: Amount of the sky's light there, at most [1].
@@ -264,12 +270,12 @@ class DarkCoatRules:
     slope: float = (
         0.6  #: Most that the body's reflectance rises or falls from the middle to an end, relative [1].
     )
-    min_body: float = 0.005  #: Reflectance of the body, at least: with less nothing tells of the sun [1].
+    min_body: float = 0.003  #: Reflectance of the body, at least: with less nothing tells of the sun [1].
     max_level: float = 0.05  #: Reflectance of what is seen, at most [1].
     min_mirrored: float = 0.03  #: Amount of the sky's light that is mirrored, at least [1].
     max_mirrored: float = 0.13  #: The same, at most [1].
     max_misfit: float = 0.004  #: Misfit, relative to what is seen, at most [1].
-    worse_factor: float = 2.0  #: Misfit of a shadow relative to it, at least [1].
+    worse_factor: float = 1.3  #: Misfit of a shadow relative to it, at least [1].
 
 
 @dataclass(frozen=True)
@@ -281,6 +287,7 @@ class BodyRules:
     #: Colour of a segment whose light is looked for, see `coloured`, at least [1].
     min_sender_colour: float = 0.04
     min_sender_px: int = 40  #: Pixels of that, at least.
+    max_sender_level: float = 1.0  #: Mean reflectance of that, at most: what is brighter mirrors the sun [1].
     tilt: float = 0.1  #: Spread of the amount of direct light within a body: how far its parts lean [1].
     glint_tilt: float = 0.03  #: The same where all that differs by more is glint for certain [1].
     bright: float = 0.1  #: Reflectance from which tilt looks like glint above the usual threshold [1].
@@ -346,6 +353,8 @@ class FlagRules:
     #: Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt
     #: [pixel].
     penumbra_px: int = 1
+    #: Direct light that is missing on things in shadow, at least: what leans away lacks up to half [1].
+    min_missing_on_things: float = 0.6
     #: Wavelength shift above which spectra are compared at nominal wavelengths [nm].
     max_smile_nm: float = 1.0
 

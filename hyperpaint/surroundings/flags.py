@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
@@ -25,6 +25,7 @@ from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
 from .full_light import Light, most_amounts
 from .lobes import SATURATED_IN_LOBE
+from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
@@ -63,8 +64,9 @@ def flag(
     glint
         What the mirrored sun adds, relative to the rest of what is seen, above which a pixel is in glint [1].
     shadow
-        ``blocked_direct`` from which it is in shadow [1], in and beside segments that the model found to be a
-        cast shadow, and in single pixels of the ground; elsewhere missing light is tilt.
+        ``blocked_direct`` from which it is in shadow [1], in and beside segments of the ground that the model
+        found to be a cast shadow, and in single pixels of it; on other things in such segments only, and from
+        0.6 on: elsewhere missing light is tilt.
     adjacency
         ``adjacency`` above which it is lit by a coloured neighbour [1].
     edge
@@ -276,9 +278,9 @@ def _flag_block(
     mirrored = added_glint > np.maximum(limits["glint"] * own, FLAGS.min_glint)
     lobe = model.lobe[start:stop]
     bits[mirrored & (lobe > 0)] |= np.uint16(Quality.GLINT)
-    missing = layers["blocked_direct"]
-    cast = model.shade_distance[start:stop] <= FLAGS.penumbra_px
-    bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
+    bits[_shaded(layers["blocked_direct"], model, slice(start, stop), limits["shadow"])] |= np.uint16(
+        Quality.SHADOW
+    )
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
     bits[model.segment[start:stop] < 0] = 0
@@ -287,6 +289,17 @@ def _flag_block(
         **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in layers.items()},
         "quality": bits,
     }
+
+
+def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
+    """Return which pixels of some lines lie in a cast shadow, given the direct light that is missing."""
+    segment = model.segment[lines]
+    on_ground = np.append(model.ground > 0, False)[segment]
+    near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
+    # what leans away from the sun beside a shadow, or in a segment with one, lacks light as well
+    on_things = ~on_ground & np.append(model.state == SHADED, False)[segment]
+    most = max(limit, FLAGS.min_missing_on_things)
+    return np.asarray(near & (missing >= limit) | on_things & (missing >= most))
 
 
 _LOOKED_FOR = Quality.GLINT | Quality.SHADOW | Quality.ADJACENCY | Quality.MIXED_EDGE

@@ -77,6 +77,7 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "size": (("segment_number",), "int64", "1", "Pixels of a segment"),
     "state": (("segment_number",), "int8", "", "0 lit, 1 in a shadow of its body, 2 in glint of its body"),
     "body": (("segment_number",), "int32", "", "Segment that shows the same surface in full light"),
+    "ground": (("segment_number",), "int8", "", "1 where the body is ground, 0 where it is a thing on it"),
     "paint": (("segment_number",), "int32", "", "First of the bodies that show the same paint"),
     "tilt": (("segment_number",), "float64", "1", "Spread of the amount of direct light within the body"),
     "spectrum": (("segment_number", "channel"), "float64", "1", "Median reflectance of a segment"),
@@ -84,8 +85,9 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
 }  # fmt: skip
 """Field to its dims, dtype, units and meaning."""
 
-_BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1}
-"""What models were made with that say nothing of it: a uniform sky, and glint wherever it fits."""
+_BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
+"""What models were made with that say nothing of it: a uniform sky, glint wherever it fits, and shadows on
+all things as on the ground."""
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
@@ -170,6 +172,9 @@ class SceneModel:
     size, state, body : (segment_number,)
         Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
         same surface in full light.
+    ground : (segment_number,), int8
+        1 where the body is ground, which is level, 0 where it is a thing that leans; 1 in models that were
+        stored without it.
     paint : (segment_number,)
         First of the bodies that show the same paint; a body lights no other of its paint.
     tilt : (segment_number,)
@@ -196,6 +201,7 @@ class SceneModel:
     size: Ints
     state: npt.NDArray[np.int8]
     body: npt.NDArray[np.int32]
+    ground: npt.NDArray[np.int8]
     paint: npt.NDArray[np.int32]
     tilt: Floats
     spectrum: Floats

@@ -123,6 +123,7 @@ def match_shade(
     beside = (length >= SHADOWS.min_contact_sides) & (way >= SHADOWS.beside_way * length) & _clear(mixtures)
     best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
     _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
+    _assign(mixtures, _turned_away(mixtures, length, way, scene) & ~on_ground, state, body)
     _grow(mixtures, ground, best, length, way, scene, state, body)
     _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
     return Matches(state, body), ground
@@ -199,6 +200,18 @@ def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Float
     away = way >= SHADOWS.sure.way * length
     island = (length > SHADOWS.island_border * around) & (way >= -SHADOWS.sideways * length)
     return np.asarray(_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (away | island))
+
+
+def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) -> Bools:
+    """Tell which are a bright thing's side without sun: its lit body is on the side of the sun."""
+    level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
+    touches = length >= SHADOWS.min_contact_sides
+    touches &= length > SHADOWS.sure.border * scene.border[mixtures.segment]
+    fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_turned_direct)
+    fits &= (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct) & (level < SHADOWS.max_lit_level)
+    return np.asarray(
+        fits & touches & (way < -SHADOWS.sideways * length) & (mixtures.sky * level > DARK_COATS.max_mirrored)
+    )
 
 
 def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:

@@ -324,7 +324,8 @@ def survey(
         zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
         shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
         lobe=lobe, neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body,
-        paint=paints.first, tilt=tilt, spectrum=spectrum, reference=reference,
+        ground=ground[matches.body].astype(np.int8), paint=paints.first, tilt=tilt, spectrum=spectrum,
+        reference=reference,
         attrs={
             "diffuse_fraction_from": _source_text(diffuse, divided), "diffuse_fraction_u": split_u.tolist(),
             "sky_states": " ".join(divided.states), "reach": reach, "sun_zenith": zenith,

@@ -172,3 +172,20 @@ def test_black_paint_in_the_sun_that_mirrors_the_sky_is_no_shadow(is_coat: bool,
     shade = ASPHALT * (0.02 * LOW_LIGHT.direct + 0.7 * LOW_LIGHT.diffuse)
     spectra = [ASPHALT, shade, coat if is_coat else 0.6 * shade]
     assert matched(number, spectra, light=LOW_LIGHT) == shaded
+
+
+@pytest.mark.parametrize(("sky", "direct", "shaded"), [(0.6, 0.08, [1]), (0.9, 0.4, []), (0.2, 0.1, [])])
+def test_the_side_of_a_bright_thing_without_sun_is_in_shadow(
+    sky: float, direct: float, shaded: list[int]
+) -> None:
+    white = np.full(NM.size, 0.7)
+    number = np.zeros((60, 60), int)
+    number[20:30, 20:40] = 2
+    number[30:36, 20:40] = 1  # away from the sun, between roof and ground
+    side = white * (direct * LIGHT.direct + sky * LIGHT.diffuse)
+    light_of_side = np.stack([ASPHALT, side, white])
+    numbers = number.astype(np.int32)
+    size = np.bincount(number.ravel()).astype(np.int64)
+    matches, ground = match_shade(numbers, light_of_side, size, touching(numbers, 3), LIGHT, AWAY)
+    assert np.flatnonzero(matches.state == SHADED).tolist() == shaded
+    assert ground.tolist() == [True, False, False]

@@ -14,8 +14,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.bodies import coloured
-from hyperpaint.surroundings.full_light import Light
+from hyperpaint.surroundings.bodies import coloured, nearest_coloured
+from hyperpaint.surroundings.full_light import Light, Matches
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import divide, touching
 from hyperpaint.surroundings.sun_and_sky import measured_fraction, mirrored_radiances, shadow_side_of
@@ -336,3 +336,16 @@ def test_the_sky_around_the_sun_in_a_coat_is_no_glint(zenith: float, amount: flo
     cube[38:42, 44:50] += 0.2 * (1.0 - split)
     flagged = hp.surroundings.flag(as_line(cube, NM, snr=100.0), sun_zenith=zenith).compute()
     np.testing.assert_allclose(flagged.glint_fraction.values[38:42, 44:50], 0.2, atol=0.02)
+
+
+def test_neither_glint_nor_grey_things_light_others() -> None:
+    nm = np.linspace(412.0, 988.0, 24)
+    light = Light.under(diffuse_fraction(nm, 40.0))
+    red = 0.04 + 0.5 / (1.0 + np.exp((600.0 - nm) / 10.0))
+    spectrum = np.stack([np.full(24, 0.1), red, 8.0 * red, np.linspace(0.6, 0.75, 24)])
+    number = np.zeros((32, 80), np.int32)
+    for place in (1, 2, 3):
+        number[8:24, 20 * place : 20 * place + 10] = place
+    size = np.bincount(number.ravel()).astype(np.int64)
+    lit = Matches(np.full(4, LIT, np.int8), np.arange(4, dtype=np.int32))
+    assert set(np.unique(nearest_coloured(number, size, spectrum, lit, light, 120))) == {-1, 1}
