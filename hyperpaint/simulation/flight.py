@@ -28,6 +28,7 @@ from .optics import Optics
 from .paint_spectra import reflectance
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
 from .settings import SimulationSettings
+from .sun_clock import when_sun_stands
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
 __all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "Seen", "SkySamples", "sky_irradiance"]
@@ -229,7 +230,10 @@ class Flight(abc.ABC):
     @cached_property
     def start(self) -> int:
         """UTC at mid exposure of the first line [ns since 1970]."""
-        return int(np.datetime64(self.settings.start_time, "ns").astype(np.int64))
+        given = self.settings.start_time
+        if given is None:
+            return int(when_sun_stands(*self.settings.sun, *ORIGIN[:2]).astype(np.int64))
+        return int(np.datetime64(given, "ns").astype(np.int64))
 
     @cached_property
     def line_times(self) -> NDArray[np.int64]:

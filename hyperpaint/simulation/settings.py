@@ -103,7 +103,7 @@ class SimulationSettings(OpticsSettings):
         Rays a pixel of a rendered scene; what was rendered is the truth, however few they are.
     sky
         "clear": the sun at ``sun_zenith`` and ``sun_azimuth``. "near_sunset": a clear sky with the sun 80
-        degrees from the zenith, in the west, whatever the clock says. "overcast": no sun, and the same sky in
+        degrees from the zenith, in the west. "overcast": no sun, and the same sky in
         all directions.
     fleet
         Paints of a rendered scene: "solid", fourteen without flakes; "real", flakes, dust, worn ground.
@@ -114,7 +114,8 @@ class SimulationSettings(OpticsSettings):
     cubes
         Number of cubes the flight is cut into; they share one navigation file.
     start_time
-        UTC at mid exposure of the first line, ISO 8601 without a zone.
+        UTC at mid exposure of the first line, ISO 8601 without a zone. By default 2021-07-20T17:10:00, or
+        when the sun stands where the scene is lit from, at 43 degrees north, where that is another time.
     exposure_time_ms, frame_period_ms
         Exposure, and time from line to line [ms].
     stamp
@@ -224,7 +225,7 @@ class SimulationSettings(OpticsSettings):
     coat: bool = True
     neighbours: bool = True
     cubes: int = 1
-    start_time: str = "2021-07-20T17:10:00"
+    start_time: str | None = None
     exposure_time_ms: float = 5.0
     frame_period_ms: float = 7.0
     stamp: str = "end"
@@ -336,7 +337,7 @@ class SimulationSettings(OpticsSettings):
             check_choice(problems, name, getattr(self, name), allowed)
         for name in ("coat", "neighbours", "noise", "dark_noise", "quantise"):
             check_flag(problems, name, getattr(self, name))
-        if not _is_start_time(self.start_time):
+        if self.start_time is not None and not _is_start_time(self.start_time):
             problems.add(
                 f"start_time={self.start_time!r}, expected text like '2021-07-20T17:10:00', "
                 "in UTC without a zone, from 1980 to 2037"
