@@ -19,9 +19,12 @@ __all__ = ["LEANS", "HeightModel", "Lean", "height_model_of", "lean_to_sun", "me
 class LeanRules:
     """Leans of roofs, and height models."""
 
-    rake_deg: float = 1.1  #: Lean of the middle of a roof along its car, which nothing shows [degree].
-    #: The same across it: both sides of a car are alike, and what leans is the ground, which drains [degree].
-    roll_deg: float = 0.6
+    #: Lean across a car of the place where its shape is level, which no picture shows [degree]: both sides
+    #: of a car are alike, and what leans is the ground. Parking areas are drained over slopes of 1 to 1.5 %
+    #: (0.6 to 0.9 degrees), of whose two components one is towards the sun.
+    roll_deg: float = 0.5
+    #: The same along it, where a roof of 6 m radius may be highest 7 cm from its middle, too [degree].
+    rake_deg: float = 0.8
     #: Height of a roof above what is around it, from which on a height model shows cars and not bare ground;
     #: cars are 1.4 m high and more [m].
     min_above_m: float = 0.7

@@ -118,7 +118,7 @@ class JudgingRules:
     least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
     mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
     #: The same relative to what is mirrored: zeniths of clear and hazy skies differ so much [1].
-    mirror_share_sd: float = 0.4
+    mirror_share_sd: float = 0.5
     panel_deg: float = 7.0  #: Lean of a part that is no roof, which nothing shows [degree].
     #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
     #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.

@@ -166,7 +166,7 @@ def propose_regions(
       is within 3 % of that, or within 6 or 12 % where these are too few; of these the largest connected set.
       ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
     * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
-      lean of 1.1 degrees along the car and 0.6 across it that nothing shows, by how much more than a solid
+      lean of 0.8 degrees along the car and 0.5 across it that nothing shows, by how much more than a solid
       paint's its brightness changes, and from where its middle is; the property ``level_uncertainty`` says
       it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more. Where the line has the
       heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows cars, the lean and where
