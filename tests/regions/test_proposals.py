@@ -270,23 +270,23 @@ def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
     assert np.mean(seen) == pytest.approx(np.mean(RED), rel=2.0 * region.properties["level_uncertainty"])
 
 
-def test_flakes_away_from_their_lobe__are_said() -> None:
-    """Rationale: under a lower sun flakes still change more over a roof than a solid paint does.
+def test_flakes__make_levels_uncertain() -> None:
+    """Rationale: a lean that nothing shows changes the light of flakes more than that of a solid paint.
 
-    Expected: four times the change of a solid paint with lean is metallic and of a level less certain, too
-    uncertain where it is sixteen times; the change of a solid paint decides nothing.
+    Expected: four times the change of a solid paint is of a level less certain, eight times is refused, and
+    the reason names flakes.
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
-    picture = Picture(model, np.empty(0), {}, 45.0, None, None, None)
+    picture = Picture(model, np.empty(0), {}, 45.0)
     measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
     solid = float(1.0 - model.diffuse_fraction.mean())
-    verdicts = [Verdict("roof"), Verdict("roof"), Verdict("roof")]
-    for verdict, change in zip(verdicts, (solid, 4.0 * solid, 16.0 * solid), strict=True):
-        judge_level(verdict, measures, picture, 0.5, Level(lean_change=change))
-    assert [one.finish for one in verdicts] == ["unknown", "metallic", "metallic"]
+    verdicts = [Verdict("roof") for _ in range(3)]
+    for verdict, times in zip(verdicts, (1.0, 4.0, 8.0), strict=True):
+        judge_level(verdict, measures, picture, 0.5, Level(along_change=times * solid))
     assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
-    assert not any(one.objections for one in verdicts[:2])
-    assert "as that of flakes" in verdicts[2].objections[0]
+    assert not verdicts[0].objections
+    assert not verdicts[1].objections
+    assert any("flakes" in text for text in verdicts[2].objections)
 
 
 def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:

@@ -99,9 +99,11 @@ class Picture(NamedTuple):
     #: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
     layers: Mapping[str, Array]
     zenith: float | None  #: Of the sun [degree]; None where it is not known.
-    shadow_side: Floats | None  #: (2,): Direction (line, column) in which shadows fall; None as well.
-    heights: HeightModel | None  #: None where the line has none.
-    sun: FreeSun | None  #: What the record says of it between clouds; None where these were not broken.
+    shadow_side: Floats | None = None  #: (2,): Direction (line, column) in which shadows fall; None as well.
+    heights: HeightModel | None = None  #: None where the line has none.
+    sun: FreeSun | None = (
+        None  #: What the record says of it between clouds; None where these were not broken.
+    )
 
 
 def window_of(first: tuple[int, int], mask: Bools) -> tuple[slice, slice]:

@@ -14,6 +14,7 @@ from hyperpaint.surroundings import SceneModel
 
 from .between_clouds import doubt_about_clouds
 from .candidates import Limits, Measures, Picture, Piece, measured
+from .finishes import difference_of, judge_finish
 from .footprints import WAYS, Footprint, Scene, footprint_of
 from .judging import Judged, Level, Verdict, direct_share, judge_level, judge_pixels
 from .leans import lean_to_sun, measured_lean
@@ -175,7 +176,9 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     # how far the pixels that are left are off what is level
     off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    judge_level(verdict, measures, picture, lean.sd, Level(float(np.hypot(level.sd, off)), level.lean_change))
+    known = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
+    judge_level(verdict, measures, picture, lean.sd, known)
+    judge_finish(verdict, measures, picture, known, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
@@ -239,7 +242,7 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
     verdict.kind = "panel"
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
-    unseen = Level(lean_change=JUDGING.unseen_change * direct_share(picture))
+    unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture))
     judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
     if _mean_level(measures) < SURFACES.dark:
         verdict.objections.append("as dark as a window, and not known to be the roof")

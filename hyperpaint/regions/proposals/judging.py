@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.light.coat_transmission import interface_reflectance
+from hyperpaint.light.sun import diffuse_fraction
 
 from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import FOOTPRINTS, JUDGING
 
-__all__ = ["Judged", "Level", "Verdict", "direct_share", "judge_level", "judge_pixels"]
+__all__ = ["Judged", "Level", "Verdict", "change_with_lean", "direct_share", "judge_level", "judge_pixels"]
 
 
 @dataclass
@@ -25,7 +26,7 @@ class Verdict:
     #: What speaks for it, and what against; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
-    finish: str = "unknown"  #: "metallic" where its brightness says so.
+    finish: str = "unknown"  #: "solid", "metallic" where brightness and colour of a roof say so.
     level_sd: float = np.nan  #: Standard uncertainty of its level, relative [1].
     lean: float = np.nan  #: Standard deviation of its lean [degree].
     #: Whether it looks like leaves, a shadow or a window: refused, and listed after all others.
@@ -44,7 +45,14 @@ class Level(NamedTuple):
     """What is known of the brightness of a part where it is level, relative [1]."""
 
     sd: float = 0.0  #: By how much its pixels may be off that.
-    lean_change: float = 0.0  #: Its change a radian of lean, as far as the crown of a roof shows it.
+    #: Its change a radian of lean along and across the car, as far as the crown of a roof shows it.
+    along_change: float = 0.0
+    across_change: float = 0.0
+
+    @property
+    def lean_change(self) -> float:
+        """Its change a radian of lean in the direction where it is largest."""
+        return float(np.hypot(self.along_change, self.across_change))
 
 
 def direct_share(picture: Picture) -> float:
@@ -77,28 +85,20 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
     direct = direct_share(picture)
     slope = direct * change_with_lean(zenith)
     brightness = max(float(measures.spectrum.mean()), 1e-3)
-    mirrored = FOOTPRINTS.mirrored * float(
-        (picture.model.diffuse_fraction * picture.model.zenith_radiance).mean()
-    )
     parts = (
         JUDGING.least_sd,
         float(np.radians(rake)) * max(slope, level.lean_change),
         level.sd,
-        JUDGING.mirror_sd / brightness,
-        # a covered sky is as bright everywhere, and known
-        JUDGING.mirror_share_sd * direct * mirrored / brightness,
+        _mirror_sd(picture, zenith) / brightness,
         GAPS.sd if picture.sun is not None else 0.0,
     )
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(parts)), rake
-    gain = level.lean_change / max(slope, 0.02)
-    if direct >= JUDGING.min_flake_direct and zenith >= JUDGING.min_flake_zenith_deg:
-        _judge_flakes(verdict, gain)
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
     text = (
         f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:.1f} degrees under this "
         "sun"
     )
-    if gain > JUDGING.metallic_gain:
+    if level.lean_change > JUDGING.max_solid_gain * slope:
         text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
     if verdict.level_sd > allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"
@@ -107,13 +107,18 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         verdict.reasons.append(text)
 
 
-def _judge_flakes(verdict: Verdict, gain: float) -> None:
-    """Say where brightness changes as only flakes make it change."""
-    if gain > JUDGING.metallic_gain:
-        verdict.finish = "metallic"
-        verdict.reasons.append(
-            f"metallic: its brightness changes {gain:.1f} times as much as a solid paint's would"
-        )
+def _mirror_sd(picture: Picture, zenith: float) -> float:
+    """Return how uncertain the mirrored sky is that is taken away, in reflectance, mean over channels [1].
+
+    Skies that are brighter than a clear one, by haze, are so unevenly, and most of all around the sun; a
+    covered sky is as bright everywhere.
+    """
+    model = picture.model
+    mirrored = FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
+    clear = float(diffuse_fraction(model.channel_wavelength, zenith).mean())
+    haze = float(model.diffuse_fraction.mean()) / clear - 1.0
+    share = float(np.hypot(JUDGING.mirror_share_sd, haze)) * direct_share(picture)
+    return float(np.hypot(JUDGING.mirror_sd, share * mirrored))
 
 
 def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:

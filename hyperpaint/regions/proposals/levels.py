@@ -46,9 +46,12 @@ class LevelRules:
     min_fitted_px: int = 25  #: Pixels of the fit, at least.
     #: Pixels that err together, by dust, orange peel and the camera's point spread: squares of three.
     clump_px: float = 9.0
-    #: Lean over half a width from the middle of a roof [degree]: roofs drop by 3 to 5 cm over 0.7 m of their
-    #: length, a radius of 6 m; across they are bent to some 2.5 to 3 m.
-    crown_deg: tuple[float, float] = (5.0, 12.0)
+    #: Lean half a width across from the middle of a roof [degree]: they are bent to a radius of 2.5 to 3 m.
+    crown_deg: float = 12.0
+    #: How far a roof drops along its half length, relative to that: 3 cm of 0.7 m, 7 cm of 1.4 m, a parabola;
+    #: and the lean of short ones half a width from their middle, at most [degree].
+    drop: float = 0.05
+    max_crown_deg: float = 5.0
 
 
 LEVELS = LevelRules()
@@ -62,6 +65,14 @@ class Place(NamedTuple):
     along_sd: float  #: How far that may be off along the car, standard deviation [pixel].
     across_sd: float  #: The same across it [pixel].
     half_width: float  #: Half of the width of the roof [pixel].
+    half_length: float  #: Half of its length [pixel].
+
+    @property
+    def crown(self) -> Floats:
+        """Lean half a width from here along the car, and across it (2,) [radian]."""
+        along = 2.0 * LEVELS.drop * self.half_width / self.half_length
+        limits = np.radians([LEVELS.max_crown_deg, LEVELS.crown_deg])
+        return np.asarray([min(along, float(limits[0])), limits[1]])
 
 
 class Levelled(NamedTuple):
@@ -69,7 +80,9 @@ class Levelled(NamedTuple):
 
     middle: float  #: There, relative to what brightness is given in [1].
     sd: float  #: What that may be off by for its fit and its place, relative [1].
-    lean_change: float  #: Relative change a radian of lean, as far as the roof's crown shows it [1].
+    #: Its relative change a radian of lean along and across the car, as far as the roof's crown shows it [1].
+    along_change: float
+    across_change: float
 
 
 def level_place(footprint: Footprint, roof: Roof) -> Place:
@@ -98,7 +111,9 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     line, column = _to(roof.middle, roof.axis, np.zeros(()), np.array(shift if seen else 0.0))
     # the middle lies anywhere between both ends of what is unsure
     along_sd, unsure_sd = (part / float(np.sqrt(3.0)) for part in (roof.unsure, roof.unsure_across))
-    return Place(float(line), float(column), along_sd, LEVELS.edged_sd_px if seen else unsure_sd, half)
+    across_sd = LEVELS.edged_sd_px if seen else unsure_sd
+    length = 0.5 * float(np.ptp(along))
+    return Place(float(line), float(column), along_sd, across_sd, half, max(length, 1.0))
 
 
 def _from(middle: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
@@ -155,8 +170,9 @@ def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> L
     best = bent if gain > 3.0 * np.log(max(independent, 2.0)) else plane
     slope = best.terms[1:3]
     place_sd = np.hypot(*(slope * np.array([place.along_sd, place.across_sd]) / place.half_width))
-    lean_change = float(np.hypot(*(slope / np.radians(LEVELS.crown_deg))))
-    return Levelled(float(np.exp(best.terms[0])), float(np.hypot(best.sd, place_sd)), lean_change)
+    change = np.abs(slope) / place.crown
+    sd = float(np.hypot(best.sd, place_sd))
+    return Levelled(float(np.exp(best.terms[0])), sd, float(change[0]), float(change[1]))
 
 
 class _Surface(NamedTuple):

@@ -117,17 +117,14 @@ class JudgingRules:
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
     least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
     mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
-    #: The same relative to what is mirrored: zeniths of clear and hazy skies differ so much [1].
-    mirror_share_sd: float = 0.5
+    #: The same relative to what is mirrored, of a clear sky; what haze adds is all uncertain.
+    mirror_share_sd: float = 0.25
     panel_deg: float = 7.0  #: Lean of a part that is no roof, which nothing shows [degree].
     #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
     #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.
     unseen_change: float = 3.0
-    #: Change with lean over that of a solid body under the same sun from which on flakes are certain [1].
-    metallic_gain: float = 3.0
-    #: Sun's zenith angle from which a roof seen from above is away from the sun's mirror image [degree].
-    min_flake_zenith_deg: float = 32.0
-    min_flake_direct: float = 0.5  #: Direct share from which flakes show [1].
+    #: Change with lean over that of a solid body from which on a reason names flakes [1].
+    max_solid_gain: float = 3.0
     #: Darkness of the windows relative to the paint from which on they are told from it [1].
     min_window_contrast: float = 0.25
     min_window_step: float = 0.0025  #: The same in reflectance [1].
