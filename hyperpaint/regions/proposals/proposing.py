@@ -161,21 +161,26 @@ def propose_regions(
     * Windows are dark and cross it. The roof lies between two of them, or has one at an end and others along
       its sides, or is longer than any bonnet. It is level in its middle; where a window is longer than any
       windscreen, it has a sunroof in it, and the roof is level beside that.
-    * How bright the roof is there tells a plane through the brightness of its pixels: a crowned roof leans in
-      proportion to the distance, and what glint adds lies above the plane. Pixels are left whose brightness
-      is within 3 % of that, or within 6 or 12 % where these are too few; of these the largest connected set.
-      ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours stand no higher.
-    * How well its level is known follows from the sun, the direct part of the light (of the scene model), a
-      lean of 0.8 degrees along the car and 0.5 across it that nothing shows, by how much more than a solid
-      paint's its brightness changes, and from where its middle is; the property ``level_uncertainty`` says
-      it. It is refused above 4.2 %, or 0.0026 in reflectance where that is more. Where the line has the
-      heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows cars, the lean and where
-      the roof is level follow from them, too.
+    * Across it is level halfway between its edges. How bright it is there tells a smooth surface through the
+      logarithm of its brightness near that place; what glint adds lies above it. Pixels are left whose
+      brightness is within 3 % of that, or within 6 to 12 % where these are too few; of these the largest
+      connected set. ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours
+      stand no higher.
+    * How well its level is known follows from how far that place may be off, and from a lean of 0.5 degrees
+      across the car and 0.8 along it that no picture shows (parking areas are drained), by how much its light changes over its crown: roofs
+      are bent by 12 degrees over half their width, and by up to 5 as far along. What the coat mirrors of the
+      sky is uncertain, too, by the more the hazier it is. The property ``level_uncertainty`` says it; a roof
+      is refused above 4.2 %, or 0.0026 in reflectance where that is more.
+      Where the line has the heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows
+      cars, the lean and where the roof is level follow from them, too.
     * Under broken clouds a car is judged where the record had free sun for 10 s around, and a shadow beside
       the car says that the sun was free there, too.
-    * Brightness that changes three times as much as a solid paint's shows flakes: ``finish`` is "metallic",
-      and so is ``kind``. Else it is "unknown": flakes of a flat lobe look like a solid paint from one side.
-      What a signature of paint with flakes holds is its reflectance at this sun, seen from here.
+    * ``finish`` is "metallic" where its light changes with lean more than any solid paint's, or where what
+      changes has no colour on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees
+      from the zenith and next to nothing changes, or where coloured paint changes as a solid one does and
+      what changes has its own colour. Else it is "unknown": far from the sun's mirror image flakes look like
+      a solid paint. What a signature of paint with flakes holds is its reflectance at this sun, seen from
+      here.
     * Another part of a car may lean by 7 degrees or more, and is taken only where no roof is seen and its
       level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
       coloured neighbour's light, and whose brightness is within 3 % of its median.
@@ -215,9 +220,9 @@ def propose_regions(
     -------
     Proposals
         `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "metallic"), ``finish``
-        ("metallic", "unknown"), ``level_uncertainty`` (standard, relative) [1], ``lean`` (standard deviation)
-        [degree], ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``,
-        ``glint``, ``blocked_direct``, ``adjacency`` [1], ``excluded_flags`` (see
+        ("solid", "metallic", "unknown"), ``level_uncertainty`` (standard, relative) [1], ``lean`` (standard
+        deviation) [degree], ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``,
+        ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1], ``excluded_flags`` (see
         `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused`` holds the other pieces,
         whose property ``refused`` says why; see `Proposals` for what is in neither.
 
