@@ -61,6 +61,10 @@ class SkyRules:
         Spread of its logarithm beyond them.
     window_s
         Seconds to both sides in which light is compared with itself: clouds pass in seconds to a minute.
+    wrong_clock
+        How often a clock, or a place, is wrong, so that the sun stands elsewhere [1].
+    other_sun_deg
+        Distance of that sun in zenith angle, at least [degree]: nearer ones are hardly told apart.
     misfit
         Chi-square per interval of the best draw beyond which no sky explains a spectrum.
     decided
@@ -88,6 +92,8 @@ class SkyRules:
     calm_spread: tuple[float, ...] = (1.0, 0.8, 0.5, 1.0)
     restless_spread: float = 0.5
     window_s: float = 90.0
+    wrong_clock: float = 0.02
+    other_sun_deg: float = 7.0
     misfit: float = 4.0
     decided: float = 0.5
     floor: float = 0.008
@@ -195,18 +201,23 @@ def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[
     return whole, scattered / whole
 
 
+def _points_of(centres: tuple[float, ...]) -> Floats:
+    """Return the wavelengths at which the model is asked of intervals, some for each [nm]."""
+    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * _POINTS + 1)[1::2]
+    return np.asarray((np.array(centres)[:, None] + steps).ravel())
+
+
 @functools.lru_cache(maxsize=64)
 def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> _Spectra:
     """Return what all draws send down under a sun at one zenith angle [degree]."""
     draws = _draws()
     aerosol, exponent, ozone, relative, ground, water = (each[:, None] for each in draws.states)
     at = np.array(centres)
-    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * _POINTS + 1)[1::2]
-    points = (at[:, None] + steps).ravel()
+    points = _points_of(centres)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
-    shape = (_AIRS, at.size, steps.size)
+    shape = (_AIRS, at.size, _POINTS)
     direct, diffuse = (part.reshape(shape).mean(axis=2) for part in sky.irradiance(points))
     whole, _ = _mixed(draws, at, direct, diffuse)
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
@@ -293,6 +304,57 @@ def _weighed(evidence: Evidence, windows: Windows, pressure: float) -> _Weighed:
     return _Weighed(log, mean, square, clear, turbid, best)
 
 
+class _Elsewhere(NamedTuple):
+    """What clear air says of each sample under a sun that the clock has elsewhere (sample, ...)."""
+
+    log: Floats  # logarithm of the evidence
+    mean: Floats  # (sample, node) of the diffuse fraction
+    square: Floats  # (sample, node) of its square
+
+
+_OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
+
+
+@functools.lru_cache(maxsize=64)
+def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
+    """Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air."""
+    aerosol, exponent, ozone, relative, ground, water = (each[::4, None] for each in _draws().states)
+    air = Scatterers(aerosol, exponent, pressure * relative, ground)
+    sky = ClearSky(
+        sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
+    )
+    direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
+    whole = np.sum(sky.irradiance(_points_of(centres)), axis=0)
+    whole = whole.reshape(aerosol.size, len(centres), -1).mean(axis=2)
+    return np.log(whole), diffuse / (direct + diffuse)
+
+
+def _elsewhere(evidence: Evidence, windows: Windows, pressure: float) -> _Elsewhere:
+    centres = tuple(map(float, windows.centre))
+    white, size = _whitening(centres, float(evidence.level_u))
+    ours = evidence.level @ white.T
+    shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
+    log, mean, square = np.empty(shape), *np.empty((2, *shape, _NODES_NM.size))
+    for number, zenith in enumerate(_OTHER_SUNS_DEG):
+        level, fraction = _clear_air(float(zenith), pressure, centres)
+        theirs = level @ white.T
+        chi = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2.0 * ours @ theirs.T
+        least = chi.min(axis=1)
+        weight = np.exp(-0.5 * (chi - least[:, None]))
+        total = weight.sum(axis=1)
+        log[:, number] = np.log(total / len(theirs)) - 0.5 * least - size
+        mean[:, number] = weight @ fraction / total[:, None]
+        square[:, number] = weight @ fraction**2 / total[:, None]
+    log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
+    most = log.max(axis=1)
+    share = np.exp(log - most[:, None])
+    total = share.sum(axis=1)
+    share = (share / total[:, None])[..., None]
+    return _Elsewhere(
+        most + np.log(total / _OTHER_SUNS_DEG.size), (share * mean).sum(axis=1), (share * square).sum(axis=1)
+    )
+
+
 def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     r"""Return what the skies drawn say of a record, each weighted by how well it explains a sample.
 
@@ -302,17 +364,29 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     of slow colour and of single intervals; the level is `Evidence.level_u` or, with a small prior, `wide_u`.
     The evidence of a kind of sky is averaged over `window_s` and weighted by how much the level varies in it;
     where even the best draw does not fit, all misfits are divided until it does, which leaves a wide answer.
+    What a clear sky under a sun elsewhere explains better contradicts the clock.
     """
     weighed = _weighed(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
-    logs = _averaged(weighed.log, evidence.seconds) + prior + _variation(evidence)[:, None, :]
+    variation = _variation(evidence)
+    logs = _averaged(weighed.log, evidence.seconds) + prior + variation[:, None, :]
     share = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
-    share /= share.sum(axis=(1, 2), keepdims=True)
+    total = share.sum(axis=(1, 2))
+    share /= total[:, None, None]
     probability = _probabilities(share, weighed.turbid)
-    probability[(weighed.best > RULES.misfit) | (evidence.sun_zenith > _LOWEST)] = np.eye(5)[4]
     fraction, square, clear = (
         (share[..., None] * part).sum(axis=(1, 2)) for part in (weighed.mean, weighed.square, weighed.clear)
     )
+    if (probability[:, :2].sum(axis=1) < RULES.decided).any():
+        # what is no clear sky may be one at another hour
+        elsewhere = _elsewhere(evidence, windows, pressure)
+        other = _averaged(elsewhere.log, evidence.seconds) + variation[:, KINDS.index("air")]
+        here = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
+        wrong = 1.0 / (1.0 + np.exp(np.clip(here - other, -500.0, 500.0)))[:, None]
+        probability = (1.0 - wrong) * probability + wrong * np.eye(5)[4]
+        fraction += wrong * (elsewhere.mean - fraction)
+        square += wrong * (elsewhere.square - square)
+    probability[(weighed.best > RULES.misfit) | (evidence.sun_zenith > _LOWEST)] = np.eye(5)[4]
     # the mean of the kind that is likely, with the doubt about it in the uncertainty
     kind = np.array([0, 0, KINDS.index("broken"), KINDS.index("overcast")])
     state = probability[:, :4].argmax(axis=1)

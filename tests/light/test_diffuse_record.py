@@ -116,6 +116,17 @@ def test_a_level_that_no_sky_has_contradicts(factor: float) -> None:
     assert inside(split(factor * (direct + sky), moments(40.0), calibration_uncertainty=0.3), truth) == 1.0
 
 
+@pytest.mark.parametrize(("true", "clock"), [(60.0, 22.6), (70.0, 30.0), (30.0, 60.0)])
+def test_a_clear_sky_under_a_clock_that_is_wrong_contradicts(true: float, clock: float) -> None:
+    direct, sky = spectrl2(true, 0.1)
+    one = split(direct + sky, moments(clock))
+    assert words(one) == {"contradictory"}
+    # nothing is said with certainty
+    assert float(one.sky_probability.isel(state=slice(0, 4)).max()) < 0.5
+    if true > clock:
+        assert inside(one, np.interp(BANDS, NM, sky / (direct + sky))) == 1.0
+
+
 def test_thin_cloud_contradicts() -> None:
     direct, sky = spectrl2(40.0, 0.1)
     one = split(0.6 * direct + sky + 0.2 * direct, moments(40.0))
