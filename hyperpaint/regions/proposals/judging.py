@@ -84,21 +84,22 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
     zenith = 45.0 if picture.zenith is None else picture.zenith
     direct = direct_share(picture)
     slope = direct * change_with_lean(zenith)
-    brightness = max(float(measures.spectrum.mean()), 1e-3)
-    parts = (
-        JUDGING.least_sd,
-        float(np.radians(rake)) * max(slope, level.lean_change),
-        level.sd,
-        _mirror_sd(picture, zenith) / brightness,
-        GAPS.sd if picture.sun is not None else 0.0,
-    )
-    verdict.level_sd, verdict.lean = float(np.hypot.reduce(parts)), rake
+    mirrored = mirrored_sky(picture)
+    # that of the paint itself, which a signature without the mirrored sky holds
+    brightness = max(float(measures.spectrum.mean()) - mirrored, 1e-3)
+    parts = {
+        "noise and dust": JUDGING.least_sd,
+        f"a lean of {rake:.1f} degrees that no picture shows": float(np.radians(rake))
+        * max(slope, level.lean_change),
+        "the place where it is level": level.sd,
+        "the sky that its coat mirrors": _mirror_share_sd(picture, zenith) * mirrored / brightness,
+        "its darkness": JUDGING.mirror_sd / brightness,
+        "broken clouds": GAPS.sd if picture.sun is not None else 0.0,
+    }
+    verdict.level_sd, verdict.lean = float(np.hypot.reduce(list(parts.values()))), rake
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
-    text = (
-        f"its level is known to {verdict.level_sd:.1%}, since it may lean by {rake:.1f} degrees under this "
-        "sun"
-    )
-    if level.lean_change > JUDGING.max_solid_gain * slope:
+    text = f"its level is known to {verdict.level_sd:.1%}, most of all by {max(parts, key=parts.__getitem__)}"
+    if direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope:
         text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
     if verdict.level_sd > allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"
@@ -107,18 +108,23 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         verdict.reasons.append(text)
 
 
-def _mirror_sd(picture: Picture, zenith: float) -> float:
-    """Return how uncertain the mirrored sky is that is taken away, in reflectance, mean over channels [1].
+def mirrored_sky(picture: Picture) -> float:
+    """Return what a level coat mirrors of the sky, in reflectance, mean over the channels [1]."""
+    model = picture.model
+    return FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
+
+
+def _mirror_share_sd(picture: Picture, zenith: float) -> float:
+    """Return how uncertain the mirrored sky is, relative [1].
 
     Skies that are brighter than a clear one, by haze, are so unevenly, and most of all around the sun; a
     covered sky is as bright everywhere.
     """
-    model = picture.model
-    mirrored = FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
-    clear = float(diffuse_fraction(model.channel_wavelength, zenith).mean())
-    haze = float(model.diffuse_fraction.mean()) / clear - 1.0
-    share = float(np.hypot(JUDGING.mirror_share_sd, haze)) * direct_share(picture)
-    return float(np.hypot(JUDGING.mirror_sd, share * mirrored))
+    direct = direct_share(picture)
+    clear = float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean())
+    haze = (1.0 - direct) / clear - 1.0
+    uneven = direct * float(np.hypot(JUDGING.mirror_share_sd, haze))
+    return uneven + (1.0 - direct) * JUDGING.covered_share_sd
 
 
 def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:

@@ -116,15 +116,17 @@ class JudgingRules:
     max_level_sd: float = 0.042
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
     least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
-    mirror_sd: float = 0.0012  #: Of the sky that the coat mirrors, in reflectance [1].
-    #: The same relative to what is mirrored, of a clear sky; what haze adds is all uncertain.
+    mirror_sd: float = 0.0012  #: Of what is added to any paint, as by neighbours, in reflectance [1].
+    #: Of the sky that a coat mirrors, relative, where it is clear; what haze adds is all uncertain [1].
     mirror_share_sd: float = 0.25
+    covered_share_sd: float = 0.03  #: The same of a covered sky: CIE's (type 1) at its zenith [1].
     panel_deg: float = 7.0  #: Lean of a part that is no roof, which nothing shows [degree].
     #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
     #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.
     unseen_change: float = 3.0
-    #: Change with lean over that of a solid body from which on a reason names flakes [1].
+    #: Change with lean over that of a solid body from which on a reason names flakes, in direct light [1].
     max_solid_gain: float = 3.0
+    min_direct: float = 0.5  #: Direct share of such light, at least [1].
     #: Darkness of the windows relative to the paint from which on they are told from it [1].
     min_window_contrast: float = 0.25
     min_window_step: float = 0.0025  #: The same in reflectance [1].
