@@ -289,6 +289,29 @@ def test_flakes__make_levels_uncertain() -> None:
     assert any("flakes" in text for text in verdicts[2].objections)
 
 
+def test_haze__makes_dark_levels_uncertain() -> None:
+    """Rationale: a coat mirrors the zenith, whose brightness a hazy sky does not tell.
+
+    Expected: with twice the diffuse light of a clear sky grey paint of 0.08 is refused for the sky, white
+    paint is not, nor is either under a clear sky; under a covered one both are known to 3 %.
+    """
+    clear = hp.surroundings.survey(parked(), sun_zenith=45.0)
+    covered = np.ones_like(clear.diffuse_fraction)
+    models = [clear, replace(clear, diffuse_fraction=2.0 * clear.diffuse_fraction)]
+    models += [replace(clear, diffuse_fraction=covered, zenith_radiance=9.0 / 7.0 * covered)]
+    verdicts = {}
+    for sky, model in zip(("clear", "hazy", "covered"), models, strict=True):
+        mirrored = 0.04 * float((model.diffuse_fraction * model.zenith_radiance).mean())
+        for level in (0.08, 0.7):
+            measures = Measures(np.ones((8, 8), bool), np.full(24, level + mirrored), {}, pixels=64)
+            verdict = verdicts[sky, level] = Verdict("roof")
+            judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(0.01, 0.9))
+    refused = [key for key, verdict in verdicts.items() if verdict.objections]
+    assert refused == [("hazy", 0.08)]
+    assert "mirrors" in verdicts["hazy", 0.08].objections[0]
+    assert verdicts["covered", 0.08].level_sd < 0.03
+
+
 def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
     """Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud.
 

@@ -98,7 +98,8 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
     }
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(list(parts.values()))), rake
     allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
-    text = f"its level is known to {verdict.level_sd:.1%}, most of all by {max(parts, key=parts.__getitem__)}"
+    largest = max(parts, key=parts.__getitem__)
+    text = f"its level is uncertain by {verdict.level_sd:.1%}, most of all by {largest}"
     if direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope:
         text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
     if verdict.level_sd > allowed:
