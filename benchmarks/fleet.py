@@ -38,7 +38,7 @@ from benchmarks.fleet_scenes.verdicts import NORMAL_95, Verdict, judged  # noqa:
 
 # written down before anything was tuned
 TUNE = {"hyperpaint": range(700, 720), "mitsuba": range(750, 754)}
-JUDGE = {"hyperpaint": range(800, 810), "mitsuba": range(850, 852)}
+JUDGE = {"hyperpaint": range(800, 820), "mitsuba": range(850, 856)}
 SCENES: dict[str, Any] = {"hyperpaint": rendered_cars, "mitsuba": foreign_cars}
 LOW_SUN_DEG = 60.0
 

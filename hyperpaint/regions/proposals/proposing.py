@@ -167,8 +167,9 @@ def propose_regions(
       connected set. ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours
       stand no higher.
     * How well its level is known follows from how far that place may be off, and from a lean of 0.5 degrees
-      across the car and 0.8 along it that no picture shows (parking areas are drained), by how much its light changes over its crown: roofs
-      are bent by 12 degrees over half their width, and by up to 5 as far along. What the coat mirrors of the
+      across the car and 0.8 along it that no picture shows (parking areas are drained), by how much its
+      light changes over its crown: roofs are bent by 12 degrees over half their width, and by up to 5 as far
+      along. What the coat mirrors of the
       sky is uncertain, too, by the more the hazier it is. The property ``level_uncertainty`` says it; a roof
       is refused above 4.2 %, or 0.0026 in reflectance where that is more.
       Where the line has the heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows
