@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .between_clouds import doubt_about_clouds
-from .candidates import Limits, Measures, Picture, Piece, measured
+from .candidates import Limits, Measures, Picture, Piece, largest_body, measured
 from .finishes import difference_of, judge_finish
-from .footprints import WAYS, Footprint, Scene, footprint_of
+from .footprints import WAYS, Footprint, Scene, Way, footprints_of
 from .judging import Judged, Level, Verdict, direct_share, judge_level, judge_pixels
 from .leans import lean_to_sun, measured_lean
 from .levels import level_light, level_place
@@ -27,92 +26,169 @@ __all__ = ["Car", "find_cars", "judge_car"]
 
 @dataclass(eq=False)
 class Car:
-    """Pieces of paint that are of one car."""
+    """Pieces of the picture that are of one car."""
 
-    pieces: list[Piece]  #: Those of its paint.
-    #: The car around its roof; None where it is not seen.
+    pieces: list[Piece]
+    #: What is seen of it around one of them, whether windows show that it is one or not; None where its
+    #: colour goes on beyond any car.
     footprint: Footprint | None = None
     roof: Roof | None = None
     #: Why there is no roof.
     reason: str = "its colour goes on beyond any car: nothing says that it belongs to one"
     is_car: bool = False  #: Whether windows show that it is one.
-    size: int = 0  #: Pixels of its largest footprint.
 
-    def add(self, piece: Piece, footprint: Footprint, roof: Roof | NoRoof) -> None:
-        """Add a piece, and what is seen around it: of several footprints with a roof the largest counts."""
-        self.pieces.append(piece)
-        self.size = max(self.size, int(footprint.whole.sum()))
-        if isinstance(roof, NoRoof):
-            self.is_car |= roof.is_car
-            self.reason = roof.reason
-        elif self.footprint is None or footprint.whole.sum() > self.footprint.whole.sum():
-            self.footprint, self.roof, self.is_car = footprint, roof, True
+
+def _is_certain(footprint: Footprint, roof: Roof) -> bool:
+    """Return whether a roof lies between windows, or behind a windscreen, on what is one car's size."""
+    return footprint.is_one_car and (roof.complete or roof.sided)
 
 
 def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
-    """Return the cars that pieces of paint are of, the largest piece's first; those dark as windows last."""
-    cars: list[Car] = []
-    owner = np.full(scene.level.shape, -1, np.int32)
-    painted = owner.copy()
+    """Return the cars that pieces of paint are of, the surest first.
+
+    The largest pieces are looked around first, those dark as windows last. What shows a roof for certain is a
+    car; what shows less is one only where no such car is.
+    """
+    lot = _Lot(scene)
 
     def order(piece: Piece) -> tuple[bool, int, tuple[int, int], int]:
         level = float(np.median(scene.level[piece.window][piece.inside]))
         return level < SURFACES.dark, -int(piece.inside.sum()), piece.first, piece.body
 
-    for piece in sorted(pieces, key=order):
-        owners = painted[piece.window][piece.inside]
-        if (owners >= 0).mean() > CARS.min_piece_share:
-            car = cars[int(np.bincount(owners[owners >= 0]).argmax())]
-            if car.roof is not None and car.roof.complete:
-                car.pieces.append(piece)
-                continue
-        footprint, roof = _look_around(piece, scene)
-        if footprint is None:
-            cars.append(Car([piece]))
-            continue
-        number = _same(footprint, owner, cars)
-        if number == len(cars):
-            cars.append(Car([]))
-        cars[number].add(piece, footprint, roof)
-        if not cars[number].is_car:
-            continue  # what is no car, such as ground that looks like no other, holds none
-        for plane, mask in ((owner, footprint.whole), (painted, footprint.whole & footprint.paint)):
-            view = plane[footprint.window]
-            view[mask & (view < 0)] = number
-    return cars
+    best = lot.look([_Seen(piece) for piece in sorted(pieces, key=order)], WAYS[:4], np.inf)
+    largest = CARS.max_size * float(np.median([seen.size for seen in lot.certain])) if lot.certain else np.inf
+    again = lot.look([_Seen(piece) for piece in lot.drop(largest)], WAYS[:4], largest)
+    best = lot.look([one.unless_larger(largest) for one in best + again], WAYS[4:], largest)
+    for seen in sorted(best, key=lambda one: one.rank, reverse=True):
+        if not lot.has(seen.piece):
+            lot.add(seen)
+    return lot.cars
+
+
+_CERTAIN = 5
+"""Rank of a roof between windows, or behind a windscreen, on what has the proportions of one car."""
 
 
 class _Seen(NamedTuple):
     """What is seen around a piece: the car, and its roof."""
 
-    footprint: Footprint | None
-    roof: Roof | NoRoof
+    piece: Piece
+    footprint: Footprint | None = None
+    roof: Roof | NoRoof = NoRoof(Car.reason, False)
+
+    @property
+    def size(self) -> int:
+        """Pixels of the car."""
+        return 0 if self.footprint is None else int(self.footprint.whole.sum())
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """How surely it is a car, and its pixels."""
+        if self.footprint is None:
+            return 0, 0
+        if isinstance(self.roof, NoRoof):
+            return 1 + int(self.roof.is_car), self.size
+        if not self.footprint.is_one_car:
+            return 3, self.size
+        return _CERTAIN - int(not _is_certain(self.footprint, self.roof)), self.size
+
+    def unless_larger(self, largest: float) -> _Seen:
+        """Return this, or that it is no car where it has more pixels than cars have."""
+        if self.size <= largest:
+            return self
+        reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
+        return self._replace(roof=NoRoof(reason, False))
 
 
-def _look_around(piece: Piece, scene: Scene) -> _Seen:
-    """Return the car around a piece, and its roof; what only windows join, too, where that shows a roof."""
+class _Lot:
+    """Cars, and which of them every pixel is of."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.cars: list[Car] = []
+        self.certain: list[_Seen] = []  #: What the first of them were seen as.
+        self._scene = scene
+        self._whole = np.full(scene.level.shape, -1, np.int32)
+        self._paint = self._whole.copy()
+
+    def look(self, waiting: list[_Seen], ways: Sequence[Way], largest: float) -> list[_Seen]:
+        """Add the cars that are certain; return the best that is seen around all other pieces."""
+        unsure = []
+        for best in waiting:
+            if self.has(best.piece):
+                continue
+            seen = _look_around(best, self._scene, ways, largest)
+            if seen.rank[0] < _CERTAIN:
+                unsure.append(seen)
+            elif not self.add(seen):
+                continue
+            else:
+                self.certain.append(seen)
+        return unsure
+
+    def drop(self, largest: float) -> list[Piece]:
+        """Take away the cars of more pixels, which are several beside each other; return their pieces."""
+        kept = [seen.size <= largest for seen in self.certain]
+        numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)
+        self._whole, self._paint = numbers[self._whole], numbers[self._paint]
+        dropped = [car for car, keep in zip(self.cars, kept, strict=True) if not keep]
+        self.cars = [car for car, keep in zip(self.cars, kept, strict=True) if keep]
+        self.certain = [seen for seen, keep in zip(self.certain, kept, strict=True) if keep]
+        return [piece for car in dropped for piece in car.pieces]
+
+    def has(self, piece: Piece) -> bool:
+        """Give a piece to the car whose paint or windows it lies on, and tell whether there is one."""
+        for plane, least in ((self._paint, CARS.min_piece_share), (self._whole, CARS.min_window_share)):
+            numbers = plane[piece.window][piece.inside]
+            if (numbers >= 0).mean() > least:
+                self.cars[int(np.bincount(numbers[numbers >= 0]).argmax())].pieces.append(piece)
+                return True
+        return False
+
+    def add(self, seen: _Seen) -> bool:
+        """Add a piece to the car that is there, or as a new one, and tell whether it is new."""
+        footprint, roof = seen.footprint, seen.roof
+        number = len(self.cars) if footprint is None else self._same(footprint)
+        if number < len(self.cars):
+            self.cars[number].pieces.append(seen.piece)
+            return False
+        if isinstance(roof, NoRoof):
+            self.cars.append(Car([seen.piece], footprint, None, roof.reason, roof.is_car))
+        else:
+            self.cars.append(Car([seen.piece], footprint, roof, is_car=True))
+        if footprint is not None and self.cars[-1].is_car:
+            # what is no car, such as ground that looks like no other, holds none
+            for plane, mask in (
+                (self._whole, footprint.whole),
+                (self._paint, footprint.whole & footprint.paint),
+            ):
+                view = plane[footprint.window]
+                view[mask & (view < 0)] = number
+        return True
+
+    def _same(self, footprint: Footprint) -> int:
+        """Return the number of the car that a footprint lies on, that of a new one if none."""
+        numbers = self._whole[footprint.window][footprint.whole]
+        numbers = numbers[numbers >= 0]
+        if not numbers.size:
+            return len(self.cars)
+        shared = np.bincount(numbers)
+        number = int(shared.argmax())
+        other = self.cars[number].footprint
+        least = min(int(one.whole.sum()) for one in (footprint, other) if one is not None)
+        return number if shared[number] > CARS.min_overlap * least else len(self.cars)
+
+
+def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float) -> _Seen:
+    """Return what is seen around a piece, and its roof: the first that is certain of what may be joined."""
+    piece = best.piece
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
-    seen: list[_Seen] = []
-    for way in WAYS:
-        footprint = footprint_of(piece.inside, piece.first, colour, scene, way)
-        if footprint is None:
-            continue
-        seen.append(_Seen(footprint, find_roof(footprint, scene.level[footprint.window])))
-        if isinstance(seen[-1].roof, Roof):
-            return seen[-1]
-    return seen[0] if seen else _Seen(None, NoRoof("its colour goes on beyond any car", False))
-
-
-def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -> int:
-    """Return the number of the car that a footprint lies on, that of a new one if none."""
-    there = owner[footprint.window][footprint.whole]
-    there = there[there >= 0]
-    if not there.size:
-        return len(cars)
-    shared = np.bincount(there)
-    number = int(shared.argmax())
-    least = min(int(footprint.whole.sum()), cars[number].size)
-    return number if shared[number] > CARS.min_overlap * least else len(cars)
+    for footprint in footprints_of(piece.inside, piece.first, colour, scene, ways):
+        roof = find_roof(footprint, scene.level[footprint.window])
+        seen = _Seen(piece, footprint, roof).unless_larger(largest)
+        best = max(best, seen, key=lambda one: one.rank[0])
+        if best.rank[0] == _CERTAIN:
+            break
+    return best
 
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
@@ -219,7 +295,7 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
     """
     from scipy.ndimage import distance_transform_edt
 
-    paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.max_brightness)
+    paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not lines.size:
@@ -240,13 +316,55 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
         verdict.scenery = _mean_level(measures) < SURFACES.dark
         return Judged(piece, measures, verdict)
     verdict.kind = "panel"
+    if car.footprint is None or car.roof is None or not _is_certain(car.footprint, car.roof):
+        verdict.objections.append(
+            "no roof of it is seen for certain: it may be another car's, or ground between cars; draw a "
+            "region by hand"
+        )
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
     unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture))
     judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
+    _compare_with_car(verdict, measures, car, picture)
+    if measures.pixels and _is_as_ground(measures.spectrum, picture.model):
+        verdict.objections.append(
+            "its colour is that of the ground, and it is no brighter; draw a region by hand"
+        )
     if _mean_level(measures) < SURFACES.dark:
         verdict.objections.append("as dark as a window, and not known to be the roof")
     return Judged(piece, measures, verdict)
+
+
+def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
+    """Return whether a spectrum is that of the ground, lit or in some shade."""
+    ground = np.nan_to_num(model.reference[largest_body(model)])
+    own, other = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
+    cosine = float(spectrum @ ground) / max(own * other, 1e-9)
+    return cosine > FOOTPRINTS.min_cosine and own < float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * other
+
+
+def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:
+    """Object to a part of another colour than the rest of its car, or far brighter or darker."""
+    footprint = car.footprint
+    if footprint is None or not measures.pixels:
+        return
+    of = footprint.paint & footprint.whole if car.roof is None else car.roof.inside
+    other = np.median(picture.channels[footprint.window][of], axis=0)
+    own = measures.spectrum
+    cosine = float(own @ other) / max(float(np.linalg.norm(own) * np.linalg.norm(other)), 1e-9)
+    zenith = 45.0 if picture.zenith is None else picture.zenith
+    slope = direct_share(picture) * float(np.tan(np.radians(zenith)))
+    ratio = float(own.mean() / other.mean())
+    allowed = max(CARS.max_step, CARS.max_lean * slope)
+    if cosine < FOOTPRINTS.min_cosine:
+        verdict.objections.append(
+            "its colour is not that of the car's paint: a window, a bed, or what lies in it"
+        )
+    elif abs(ratio - 1.0) > allowed:
+        verdict.objections.append(
+            f"it is {ratio:.2f} times as bright as other paint of the car, where a lean makes {allowed:.0%} "
+            "at most: a shadow, a bed, or metal flakes; draw a region on the roof"
+        )
 
 
 def _mean_level(measures: Measures) -> float:

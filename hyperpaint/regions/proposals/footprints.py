@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +14,27 @@ from hyperpaint.surroundings import SceneModel
 from .candidates import largest_body, window_of
 from .proposal_rules import FOOTPRINTS, SURFACES
 
-__all__ = ["WAYS", "Footprint", "Scene", "footprint_of", "hull_of"]
+__all__ = ["WAYS", "Footprint", "Scene", "Way", "footprints_of", "hull_of"]
 
 
 _ROUNDING = 1e-6
 
-Joined = Literal["touching", "apart", "windows"]
-"""What belongs to a car: all that touches; what is joined by more than a thin bridge, such as a mirror and a
-bay line; all that nothing but what is dark lies between, too."""
 
-WAYS: tuple[Joined, ...] = get_args(Joined)
+class Way(NamedTuple):
+    """What belongs to a car besides what touches."""
+
+    apart: bool = False  #: Without what only a thin bridge joins, such as a mirror and a bay line.
+    windows: bool = False  #: With all that nothing but what is dark lies between.
+    #: With what is far brighter or darker than the piece, as flakes are that lean otherwise.
+    wide: bool = False
+
+
+WAYS = tuple(
+    Way(apart, windows, wide)
+    for wide in (False, True)
+    for windows in (False, True)
+    for apart in (False, True)
+)
 
 
 class Scene(NamedTuple):
@@ -61,43 +73,51 @@ class Footprint(NamedTuple):
     cut: bool  #: Whether it goes on beyond the picture.
 
     @property
+    def is_one_car(self) -> bool:
+        """Whether it has the proportions of a car, and is seen whole."""
+        least, most = FOOTPRINTS.slenderness
+        return not self.cut and least < self.length / self.width < most
+
+    @property
     def window(self) -> tuple[slice, slice]:
         """The part of the picture that the masks are of."""
         return window_of(self.first, self.whole)
 
 
-def footprint_of(
-    inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, joined: Joined = "touching"
-) -> Footprint | None:
-    """Return the car that a piece of paint is of; None where its colour goes on without an end.
+def footprints_of(
+    inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, ways: Sequence[Way]
+) -> Iterator[Footprint]:
+    """Yield the car that a piece of paint is of, in some ways; none where its colour goes on without an end.
 
     Takes ``inside`` (line, column): the piece; ``first``: line and column of its first pixel; ``colour``
-    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``joined``: which parts
-    of its colour belong together.
+    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``ways``: which parts of
+    its colour belong together.
     """
     shape = np.array(scene.level.shape)
-    pad = min(int(FOOTPRINTS.around * max(inside.shape)), FOOTPRINTS.max_around_px)
-    for _ in range(FOOTPRINTS.rounds):
-        low = np.maximum(np.array(first) - pad, 0)
-        high = np.minimum(np.array(first) + inside.shape + pad, shape)
-        window = np.s_[low[0] : high[0], low[1] : high[1]]
-        like = _like(colour, scene, window)
-        seed = np.zeros(like.paint.shape, bool)
-        y, x = np.array(first) - low
-        seed[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
-        whole = _whole(like, seed, joined)
-        if whole is None:
-            return None
-        # at the edges of the window, in the order of low and high
-        sides = np.array([[whole[0].any(), whole[:, 0].any()], [whole[-1].any(), whole[:, -1].any()]])
-        picture = np.array([low == 0, high == shape])
-        if not (sides & ~picture).any():
-            place = (int(low[0]), int(low[1]))
-            return Footprint(
-                place, like.paint | seed, whole, like.brightness, *_rectangle(whole), bool(sides.any())
-            )
-        pad = int(FOOTPRINTS.growth * pad) + 8
-    return None
+    looks: dict[tuple[int, bool], _Like] = {}
+    for way in ways:
+        pad = min(int(FOOTPRINTS.around * max(inside.shape)), FOOTPRINTS.max_around_px)
+        for _ in range(FOOTPRINTS.rounds):
+            low = np.maximum(np.array(first) - pad, 0)
+            high = np.minimum(np.array(first) + inside.shape + pad, shape)
+            if (pad, way.wide) not in looks:
+                window = np.s_[low[0] : high[0], low[1] : high[1]]
+                looks[pad, way.wide] = _like(colour, scene, window, way.wide)
+            like = looks[pad, way.wide]
+            seed = np.zeros(like.paint.shape, bool)
+            y, x = np.array(first) - low
+            seed[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
+            whole = _whole(like, seed, way)
+            if whole is None:
+                break
+            # at the edges of the window, in the order of low and high
+            sides = np.array([[whole[0].any(), whole[:, 0].any()], [whole[-1].any(), whole[:, -1].any()]])
+            if not (sides & ~np.array([low == 0, high == shape])).any():
+                place = (int(low[0]), int(low[1]))
+                paint, cut = like.paint | seed, bool(sides.any())
+                yield Footprint(place, paint, whole, like.brightness, *_rectangle(whole), cut)
+                break
+            pad = int(FOOTPRINTS.growth * pad) + 8
 
 
 class _Like(NamedTuple):
@@ -109,15 +129,15 @@ class _Like(NamedTuple):
     brightness: Floats
 
 
-def _like(colour: Floats, scene: Scene, window: tuple[slice, slice]) -> _Like:
+def _like(colour: Floats, scene: Scene, window: tuple[slice, slice], wide: bool) -> _Like:
     seen = scene.without_sky(window)
     length = np.maximum(np.linalg.norm(seen, axis=2), 1e-9)
     own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
     brightness = (seen @ colour) / own**2
     like = brightness * own / length
     is_dark = float(colour.mean()) < SURFACES.dark
-    least = FOOTPRINTS.min_dark_brightness if is_dark else FOOTPRINTS.min_brightness
-    paint = (like > FOOTPRINTS.min_cosine) & (brightness > least) & (brightness < FOOTPRINTS.max_brightness)
+    least, most = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide]
+    paint = (like > FOOTPRINTS.min_cosine) & (brightness > least) & (brightness < most)
     as_ground = (seen @ scene.ground) / (length * ground)
     near = np.abs(np.log(length / ground)) < FOOTPRINTS.max_ground_log_ratio
     paint &= (like > as_ground) | ~near
@@ -129,7 +149,7 @@ def _like(colour: Floats, scene: Scene, window: tuple[slice, slice]) -> _Like:
     )
 
 
-def _whole(like: _Like, seed: Bools, way: Joined) -> Bools | None:
+def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     """Return what lies between the thick parts of a connected colour, those of a seed's car.
 
     Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
@@ -147,9 +167,9 @@ def _whole(like: _Like, seed: Bools, way: Joined) -> Bools | None:
     gap = FOOTPRINTS.max_gap_px
     padded = np.pad(like.paint | seed, gap)
     closed = binary_closing(padded, square, iterations=gap)[gap:-gap, gap:-gap]
-    if way == "apart":
+    if way.apart:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
-    joined = closed | like.dark if way == "windows" else closed
+    joined = closed | like.dark if way.windows else closed
     parts, _ = label(joined, square)
     own = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
@@ -167,15 +187,17 @@ def _gathered(
     cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
 ) -> Bools:
     """Return what lies between a part and those around it, as far as it may be one car."""
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_edt, minimum
 
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
-    left = {int(one) for one in np.flatnonzero(sizes > thick * thick) if one not in (0, first)}
+    left = [int(one) for one in np.flatnonzero(sizes > thick * thick) if one not in (0, first)]
+    gaps: dict[int, float] = {}
     while left:
-        away = distance_transform_edt(~whole)
-        gaps = {one: float(away[cores == one].min()) for one in left}
+        if not gaps:
+            away = distance_transform_edt(~whole)
+            gaps = dict(zip(left, minimum(away, cores, left).tolist(), strict=True))
         nearest = min(left, key=lambda one: (gaps[one], one))
         left.remove(nearest)
         wider = whole | (cores == nearest)
@@ -184,14 +206,20 @@ def _gathered(
         hull = hull_of(_grown(wider, thick, filled))
         narrow = _rectangle(hull).width < FOOTPRINTS.max_width * 2.0 * float(depth[wider].max())
         if narrow and (hull & like.ground).sum() < FOOTPRINTS.max_ground_share * hull.sum():
-            whole, around = wider, hull
+            whole, around, gaps = wider, hull, {}
     return around
 
 
 def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
+    """Return what of a mask is within a distance [pixel] of its core."""
     from scipy.ndimage import distance_transform_edt
 
-    return np.asarray((distance_transform_edt(~core) <= thick) & filled)
+    reach = int(np.ceil(thick))
+    lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
+    near = tuple(slice(max(int(one[0]) - reach, 0), int(one[-1]) + reach + 1) for one in (lines, columns))
+    grown = np.zeros_like(core)
+    grown[near] = (distance_transform_edt(~core[near]) <= thick) & filled[near]
+    return grown
 
 
 def hull_of(mask: Bools) -> Bools:
@@ -217,8 +245,9 @@ def hull_of(mask: Bools) -> Bools:
 def _border(mask: Bools) -> Floats:
     """Return the first and the last pixel of every line of a mask (point, 2)."""
     rows = np.flatnonzero(mask.any(axis=1))
-    ends = [np.flatnonzero(mask[row])[[0, -1]] for row in rows]
-    return np.array([(row, x) for row, pair in zip(rows, ends, strict=True) for x in pair], np.float64)
+    seen = mask[rows]
+    first, last = seen.argmax(axis=1), mask.shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
+    return np.stack([np.repeat(rows, 2), np.stack([first, last], axis=1).ravel()], axis=1).astype(np.float64)
 
 
 class _Rectangle(NamedTuple):
@@ -233,16 +262,18 @@ class _Rectangle(NamedTuple):
 def _rectangle(mask: Bools) -> _Rectangle:
     """Return axis, centre, length and width of the smallest rectangle around a mask."""
     points = _border(mask)
-    best: tuple[float, ...] = (np.inf,)
-    for angle in np.arange(0.0, 90.0, FOOTPRINTS.turn_deg):
-        along = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
-        u, v = points @ along, points @ np.array([along[1], -along[0]])
-        area = (np.ptp(u) + 1.0) * (np.ptp(v) + 1.0)
-        if area < best[0] - 1e-6:
-            best = (area, angle, u.min(), u.max(), v.min(), v.max())
-    _, angle, low, high, left, right = best
-    along = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
-    aside = np.array([along[1], -along[0]])
-    middle = 0.5 * (low + high) * along + 0.5 * (left + right) * aside
-    long, wide = high - low + 1.0, right - left + 1.0
-    return _Rectangle(along, middle, long, wide) if long >= wide else _Rectangle(aside, middle, wide, long)
+    turn = np.radians(np.arange(0.0, 90.0, FOOTPRINTS.turn_deg))
+    axes = np.stack([np.sin(turn), np.cos(turn)], axis=1)
+    asides = np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+    u, v = points @ axes.T, points @ asides.T
+    long, wide = np.ptp(u, axis=0) + 1.0, np.ptp(v, axis=0) + 1.0
+    area = long * wide
+    best = int(np.flatnonzero(area <= area.min() + _ROUNDING)[0])
+    along, aside = axes[best], asides[best]
+    middle = 0.5 * (
+        (u[:, best].min() + u[:, best].max()) * along + (v[:, best].min() + v[:, best].max()) * aside
+    )
+    length, width = float(long[best]), float(wide[best])
+    if length >= width:
+        return _Rectangle(along, middle, length, width)
+    return _Rectangle(aside, middle, width, length)

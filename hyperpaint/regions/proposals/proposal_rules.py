@@ -41,10 +41,11 @@ class FootprintRules:
     mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
     #: Cosine of the spectral angle to the piece, at least: 7 degrees.
     min_cosine: float = float(np.cos(np.radians(7.0)))
-    min_brightness: float = 0.4  #: Brightness of a car's paint relative to the piece, at least [1].
+    #: Brightness of a car's paint relative to the piece, least and most [1]: first of a paint without
+    #: flakes, whose panels lean by some ten degrees; then of one with flakes, beside their lobe or in it.
+    brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.4, 1.7), (0.2, 4.0))
     #: The same of paint that is dark itself, whose windows reflect half as much and more [1].
-    min_dark_brightness: float = 0.7
-    max_brightness: float = 1.7  #: The same, at most [1].
+    dark_brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.7, 1.7), (0.7, 3.0))
     #: Difference of the logarithm of reflectance up to which something may be ground.
     max_ground_log_ratio: float = 0.4
     max_gap_px: int = 2  #: Gap over which paint is joined [pixel].
@@ -52,6 +53,7 @@ class FootprintRules:
     bridge_px: int = 2
     thin: float = 0.25  #: Half width of what is left out, relative to that of the part that is looked at [1].
     min_half_width_px: float = 2.5  #: Half width of what stays, at least [pixel].
+    slenderness: tuple[float, float] = (1.7, 3.3)  #: Length of a car relative to its width [1].
     max_width: float = 2.0  #: Width of a car relative to its widest part, at most [1].
     max_apart: float = 4.5  #: Gaps between its parts relative to half of that, at most [1].
     max_ground_share: float = 0.1  #: Share of ground in it, at most [1].
@@ -77,6 +79,9 @@ class RoofRules:
     min_roof_px: int = 5  #: Tracks of a roof, at least [pixel].
     max_strip: float = 0.05  #: Length of a strip of paint between windows that goes with them, at most.
     min_bonnet: float = 0.1  #: Length of a bonnet or a boot, at least.
+    #: What counts more where bonnet and boot, or bed, lie beyond both windows than any length and share of
+    #: side windows: of two parts with walls along them, the roof is that one.
+    between_worth: float = 2.0
     max_bonnet: float = 0.38  #: Length of a bonnet, at most: what is longer is a roof.
     max_windscreen: float = 0.2  #: Length of a windscreen, at most: what is longer may have a sunroof in it.
     min_sunroof: float = 0.24  #: Length of a windscreen with a sunroof, at least.
@@ -93,7 +98,6 @@ class RoofRules:
     central: tuple[float, float] = (0.33, 0.75)
     min_van_roof: float = 0.55  #: Length of the roof of a van, at least.
     van_sided: float = 0.15  #: Share of it with side windows, at least [1].
-    slenderness: tuple[float, float] = (1.7, 3.3)  #: Length of a car relative to its width [1].
     min_slenderness: float = 1.2  #: The same where windows show its roof for certain, at least [1].
     used_width: float = 0.75  #: Part of a roof's width that is used [1].
     roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
@@ -144,7 +148,13 @@ class CarRules:
     """Pieces of one car."""
 
     min_piece_share: float = 0.5  #: Share of a piece from which on it lies on a car seen before [1].
+    max_size: float = 1.8  #: Pixels of a car relative to the median of all in a line, at most [1].
+    min_window_share: float = 0.8  #: The same of a piece that is not of its paint [1].
     min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
+    #: Brightness of a panel relative to other paint of its car, less 1, at most: 0.15, or what a lean of
+    #: 10 degrees makes under the sun, if that is more [1].
+    max_step: float = 0.15
+    max_lean: float = float(np.radians(10.0))  #: That lean [radian].
     #: Factors of the brightness limit, the next where too few pixels of a roof are within [1].
     wider: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 
 from .footprints import Footprint
-from .proposal_rules import ROOFS
+from .proposal_rules import FOOTPRINTS, ROOFS
 
 __all__ = ["NoRoof", "Roof", "find_roof"]
 
@@ -57,6 +57,15 @@ class _Frame(NamedTuple):
     length: float
     width: float
     axis: Floats  #: Unit vector (line, column) along it.
+
+
+class _Around(NamedTuple):
+    """What is beside a stretch of a car, and what ends it."""
+
+    sided: float  #: Share with side windows.
+    windows: list[_Run]  #: Those that end it.
+    has_bonnet: bool  #: Whether one of them has a bonnet or a boot beyond.
+    is_between: bool  #: Whether there is paint beyond both.
 
 
 class _Grounds(NamedTuple):
@@ -121,8 +130,8 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
     for number, run in enumerate(runs):
         if run.window or run.length < ROOFS.min_roof_px:
             continue
-        sided = float(beside[run.first : run.last].mean())
-        grounds = _judge_run(car, runs, number, sided, frame)
+        around = _around(runs, number, beside, frame)
+        grounds = _judge_run(car, runs, number, around, frame)
         if grounds is None or (best is not None and best.worth >= grounds.worth):
             continue
         place = _level_place(car, runs, number, frame)
@@ -131,18 +140,30 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
         if inside is not None:
             middle = _place_of(car, place.along, sides.centre, frame)
             complete = 1 < number < len(runs) - 2
-            beyond = [runs[one].length for one in (number - 2, number + 2) if 0 <= one < len(runs)]
-            has_bonnet = max(beyond, default=0) > ROOFS.min_bonnet * frame.length
-            ends = [runs[one] for one in (number - 1, number + 1) if 0 <= one < len(runs)]
             best = Roof(
-                inside, middle, frame.axis, place.unsure, sides.unsure, *grounds, complete,
-                has_bonnet and sided > ROOFS.surely_sided, _window_level(glass, ends, frame, level),
+                inside, middle, frame.axis, place.unsure, sides.unsure, *grounds,
+                complete and (around.sided > ROOFS.sided or around.is_between),
+                around.has_bonnet and around.sided > ROOFS.surely_sided,
+                _window_level(glass, around.windows, frame, level),
             )  # fmt: skip
     if best is not None:
         return best
-    slender = ROOFS.slenderness[0] < frame.length / frame.width < ROOFS.slenderness[1]
-    is_car = not car.cut and slender and float(beside.mean()) > ROOFS.van_sided
+    is_car = car.is_one_car and float(beside.mean()) > ROOFS.van_sided
     return NoRoof("no roof is seen: nothing lies between windows, or is longer than a bonnet", is_car)
+
+
+def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Around:
+    """Return what is beside a stretch, and what ends it."""
+
+    def sided(run: _Run) -> float:
+        return float(beside[run.first : run.last].mean())
+
+    windows, beyond = (
+        [runs[one] for one in (number - step, number + step) if 0 <= one < len(runs)] for step in (1, 2)
+    )
+    long = [one for one in beyond if one.length > ROOFS.min_bonnet * frame.length]
+    has_bonnet = any(sided(one) < ROOFS.sided for one in long)
+    return _Around(sided(runs[number]), windows, has_bonnet, len(long) == 2)
 
 
 def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Floats) -> float:
@@ -154,30 +175,37 @@ def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Float
     return float(np.median(level[inside])) if inside.any() else np.nan
 
 
-def _judge_run(car: Footprint, runs: list[_Run], number: int, sided: float, frame: _Frame) -> _Grounds | None:
+def _judge_run(
+    car: Footprint, runs: list[_Run], number: int, around: _Around, frame: _Frame
+) -> _Grounds | None:
     """Return why a stretch is the roof, and how surely it is; None where it may be another part."""
-    run = runs[number]
+    run, sided = runs[number], around.sided
     share = run.length / frame.length
     ends = int(number > 0) + int(number + 1 < len(runs))
     evidence = f"side windows along {sided:.0%} of it"
+    # a bed has walls along it, too, but nothing behind it
+    worth = share + sided + (ROOFS.between_worth if around.is_between else 0.0)
     if car.cut:
         if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * frame.width:
-            return _Grounds(f"a roof: windows end it on both sides, {evidence}", share + sided)
+            return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
         return None
-    slender = frame.length / frame.width
     if share < ROOFS.min_roof:
         return None
-    if not (
-        ROOFS.slenderness[0] < slender < ROOFS.slenderness[1]
-        or (ends == 2 and sided > ROOFS.surely_sided and slender > ROOFS.min_slenderness)
-    ):
+    slender = frame.length / frame.width
+    least = ROOFS.min_slenderness if ends == 2 and sided > ROOFS.surely_sided else FOOTPRINTS.slenderness[0]
+    if not least < slender < FOOTPRINTS.slenderness[1]:
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
     if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
-        return _Grounds(f"a roof: windows end it on both sides, {evidence}", share + sided)
+        return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
     if ends == 1 and sided > ROOFS.surely_sided:
-        return _Grounds(f"a roof: a window ends it, {evidence}", share + sided)
+        return _Grounds(f"a roof: a window ends it, {evidence}", worth)
+    if ends == 1 and share > ROOFS.min_van_roof and _has_face(runs, number, frame):
+        return _Grounds(
+            f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}",
+            worth,
+        )
     if (
         ends == 1
         and share > ROOFS.max_bonnet
@@ -187,6 +215,15 @@ def _judge_run(car: Footprint, runs: list[_Run], number: int, sided: float, fram
             f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
         )
     return None
+
+
+def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
+    """Return whether a windscreen ends a stretch, and a bonnet the car."""
+    if len(runs) != 3 or number == 1:
+        return False
+    bonnet = runs[2 - number].length / frame.length
+    window = runs[1].length / frame.length
+    return ROOFS.min_bonnet < bonnet < ROOFS.max_bonnet and window < ROOFS.max_windscreen
 
 
 def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> _LevelPlace:
