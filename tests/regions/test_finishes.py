@@ -26,7 +26,7 @@ def models() -> dict[float, SceneModel]:
     seen = np.full((30, NM.size, 30), 0.2)
     cube = ("along_track", "band", "cross_track"), seen.astype(np.float32), {"units": "1"}
     line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", NM, {"units": "nm"})})
-    return {zenith: hp.surroundings.survey(line, sun_zenith=zenith) for zenith in (25.0, 45.0)}
+    return {zenith: hp.surroundings.survey(line, sun_zenith=zenith) for zenith in (25.0, 45.0, 59.0)}
 
 
 def picture_of(model: SceneModel, zenith: float, flakes: float) -> tuple[Picture, Floats]:
@@ -83,6 +83,7 @@ def test_difference__needs_pixels(models: dict[float, SceneModel]) -> None:
         (45.0, 1.0, 8.0, 0.0, False, "metallic"),
         (45.0, 1.0, 1.0, 0.05, True, "solid"),
         (45.0, 1.0, 1.0, 0.20, True, "unknown"),
+        (59.0, 1.0, 1.0, 0.05, True, "unknown"),  # far from their lobe flakes add little to what changes
         (45.0, 1.0, 1.0, 0.50, True, "metallic"),
         (45.0, 1.6, 1.0, 0.05, True, "unknown"),  # it changes more than a solid paint
         (25.0, 0.5, 0.5, 0.0, False, "solid"),  # flakes would change by more so near their lobe

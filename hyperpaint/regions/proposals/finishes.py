@@ -41,6 +41,9 @@ class FinishRules:
     #: solid paint, at most, and of flakes, which mirror all colours, at least; in between it is either.
     max_flat_share: float = 0.13
     metallic_flat_share: float = 0.33
+    #: Sun's zenith angle up to which that says solid [degree]: beyond, most of the light that changes with
+    #: lean is the body's, whatever flakes there are.
+    max_coloured_zenith_deg: float = 45.0
     min_colour: float = 0.35  #: Standard deviation of a spectrum over its mean from which it is coloured [1].
     min_contrast: float = 0.2  #: Of the bright and the dark part: less does not show the difference [1].
     #: Change across and along beyond which colour alone does not say solid, in s.
@@ -102,13 +105,14 @@ def judge_finish(
         verdict.reasons.append(f"solid: {changes}; flakes' would by more so near the sun's mirror image")
     elif difference is not None and measures.spectrum.std() > FINISHES.min_colour * measures.spectrum.mean():
         steady = across < FINISHES.max_coloured[0] * solid and along < FINISHES.max_coloured[1] * solid
-        _judge_colours(verdict, difference, steady)
+        near = picture.zenith <= FINISHES.max_coloured_zenith_deg
+        _judge_colours(verdict, difference, near and steady)
 
 
 def _judge_colours(verdict: Verdict, difference: Difference, steady: bool) -> None:
     """State the finish of coloured paint, by how its bright and its dark part differ.
 
-    Takes ``steady``: whether it changes with lean no more than a solid paint does.
+    Takes ``steady``: whether it changes with lean no more than a solid paint does, where flakes would.
     """
     if difference.contrast < FINISHES.min_contrast:
         return

@@ -178,10 +178,10 @@ def propose_regions(
       the car says that the sun was free there, too.
     * ``finish`` is "metallic" where its light changes with lean more than any solid paint's, or where what
       changes has no colour on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees
-      from the zenith and next to nothing changes, or where coloured paint changes as a solid one does and
-      what changes has its own colour. Else it is "unknown": far from the sun's mirror image flakes look like
-      a solid paint. What a signature of paint with flakes holds is its reflectance at this sun, seen from
-      here.
+      from the zenith and next to nothing changes, or where coloured paint changes as a solid one does, under
+      a sun up to 45 degrees, and what changes has its own colour. Else it is "unknown": far from the sun's
+      mirror image flakes look like a solid paint. What a signature of paint with flakes holds is its
+      reflectance at this sun, seen from here.
     * Another part of a car may lean by 7 degrees or more, and is taken only where no roof is seen and its
       level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
       coloured neighbour's light, and whose brightness is within 3 % of its median.
