@@ -202,6 +202,7 @@ class ShadowRules:
     #: Sky's light less direct light of single pixels in shadow, at least [1].
     min_pixel_sky_excess: float = 0.05
     min_telling_px: int = 30  #: Pixels of a clear shadow that shows to which side shadows fall, at least.
+    min_telling_sky: float = 0.3  #: Amount of the sky's light in such a one on the ground, at least [1].
     #: Direct light of clear shadows, at most.
     clear_direct: Direct = Direct(0.015, 0.12)  # noqa: RUF009
     max_sent: float = 0.5  #: Light of a neighbour in a clear shadow, relative to the hidden sky, at most [1].

@@ -174,11 +174,13 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
     """Return to which side (along, across) shadows fall, and how far they agree; None without any."""
-    sure = (
-        _clear(mixtures)
-        & (mixtures.sky > SHADOWS.min_clear_sky)
-        & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
-    )
+    sure = _clear(mixtures) & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
+    # those on the ground, where any are: beside a dark car, its shadow looks like one on its paint
+    largest = np.argmax(scene.size)
+    body = np.unique(mixtures.body)
+    alike = np.isin(mixtures.body, body[_alike(scene.spectrum, body, np.full(body.size, largest))])
+    on_ground = sure & alike & (mixtures.sky > SHADOWS.min_telling_sky) & sides.any(axis=1)
+    sure = on_ground if on_ground.any() else sure & (mixtures.sky > SHADOWS.min_clear_sky)
     towards = sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]
     total = towards.sum(axis=0)
     length, whole = float(np.hypot(*total)), float(np.hypot(*towards.T).sum())

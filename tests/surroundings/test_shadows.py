@@ -189,3 +189,13 @@ def test_the_side_of_a_bright_thing_without_sun_is_in_shadow(
     matches, ground = match_shade(numbers, light_of_side, size, touching(numbers, 3), LIGHT, AWAY)
     assert np.flatnonzero(matches.state == SHADED).tolist() == shaded
     assert ground.tolist() == [True, False, False]
+
+
+def test_a_shadow_beside_a_dark_car_tells_its_side_by_the_ground(recwarn: pytest.WarningsRecorder) -> None:
+    number = np.zeros((80, 80), int)
+    number[20:35, 20:60] = 2
+    number[35:42, 20:60] = 1
+    # on the ground much of the sky is hidden; of the car's paint, it would be nearly all of it
+    shade = 0.4 * ASPHALT * LIGHT.diffuse
+    assert matched(number, [ASPHALT, shade, 0.5 * ASPHALT]) == [1]
+    assert not recwarn.list
