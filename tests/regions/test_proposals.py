@@ -335,6 +335,18 @@ def test_black_paint__is_told_from_its_windows() -> None:
     assert len(propose(parked(paint=np.full(NM.size, 0.0125)))) == 0
 
 
+def test_van_without_side_windows__has_a_roof() -> None:
+    """Rationale: behind windscreen and bonnet, no other part is longer than half a car.
+
+    Expected: the rest is proposed as the roof; where the windscreen ends the car there is no bonnet, and it
+    is not.
+    """
+    (region,) = propose(drawn(rear=False))
+    assert region.properties["kind"] == "roof"
+    assert "all the rest" in region.properties["reasons"][0]
+    assert len(propose(drawn(rear=False).isel(cross_track=slice(45, None)))) == 0
+
+
 @pytest.mark.parametrize("windows", [((28, 42),), ((28, 42), (94, 98))])
 def test_black_roof_behind_a_windscreen__is_one(windows: tuple[tuple[int, int], ...]) -> None:
     """Rationale: an estate has nothing behind its roof, or a tail of a few centimetres.

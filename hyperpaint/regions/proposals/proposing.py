@@ -157,7 +157,9 @@ def propose_regions(
     * Pieces are connected parts of a body of the scene model, away from its edges, not in cast shadow,
       neither like the ground (what looks like the largest body) nor like leaves (steep red edge, then flat).
     * A car is what lies between the thick parts of a piece's colour, pixel by pixel: those that are connected
-      or, where that shows no roof, have nothing but what is dark between them. There is no lit ground in it.
+      or, where that shows no roof, have nothing but what is dark between them, or are as bright as flakes
+      that lean otherwise. There is no lit ground in it. Cars whose roof is certain by proportions and windows
+      stand first; what is 1.8 times larger than most of them is several of one colour.
     * Windows are dark and cross it. The roof lies between two of them, or has one at an end and others along
       its sides, or is longer than any bonnet. It is level in its middle; where a window is longer than any
       windscreen, it has a sunroof in it, and the roof is level beside that.
@@ -182,10 +184,12 @@ def propose_regions(
       a sun up to 45 degrees, and what changes has its own colour. Else it is "unknown": far from the sun's
       mirror image flakes look like a solid paint. What a signature of paint with flakes holds is its
       reflectance at this sun, seen from here.
-    * Another part of a car may lean by 7 degrees or more, and is taken only where no roof is seen and its
-      level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
-      coloured neighbour's light, and whose brightness is within 3 % of its median.
-    * Black paint is told from windows by windows that are darker still.
+    * Another part of a car may lean by 7 degrees or more, and is taken only where the car's roof is
+      certain, but has no pixels that can be used, and its level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
+      coloured neighbour's light, and whose brightness is within 3 % of its median. Its colour and
+      brightness must be those of the roof, and not the ground's.
+    * Black paint is told from windows by windows that are darker still, and a black roof by paint beyond both
+      its windows, or by a bonnet before the windscreen and windows along it.
     * A car gives one region.
 
     Parameters

@@ -142,7 +142,7 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
             complete = 1 < number < len(runs) - 2
             best = Roof(
                 inside, middle, frame.axis, place.unsure, sides.unsure, *grounds,
-                complete and (around.sided > ROOFS.sided or around.is_between),
+                complete and (around.is_between or (around.has_bonnet and around.sided > ROOFS.sided)),
                 around.has_bonnet and around.sided > ROOFS.surely_sided,
                 _window_level(glass, around.windows, frame, level),
             )  # fmt: skip
