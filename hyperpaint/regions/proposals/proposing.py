@@ -184,10 +184,10 @@ def propose_regions(
       a sun up to 45 degrees, and what changes has its own colour. Else it is "unknown": far from the sun's
       mirror image flakes look like a solid paint. What a signature of paint with flakes holds is its
       reflectance at this sun, seen from here.
-    * Another part of a car may lean by 7 degrees or more, and is taken only where the car's roof is
-      certain, but has no pixels that can be used, and its level is known well enough all the same. Of it those pixels are left that have no glint, shadow or
-      coloured neighbour's light, and whose brightness is within 3 % of its median. Its colour and
-      brightness must be those of the roof, and not the ground's.
+    * Another part of a car may lean by 7 degrees or more, and is taken only where the car's roof is certain,
+      but has no pixels that can be used, and its level is known well enough all the same. Of it those pixels
+      are left that have no glint, shadow or coloured neighbour's light, and whose brightness is within 3 % of
+      its median. Its colour and brightness must be those of the roof, and not the ground's.
     * Black paint is told from windows by windows that are darker still, and a black roof by paint beyond both
       its windows, or by a bonnet before the windscreen and windows along it.
     * A car gives one region.
