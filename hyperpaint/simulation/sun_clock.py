@@ -30,8 +30,8 @@ def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Fl
     Examples
     --------
     >>> zenith, azimuth = sun_at(np.datetime64("2021-07-20T17:10"), 43.04, -77.7)
-    >>> float(zenith.round()), float(azimuth.round(-1))
-    (22.0, 180.0)
+    >>> float(zenith.round(1)), float(azimuth.round(-1))
+    (22.6, 180.0)
     """
     days = (np.asarray(moment, "datetime64[s]") - np.datetime64("2000-01-01T12:00:00")).astype(float) / 86400
     anomaly = np.radians(357.528 + 0.9856003 * days)

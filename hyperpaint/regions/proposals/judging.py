@@ -97,10 +97,12 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
         "broken clouds": GAPS.sd if picture.sun is not None else 0.0,
     }
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(list(parts.values()))), rake
-    allowed = max(JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
+    has_lobe = direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope
+    most = JUDGING.max_lobe_sd if has_lobe else JUDGING.max_level_sd
+    allowed = max(most, JUDGING.max_dark_sd / brightness)
     largest = max(parts, key=parts.__getitem__)
     text = f"its level is uncertain by {verdict.level_sd:.1%}, most of all by {largest}"
-    if direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope:
+    if has_lobe:
         text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
     if verdict.level_sd > allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"

@@ -118,6 +118,9 @@ class JudgingRules:
 
     #: Standard uncertainty of the level, relative, at most: half of the 6 % that a signature may be off [1].
     max_level_sd: float = 0.042
+    #: The same of flakes near their lobe: it is a level at one geometry, which a degree of aspecular angle
+    #: changes by 5 %, and its shape is right whatever it is [1].
+    max_lobe_sd: float = 0.055
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
     least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
     mirror_sd: float = 0.0012  #: Of what is added to any paint, as by neighbours, in reflectance [1].
