@@ -42,9 +42,9 @@ def seen(fraction: Any = CLEAR, dark: tuple[float, float] = (60.0, 90.0)) -> tup
     shadow = int(model.segment[20, 25])
     ground = int(model.segment[20, 50])
     assert shadow != ground
-    state, body = model.state.copy(), model.body.copy()
-    state[shadow], body[shadow] = SHADED, ground
-    return line, replace(model, state=state, body=body)
+    state, body, level = model.state.copy(), model.body.copy(), model.ground.copy()
+    state[shadow], body[shadow], level[[shadow, ground]] = SHADED, ground, 1
+    return line, replace(model, state=state, body=body, ground=level)
 
 
 def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
@@ -58,6 +58,8 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
     assert sun is not None
     assert sun.fraction == pytest.approx(CLEAR)
     assert np.flatnonzero(sun.lines).tolist() == list(range(20))
+    line["irradiance"][7] = np.nan
+    assert sunny_lines(line, model, None, 30.0).lines.sum() == 20
     thin = line.assign(irradiance=line["irradiance"].clip(0.75))
     assert not sunny_lines(thin, model, None, 30.0).lines.any()
     model.attrs["sky_states"] = "clear"
@@ -79,5 +81,8 @@ def test_shadow_beside_a_car__shows_a_cloud(fraction: float, word: str) -> None:
     assert bool(doubt) == bool(word)
     lit = replace(model, state=np.zeros_like(model.state))
     assert "no shadow beside" in doubt_about_clouds(window, channels, lit, sun)
-    assert "not free" in doubt_about_clouds(window, channels, model, sun._replace(lines=~sun.lines))
+    assert "no record" in doubt_about_clouds(window, channels, model, sun._replace(lines=~sun.lines))
+    # the side of a car that is turned away from the sun is no shadow on the ground
+    side = replace(model, ground=np.zeros_like(model.ground))
+    assert "no shadow beside" in doubt_about_clouds(window, channels, side, sun)
     assert doubt_about_clouds(window, channels, model, None) == ""

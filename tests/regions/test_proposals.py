@@ -312,6 +312,24 @@ def test_haze__makes_dark_levels_uncertain() -> None:
     assert verdicts["covered", 0.08].level_sd < 0.03
 
 
+def test_level_that_is_not_known__is_refused() -> None:
+    """Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN."""
+    model = hp.surroundings.survey(parked(), sun_zenith=45.0)
+    verdict, measures = Verdict("roof"), Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
+    judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
+    assert verdict.objections
+
+
+def test_options__are_those_of_the_survey_and_the_model_remembers_the_sun() -> None:
+    """Expected: a word that no survey knows is refused; beside a model its own sun is taken."""
+    line = parked()
+    with pytest.raises(TypeError, match="sun_zenit"):
+        hp.regions.propose_regions(line, sun_zenit=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=ZENITH)
+    beside, own = hp.regions.propose_regions(line, model), propose(line)
+    assert [one.properties for one in beside] == [one.properties for one in own]
+
+
 def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
     """Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud.
 

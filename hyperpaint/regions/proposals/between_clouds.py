@@ -62,14 +62,16 @@ def sunny_lines(line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float
     if "broken" not in str(model.attrs.get("sky_states", "")).split():
         return None
     none = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
-    if zenith is None or "irradiance" not in line.variables:
+    if zenith is None or not {"irradiance", "time", IRRADIANCE_TIME} <= set(line.variables):
         return none
     nm = line["wavelength"].values.astype(np.float64)
     infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
     fraction = split_of(line, diffuse, zenith).fraction
     if ALONG_TRACK not in fraction.dims:
         return none
-    level = line["irradiance"].mean([dim for dim in line["irradiance"].dims if dim != IRRADIANCE_TIME]).values
+    record = line["irradiance"]
+    # a channel that some samples lack would move their means
+    level = record.mean([dim for dim in record.dims if dim != IRRADIANCE_TIME], skipna=False).values
     if not np.nanmin(level) < GAPS.max_dip * np.nanmax(level):
         return none
     seen = fraction.isel({BAND: infrared}).mean(BAND).values
@@ -85,8 +87,10 @@ def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
     )
     if not free.any():
         return free
+    known = np.isfinite(level)
+    stamps, level = stamps[known], level[known]
     in_sun = np.median(np.interp(time[free], stamps, level))
-    dark = stamps[~(level > GAPS.min_of_free * in_sun)]
+    dark = stamps[level <= GAPS.min_of_free * in_sun]
     bounds = np.concatenate([[stamps[0]], dark, [stamps[-1]]])
     after = np.clip(np.searchsorted(bounds, time), 1, bounds.size - 1)
     distance = np.minimum(bounds[after] - time, time - bounds[after - 1])
@@ -106,7 +110,7 @@ def doubt_about_clouds(
     advice = "take a line flown between clouds, or draw the region and check its level by hand"
     if not sun.lines[window[0]].all():
         return (
-            "clouds were broken, and the sun of the record was not free from "
+            "clouds were broken, and no record says that the sun was free from "
             f"{GAPS.around_s:g} s before this car was seen to {GAPS.around_s:g} s after; {advice}"
         )
     shape = channels.shape[:2]
@@ -119,11 +123,13 @@ def doubt_about_clouds(
     segment = model.segment[near]
     body = np.append(model.body, np.int32(-1))[segment]
     shaded = np.append(model.state == SHADED, False)[segment]
+    # sides of cars that are turned away from the sun are shaded, too
+    shaded &= np.append(model.ground > 0, False)[segment]
     fraction = _of_shadow(brightness, body, shaded)
     recorded = max(sun.fraction, GAPS.least_fraction)
     if fraction is None:
         return f"clouds were broken, and no shadow beside this car shows that the sun was free here; {advice}"
-    if fraction > GAPS.max_over_record * recorded:
+    if not fraction <= GAPS.max_over_record * recorded:
         return (
             f"clouds were broken, and a shadow beside this car has {fraction:.0%} of all light, where the "
             f"record says {recorded:.0%}: a cloud was over it; {advice}"

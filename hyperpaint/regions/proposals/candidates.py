@@ -142,8 +142,6 @@ class Measures(NamedTuple):
     #: to pixel, relative.
     spread: float = np.nan
     slope: float = np.nan
-    #: Half of what lies between the 10th and 90th percentiles of brightness over all that is lit, relative.
-    change: float = np.nan
     #: Means over the usable pixels [1].
     glint: float = np.nan
     shadow: float = np.nan
@@ -199,11 +197,7 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         usable &= ~mask
     usable = _largest(usable)
     lost = {name: share for name, share in lost.items() if share}
-    measures = _measures(usable, seen, brightness, here, lost)
-    if not lit.any():
-        return measures
-    low, high = np.quantile(brightness[lit], [0.1, 0.9])
-    return measures._replace(change=0.5 * float(high - low))
+    return _measures(usable, seen, brightness, here, lost)
 
 
 def _measures(

@@ -56,7 +56,8 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
         return level < SURFACES.dark, -int(piece.inside.sum()), piece.first, piece.body
 
     best = lot.look([_Seen(piece) for piece in sorted(pieces, key=order)], WAYS[:4], np.inf)
-    largest = CARS.max_size * float(np.median([seen.size for seen in lot.certain])) if lot.certain else np.inf
+    sizes = [seen.size for seen in lot.certain]
+    largest = CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
     again = lot.look([_Seen(piece) for piece in lot.drop(largest)], WAYS[:4], largest)
     best = lot.look([one.unless_larger(largest) for one in best + again], WAYS[4:], largest)
     for seen in sorted(best, key=lambda one: one.rank, reverse=True):
@@ -233,7 +234,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     middle = (middle[0] + lean.shift[0], middle[1] + lean.shift[1])
     verdict = Verdict("roof", reasons=[roof.reason])
     if np.isfinite(lean.angle):
-        text = f"leans by {lean.angle:.1f} degrees towards the sun, says the height model"
+        text = f"leans by {lean.angle:+.1f} degrees towards the sun, says the height model"
         verdict.reasons.append(text)
         if not _holds(piece.inside, middle):
             verdict.objections.append(f"{text}, and is level nowhere; draw a region on a part that is level")
@@ -270,7 +271,7 @@ def _holds(mask: Bools, place: tuple[float, float]) -> bool:
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
     """Object where a window, or a bed, may be taken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
-    own = float(np.median(level[footprint.paint & footprint.whole]))
+    own = float(np.nanmedian(level[footprint.paint & footprint.whole]))
     step = own - roof.window_level
     if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * own):
         verdict.objections.append(
@@ -280,7 +281,7 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
     if own >= SURFACES.dark:
         return
     rest = footprint.paint & footprint.whole & ~roof.inside
-    ratio = float(np.median(level[roof.inside]) / np.median(level[rest])) if rest.any() else np.nan
+    ratio = float(np.nanmedian(level[roof.inside]) / np.nanmedian(level[rest])) if rest.any() else np.nan
     if not ((roof.complete or roof.sided) and JUDGING.dark_roof[0] < ratio < JUDGING.dark_roof[1]):
         verdict.objections.append(
             "dark, and neither between two windows with the same paint beyond both, nor behind a windscreen "
@@ -323,7 +324,7 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
         )
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
-    unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture))
+    unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture), is_seen=False)
     judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
     _compare_with_car(verdict, measures, car, picture)
     if measures.pixels and _is_as_ground(measures.spectrum, picture.model):
@@ -349,7 +350,7 @@ def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: P
     if footprint is None or not measures.pixels:
         return
     of = footprint.paint & footprint.whole if car.roof is None else car.roof.inside
-    other = np.median(picture.channels[footprint.window][of], axis=0)
+    other = np.nanmedian(picture.channels[footprint.window][of], axis=0)
     own = measures.spectrum
     cosine = float(own @ other) / max(float(np.linalg.norm(own) * np.linalg.norm(other)), 1e-9)
     zenith = 45.0 if picture.zenith is None else picture.zenith

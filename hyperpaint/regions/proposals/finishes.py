@@ -117,7 +117,7 @@ def _judge_colours(verdict: Verdict, difference: Difference, steady: bool) -> No
     if difference.contrast < FINISHES.min_contrast:
         return
     share = difference.flat_share
-    text = f"its bright and its dark part differ by {share:.0%} in what has no colour"
+    text = f"its bright and its dark part differ by {abs(share):.0%} in what has no colour"
     if share > FINISHES.metallic_flat_share:
         verdict.finish = "metallic"
         verdict.reasons.append(f"metallic: {text}, as flakes mirror")

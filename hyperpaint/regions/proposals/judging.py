@@ -9,6 +9,7 @@ import numpy as np
 
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.surroundings.sun_and_sky import MAX_SUN_ZENITH_DEG
 
 from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
@@ -48,6 +49,7 @@ class Level(NamedTuple):
     #: Its change a radian of lean along and across the car, as far as the crown of a roof shows it.
     along_change: float = 0.0
     across_change: float = 0.0
+    is_seen: bool = True  #: Whether that is seen, and not assumed.
 
     @property
     def lean_change(self) -> float:
@@ -66,7 +68,7 @@ def change_with_lean(zenith: float) -> float:
     Takes ``zenith``: angle of the sun to the panel's normal [degree]. It is -d ln(cos t (1 - F(t))) / dt:
     tan t, and what the coat lets through of light that comes in steeper.
     """
-    angles = np.radians(zenith) + np.array([-1e-3, 1e-3])
+    angles = np.radians(min(zenith, MAX_SUN_ZENITH_DEG)) + np.array([-1e-3, 1e-3])
     light = np.log(np.cos(angles) * (1.0 - interface_reflectance(np.degrees(angles))))
     return float(light[0] - light[1]) / 2e-3
 
@@ -102,9 +104,9 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
     allowed = max(most, JUDGING.max_dark_sd / brightness)
     largest = max(parts, key=parts.__getitem__)
     text = f"its level is uncertain by {verdict.level_sd:.1%}, most of all by {largest}"
-    if has_lobe:
+    if has_lobe and level.is_seen:
         text += f", and its light changes by {np.radians(level.lean_change):.0%} a degree, as that of flakes"
-    if verdict.level_sd > allowed:
+    if not verdict.level_sd <= allowed:
         advice = "fly under a higher sun, or draw a region that is known to be level"
         verdict.objections.append(f"{text}: {allowed:.1%} is allowed; {advice}")
     else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,12 +61,12 @@ def height_model_of(line: xr.Dataset) -> HeightModel | None:
 
     As `hyperpaint.locate` writes ``east``, ``north`` and ``ground_height`` with a ``dem`` of surfaces.
     """
-    names = ("east", "north", "ground_height")
-    if not set(names) <= set(line.variables):
+    names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
+    if not all(name in line.variables and set(line[name].dims) == set(dims) for name in names):
         return None
     import dask
 
-    east, north, height = dask.compute(*(line[name].data for name in names))
+    east, north, height = dask.compute(*(line[name].transpose(*dims).data for name in names))
     steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
     known = np.concatenate([step[np.isfinite(step)] for step in steps])
     if not known.size or not float(np.median(known)) > 0.0:
@@ -120,11 +121,13 @@ def measured_lean(
     off = height[used] - terms @ fitted
     # pixels of one patch say the same
     alike = max(1.0, (LEANS.alike_m / model.spacing) ** 2)
-    covariance = np.linalg.inv(terms.T @ terms) * float(off @ off) / (y.size - terms.shape[1]) * alike
+    covariance = np.linalg.pinv(terms.T @ terms) * float(off @ off) / (y.size - terms.shape[1]) * alike
     sun = -shadow_side
     slope = float(fitted[1:3] @ sun) / model.spacing
     u = float(np.sqrt(sun @ covariance[1:3, 1:3] @ sun)) / model.spacing
     sd = float(np.hypot(np.degrees(np.arctan(u)), LEANS.floor_deg))
+    if not sd < prior:
+        return unknown
     weight = prior**2 / (prior**2 + sd**2)
     hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
     bend = float(sun @ hessian @ sun) / model.spacing**2

@@ -102,7 +102,7 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     edges = []
     for sign in (-1.0, 1.0):
         places = _to(roof.middle, roof.axis, tracks[:, None], sign * aside)
-        profile = np.median(map_coordinates(footprint.brightness, places, order=1, mode="nearest"), axis=0)
+        profile = np.nanmedian(map_coordinates(footprint.brightness, places, order=1, mode="nearest"), axis=0)
         edges.append(sign * _edge(aside, profile, half))
     shift = 0.5 * (edges[0] + edges[1])
     seen = bool(abs(shift) < LEVELS.max_shift * half)
@@ -110,8 +110,12 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
         half = 0.5 * (edges[1] - edges[0])
     line, column = _to(roof.middle, roof.axis, np.zeros(()), np.array(shift if seen else 0.0))
     # the middle lies anywhere between both ends of what is unsure
-    along_sd, unsure_sd = (part / float(np.sqrt(3.0)) for part in (roof.unsure, roof.unsure_across))
-    across_sd = LEVELS.edged_sd_px if seen else unsure_sd
+    along_sd, across_sd = (part / float(np.sqrt(3.0)) for part in (roof.unsure, roof.unsure_across))
+    if seen:
+        across_sd = LEVELS.edged_sd_px
+    elif np.isfinite(shift):  # edges that contradict the windows
+        across_sd = max(across_sd, abs(shift))
+    across_sd = max(across_sd, LEVELS.edged_sd_px)
     length = 0.5 * float(np.ptp(along))
     return Place(float(line), float(column), along_sd, across_sd, half, max(length, 1.0))
 

@@ -76,6 +76,9 @@ class RoofRules:
     min_window_px: int = 2  #: Tracks of a window, at least [pixel].
     #: Length of the roof of a whole car, at least: what is shorter lies between windows of several cars.
     min_roof: float = 0.12
+    #: The same where no bonnet and boot lie beyond both windows: a bonnet between a windscreen and its own
+    #: shadow is shorter.
+    short_roof: float = 0.2
     min_roof_px: int = 5  #: Tracks of a roof, at least [pixel].
     max_strip: float = 0.05  #: Length of a strip of paint between windows that goes with them, at most.
     min_bonnet: float = 0.1  #: Length of a bonnet or a boot, at least.
@@ -97,6 +100,7 @@ class RoofRules:
     #: Where the middle of a roof lies along the car that windows end on both sides.
     central: tuple[float, float] = (0.33, 0.75)
     min_van_roof: float = 0.55  #: Length of the roof of a van, at least.
+    max_van_roof: float = 0.75  #: The same at most: before it are a bonnet and a windscreen.
     van_sided: float = 0.15  #: Share of it with side windows, at least [1].
     min_slenderness: float = 1.2  #: The same where windows show its roof for certain, at least [1].
     used_width: float = 0.75  #: Part of a roof's width that is used [1].
@@ -110,6 +114,7 @@ class RoofRules:
     black: float = 0.004  #: Reflectance below which everything is as dark [1].
     unsure_side_px: float = 0.5  #: Distance of their middle from where it truly is, at most [pixel].
     unsure_window_px: float = 1.0  #: The same of windows' edges [pixel].
+    unsure_width: float = 0.15  #: The same where a side is not seen, in half widths of the car.
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,7 @@ class CarRules:
 
     min_piece_share: float = 0.5  #: Share of a piece from which on it lies on a car seen before [1].
     max_size: float = 1.8  #: Pixels of a car relative to the median of all in a line, at most [1].
+    min_sizes: int = 3  #: Cars that this median is of, at least.
     min_window_share: float = 0.8  #: The same of a piece that is not of its paint [1].
     min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
     #: Brightness of a panel relative to other paint of its car, less 1, at most: 0.15, or what a lean of

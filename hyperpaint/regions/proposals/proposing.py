@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -267,10 +268,15 @@ def propose_regions(
     line = schema.rename_to_roles(line)
     limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
     _check(limits, most)
+    unknown = sorted(set(options) - set(signature(survey).parameters))
+    if unknown:
+        raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
     if model is None:
         model = survey(line, progress=progress, **options)
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
-    zenith = _zenith(line, options.get("sun_zenith"))
+    if not scene.segments:
+        return Proposals(())
+    zenith = _zenith(line, options.get("sun_zenith", scene.attrs.get("sun_zenith")))
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
     picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)

@@ -197,11 +197,14 @@ def _judge_run(
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
+    # what lies before a windscreen may end at its own shadow, as if at a window
+    if ends == 2 and not around.is_between and (share < ROOFS.short_roof or sided < ROOFS.van_sided):
+        return None
     if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
         return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
     if ends == 1 and sided > ROOFS.surely_sided:
         return _Grounds(f"a roof: a window ends it, {evidence}", worth)
-    if ends == 1 and share > ROOFS.min_van_roof and _has_face(runs, number, frame):
+    if ends == 1 and ROOFS.min_van_roof < share < ROOFS.max_van_roof and _has_face(runs, number, frame):
         return _Grounds(
             f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}",
             worth,
@@ -267,10 +270,13 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
     left, right = (_step(level, car, sign, frame, run) for sign in (-1, 1))
     unsure = ROOFS.unsure_side_px
+    half = 0.5 * frame.width
     if np.isnan(left) or np.isnan(right):
         left, right = (_edge(glass & here, sign, frame, run) for sign in (-1, 1))
         unsure = ROOFS.unsure_window_px
     seen = bool(np.isfinite(left) and np.isfinite(right))
+    if not seen:
+        unsure = ROOFS.unsure_width * half
     if np.isnan(left) and np.isnan(right):
         left = right = ROOFS.roof_width
     left, right = (
