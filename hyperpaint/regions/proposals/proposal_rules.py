@@ -100,7 +100,7 @@ class RoofRules:
     #: Where the middle of a roof lies along the car that windows end on both sides.
     central: tuple[float, float] = (0.33, 0.75)
     min_van_roof: float = 0.55  #: Length of the roof of a van, at least.
-    max_van_roof: float = 0.75  #: The same at most: before it are a bonnet and a windscreen.
+    max_van_roof: float = 0.78  #: The same at most: before it are a bonnet and a windscreen.
     van_sided: float = 0.15  #: Share of it with side windows, at least [1].
     min_slenderness: float = 1.2  #: The same where windows show its roof for certain, at least [1].
     used_width: float = 0.75  #: Part of a roof's width that is used [1].

@@ -211,7 +211,7 @@ def _judge_run(
         )
     if (
         ends == 1
-        and share > ROOFS.max_bonnet
+        and ROOFS.max_bonnet < share < ROOFS.max_van_roof
         and sided > (ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided)
     ):
         return _Grounds(
