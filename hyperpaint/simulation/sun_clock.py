@@ -5,6 +5,8 @@ Shares no code with the chain, whose ephemeris is another one.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
@@ -16,10 +18,10 @@ USUAL_START = np.datetime64("2021-07-20T17:10:00", "ns")
 """When a flight starts unless its sun says otherwise."""
 
 MAX_APART_DEG = 3.0
-"""Distance of the usual clock's sun from that of the scene, up to which the usual clock is kept [degree]."""
+"""Angle between the usual clock's sun and that of the scene, up to which the usual clock is kept [degree]."""
 
-MAX_AZIMUTH_APART_DEG = 12.0
-"""Distance in azimuth up to which the usual day is kept [degree]."""
+MAX_OFF_DEG = 1.0
+"""Angle between the sun of another moment and that of the scene, up to which both are the same [degree]."""
 
 
 def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Floats]:
@@ -48,36 +50,57 @@ def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Fl
     return np.degrees(np.arccos(np.clip(height, -1, 1))), np.degrees(np.arctan2(east, north)) % 360.0
 
 
+@lru_cache(maxsize=64)
 def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: float) -> np.datetime64:
-    """Return when the sun stands at two angles [degree], on the usual day or else on another of its year.
+    """Return when the sun stands in a direction [degree], on the usual day or else on another of its year.
 
-    The usual start where its sun is as good; where the sun never stands at that azimuth with that zenith
-    angle, the time of the usual day with the zenith angle. Raises `SchemaError`: that is not reached either.
+    The usual start is kept where its sun is within `MAX_APART_DEG` of the direction; else it is the moment
+    nearest in direction, of the usual day before all others.
+
+    Where the sun never stands in that direction (in the north, or high in the east), it is a time at which
+    the zenith angle alone is right: light is then as bright as the clock says, but comes from another side.
+
+    Raises
+    ------
+    SchemaError
+        The sun never has that zenith angle.
+
+    Examples
+    --------
+    >>> when_sun_stands(25.0, 178.0, 43.0845, -77.6749)
+    np.datetime64('2021-07-20T17:10:00.000000000')
     """
-    usual, _ = sun_at(np.asarray(USUAL_START), latitude, longitude)
-    if abs(float(usual) - zenith) <= MAX_APART_DEG:
+    if _apart(*sun_at(np.asarray(USUAL_START), latitude, longitude), zenith, azimuth) <= MAX_APART_DEG:
         return USUAL_START
-    day = USUAL_START.astype("datetime64[D]")
-    minutes = np.arange(24 * 60).astype("timedelta64[m]")
+    minute = np.timedelta64(1, "m")
     # of a place in the west, the day is that of its noon
-    today = USUAL_START.astype("datetime64[m]") + minutes - np.timedelta64(12, "h")
-    seen, at = sun_at(today, latitude, longitude)
-    apart = np.abs((at - azimuth + 180.0) % 360.0 - 180.0)
-    nearest = int(np.argmin(np.abs(seen - zenith) + 1e-3 * apart))
-    is_reached = abs(seen[nearest] - zenith) < 1.0
-    if not (is_reached and apart[nearest] < MAX_AZIMUTH_APART_DEG):
-        year = day.astype("datetime64[Y]").astype("datetime64[D]") + np.arange(365)
-        moments = year[:, None].astype("datetime64[m]") + minutes
+    usual_day = USUAL_START.astype("datetime64[m]") + np.arange(-12 * 60, 12 * 60) * minute
+    year = USUAL_START.astype("datetime64[Y]").astype("datetime64[m]") + np.arange(365 * 24 * 60) * minute
+    suns = []
+    for moments in (usual_day, year):
         seen, at = sun_at(moments, latitude, longitude)
-        one, other = np.radians(seen), np.radians(zenith)
-        cosine = np.cos(one) * np.cos(other) + np.sin(one) * np.sin(other) * np.cos(np.radians(at - azimuth))
-        best = np.unravel_index(int(np.argmax(cosine)), cosine.shape)
-        if np.degrees(np.arccos(min(cosine[best], 1.0))) < 1.0:
-            return np.datetime64(moments[best], "ns")
-    if not is_reached:
-        raise SchemaError(
-            f"sun_zenith={zenith:g}: the sun never stands there at {latitude:.1f} degrees north, and a clock "
-            "with another sun makes the light look like that of a cloudy sky",
-            mend="give start_time= for a clock that is wrong on purpose, or another sun_zenith",
-        )
-    return np.datetime64(today[nearest], "ns")
+        apart = _apart(seen, at, zenith, azimuth)
+        nearest = int(np.argmin(apart))
+        if apart[nearest] <= MAX_OFF_DEG:
+            return np.datetime64(moments[nearest], "ns")
+        suns.append((moments, seen, at))
+    for moments, seen, at in suns:
+        turned = np.abs((at - azimuth + 180.0) % 360.0 - 180.0)
+        # of morning and afternoon, the one on the better side
+        nearest = int(np.argmin(np.abs(seen - zenith) + 1e-3 * turned))
+        if abs(seen[nearest] - zenith) <= MAX_OFF_DEG:
+            return np.datetime64(moments[nearest], "ns")
+    least = sun_at(year, latitude, longitude)[0].min()
+    raise SchemaError(
+        f"sun_zenith={zenith:g}: at {latitude:.1f} degrees north the sun stands {least:.1f} degrees or more "
+        "from the zenith, and a clock with another sun makes the light look like that of a cloudy sky",
+        mend="give start_time= for a clock that is wrong on purpose, or another sun_zenith",
+    )
+
+
+def _apart(zenith: Floats, azimuth: Floats, other_zenith: float, other_azimuth: float) -> Floats:
+    """Return the angle between directions and another one [degree]."""
+    one, other = np.radians(zenith), np.radians(other_zenith)
+    turn = np.cos(np.radians(azimuth - other_azimuth))
+    cosine = np.cos(one) * np.cos(other) + np.sin(one) * np.sin(other) * turn
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
