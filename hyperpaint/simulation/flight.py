@@ -27,8 +27,7 @@ from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .optics import Optics
 from .paint_spectra import reflectance
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
-from .settings import SimulationSettings
-from .sun_clock import when_sun_stands
+from .settings import ORIGIN, SimulationSettings
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
 __all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "Seen", "SkySamples", "sky_irradiance"]
@@ -71,9 +70,6 @@ PIXEL_ANGLE = 7.4e-6 / 12e-3
 # keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
 # what is flown over stand in the modules of those flights
 _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
-
-ORIGIN = (43.0845, -77.6749, 160.0)
-"""Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 
 class Layer(NamedTuple):
@@ -230,10 +226,7 @@ class Flight(abc.ABC):
     @cached_property
     def start(self) -> int:
         """UTC at mid exposure of the first line [ns since 1970]."""
-        given = self.settings.start_time
-        if given is None:
-            return int(when_sun_stands(*self.settings.sun, *ORIGIN[:2]).astype(np.int64))
-        return int(np.datetime64(given, "ns").astype(np.int64))
+        return int(self.settings.start.astype(np.int64))
 
     @cached_property
     def line_times(self) -> NDArray[np.int64]:

@@ -23,11 +23,12 @@ from .setting_checks import (
     is_number,
     moment_of,
 )
+from .sun_clock import USUAL_START, when_sun_stands
 
 __all__ = [
-    "FLEETS", "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
-    "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "finite_floats",
-    "is_number", "moment_of",
+    "FLEETS", "MOST_SAMPLES", "NEAR_SUNSET", "ORIGIN", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M",
+    "WOBBLES", "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole",
+    "finite_floats", "is_number", "moment_of",
 ]  # fmt: skip
 
 STAMPS = ("start", "mid", "end")
@@ -57,6 +58,9 @@ SKIES = ("clear", "near_sunset", "overcast")
 
 NEAR_SUNSET = (80.0, 292.0)
 """Zenith angle and azimuth of the sun near sunset [degree]."""
+
+ORIGIN = (43.0845, -77.6749, 160.0)
+"""Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 
 @takes_quantities(
@@ -115,7 +119,9 @@ class SimulationSettings(OpticsSettings):
         Number of cubes the flight is cut into; they share one navigation file.
     start_time
         UTC at mid exposure of the first line, ISO 8601 without a zone. By default 2021-07-20T17:10:00, or
-        when the sun stands where the scene is lit from, at 43 degrees north, where that is another time.
+        when the sun stands where the scene is lit from, at 43 degrees north, where that is another time. A
+        zenith angle that the sun never has there (below 19 degrees) asks for a time. An overcast sky, which
+        has no sun, leaves the time as it is.
     exposure_time_ms, frame_period_ms
         Exposure, and time from line to line [ms].
     stamp
@@ -271,6 +277,7 @@ class SimulationSettings(OpticsSettings):
         problems = Problems("the collect cannot be simulated", SchemaError)
         self._check_choices(problems)
         self._check_numbers(problems)
+        self._check_start(problems)
         self.check_optics(problems)
         if not len(problems):
             self._check_together(problems)
@@ -302,6 +309,14 @@ class SimulationSettings(OpticsSettings):
     def sun(self) -> tuple[float, float]:
         """Zenith angle and azimuth of the sun, clockwise from north [degree]."""
         return NEAR_SUNSET if self.sky == "near_sunset" else (self.sun_zenith, self.sun_azimuth)
+
+    @property
+    def start(self) -> np.datetime64:
+        """UTC at mid exposure of the first line [ns]."""
+        if self.start_time is not None:
+            return moment_of(self.start_time)
+        # nothing under a closed cloud shows where its sun stands
+        return USUAL_START if self.sky == "overcast" else when_sun_stands(*self.sun, *ORIGIN[:2])
 
     @property
     def exposure_time(self) -> float:
@@ -337,11 +352,20 @@ class SimulationSettings(OpticsSettings):
             check_choice(problems, name, getattr(self, name), allowed)
         for name in ("coat", "neighbours", "noise", "dark_noise", "quantise"):
             check_flag(problems, name, getattr(self, name))
-        if self.start_time is not None and not _is_start_time(self.start_time):
-            problems.add(
-                f"start_time={self.start_time!r}, expected text like '2021-07-20T17:10:00', "
-                "in UTC without a zone, from 1980 to 2037"
-            )
+
+    def _check_start(self, problems: Problems) -> None:
+        """Note a start time that is none, and a sun for which no time can be found."""
+        if self.start_time is not None:
+            if not _is_start_time(self.start_time):
+                problems.add(
+                    f"start_time={self.start_time!r}, expected text like '2021-07-20T17:10:00', "
+                    "in UTC without a zone, from 1980 to 2037"
+                )
+        elif self.sky in SKIES and all(is_number(v) and 0 <= v <= 360 for v in self.sun):
+            try:
+                _ = self.start
+            except SchemaError as error:
+                problems.add(str(error))
 
     def _check_numbers(self, problems: Problems) -> None:
         for name, (lowest, highest) in _WHOLE.items():

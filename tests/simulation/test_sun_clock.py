@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.sun import solar_position
+from hyperpaint.simulation.collect import simulate_collect
 from hyperpaint.simulation.flight import ORIGIN
-from hyperpaint.simulation.settings import NEAR_SUNSET
+from hyperpaint.simulation.settings import NEAR_SUNSET, SimulationSettings
 from hyperpaint.simulation.sun_clock import USUAL_START, sun_at, when_sun_stands
 
 PLACE = ORIGIN[:2]
@@ -61,8 +64,20 @@ def test_where_the_sun_never_stands_there_its_zenith_angle_is_right(zenith: floa
 def test_the_usual_clock_stays_where_its_sun_is_as_good() -> None:
     assert when_sun_stands(25.0, 178.0, *PLACE) == USUAL_START
     assert when_sun_stands(22.0, 178.0, *PLACE) == USUAL_START
+    assert SimulationSettings().start == USUAL_START
 
 
-def test_no_clock_has_a_sun_that_never_stands_there() -> None:
-    with pytest.raises(SchemaError, match=r"19\.\d degrees or more"):
-        when_sun_stands(12.0, 178.0, *PLACE)
+def test_a_sun_that_never_stands_there_is_refused_with_all_else_that_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match=r"lines=(?s:.*)sun_zenith=12: .* 19\.\d degrees or more") as caught:
+        simulate_collect(tmp_path / "new", sun_zenith=12, lines=-1)
+    assert "start_time=" in str(caught.value)
+    assert not (tmp_path / "new").exists()
+    given = SimulationSettings(sun_zenith=12, start_time="2021-06-21T17:10:00")
+    assert given.start == np.datetime64("2021-06-21T17:10:00")
+
+
+@pytest.mark.parametrize("zenith", [12.0, 60.0])
+def test_an_overcast_sky_has_no_sun_to_set_the_clock_by(zenith: float) -> None:
+    assert SimulationSettings(sky="overcast", sun_zenith=zenith).start == USUAL_START
+    given = SimulationSettings(sky="overcast", sun_zenith=zenith, start_time="2021-06-21T12:00:00")
+    assert given.start == np.datetime64("2021-06-21T12:00:00")
