@@ -25,6 +25,7 @@ from .model import LIT, SHADED, SceneModel, two_nearest
 from .segments import Segments, border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, of_shadows, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
+from .vegetation import is_vegetation
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -289,6 +290,7 @@ def survey(
             lit = Matches(np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32))
             return lit, np.zeros(count, bool)
         shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
+        ground |= is_vegetation(spectrum, centre)
         return match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith), ground
 
     matches, ground = matched(light)

@@ -12,6 +12,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
+from hyperpaint.surroundings.vegetation import is_vegetation
 
 from .between_clouds import FreeSun
 from .leans import HeightModel
@@ -35,18 +36,11 @@ class Surfaces:
     def of(cls, model: SceneModel) -> Surfaces:
         """Return those of a scene model."""
         spectrum = np.nan_to_num(model.spectrum)
-        blue, green, red, edge, infrared = (
-            _mean_over(spectrum, model.channel_wavelength, span)
-            for span in (
-                SURFACES.blue_nm, SURFACES.green_nm, SURFACES.red_nm, SURFACES.edge_nm, SURFACES.infrared_nm
-            )
-        )  # fmt: skip
         reference = np.nan_to_num(model.reference)
         length = np.linalg.norm(reference, axis=1, keepdims=True)
         direction = reference / np.maximum(length, 1e-9)
         ground = _like_the_largest(model, direction, length[:, 0])
-        # leaves rise within 50 nm, and no further; blue paints do, too, and are brighter in the blue
-        leaves = (edge > 3.0 * red) & (infrared < 1.4 * edge) & (green > blue)
+        leaves = is_vegetation(model.spectrum, model.channel_wavelength)
         return cls(spectrum.mean(axis=1), ground, leaves)
 
 
@@ -65,14 +59,6 @@ def _like_the_largest(model: SceneModel, direction: Floats, length: Floats) -> B
         np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
     )
     return np.asarray(like | (model.body == largest))
-
-
-def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) -> Floats:
-    """Return the mean of channels in a span [nm], or of the nearest one."""
-    chosen = (wavelength >= span[0]) & (wavelength <= span[1])
-    if not chosen.any():
-        chosen[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
-    return np.asarray(spectrum[:, chosen].mean(axis=1))
 
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH

@@ -21,11 +21,6 @@ class SurfaceRules:
     dark: float = 0.05
     #: Mean reflectance from which something is looked at [1]: windows, black inside, mirror as much.
     min_level: float = 0.010
-    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Blue, in which leaves are darker than in the green [nm].
-    green_nm: tuple[float, float] = (535.0, 565.0)  #: Green, in which they are brighter [nm].
-    red_nm: tuple[float, float] = (660.0, 690.0)  #: Red, below the red edge of leaves [nm].
-    edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
-    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Near infrared, beyond the red edge [nm].
     #: Cosine of the spectral angle to the ground of what is like it, at least: 3 degrees.
     min_ground_cosine: float = float(np.cos(np.radians(3.0)))
     #: Difference of the logarithm of its length from the ground's, at most.
