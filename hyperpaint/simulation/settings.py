@@ -120,8 +120,8 @@ class SimulationSettings(OpticsSettings):
     start_time
         UTC at mid exposure of the first line, ISO 8601 without a zone. By default 2021-07-20T17:10:00, or
         when the sun stands where the scene is lit from, at 43 degrees north, where that is another time. A
-        zenith angle that the sun never has there (below 19 degrees) asks for a time. An overcast sky, which
-        has no sun, leaves the time as it is.
+        zenith angle that the sun never has there (below 19 degrees) asks for a time, but under an overcast
+        sky, which has no sun.
     exposure_time_ms, frame_period_ms
         Exposure, and time from line to line [ms].
     stamp
@@ -315,8 +315,13 @@ class SimulationSettings(OpticsSettings):
         """UTC at mid exposure of the first line [ns]."""
         if self.start_time is not None:
             return moment_of(self.start_time)
-        # nothing under a closed cloud shows where its sun stands
-        return USUAL_START if self.sky == "overcast" else when_sun_stands(*self.sun, *ORIGIN[:2])
+        try:
+            return when_sun_stands(*self.sun, *ORIGIN[:2])
+        except SchemaError:
+            # nothing under a closed cloud shows where its sun stands
+            if self.sky != "overcast":
+                raise
+            return USUAL_START
 
     @property
     def exposure_time(self) -> float:

@@ -13,7 +13,7 @@ __all__ = ["VEGETATION", "is_vegetation"]
 
 @dataclass(frozen=True)
 class VegetationRules:
-    """The red edge: leaves rise within 50 nm, no further; blue paints do, too, but are brighter in the blue."""
+    """The red edge: leaves rise within 50 nm, no further; blue paints do, too, and are brighter in blue."""
 
     blue_nm: tuple[float, float] = (430.0, 490.0)  #: In which leaves are darker than in the green [nm].
     green_nm: tuple[float, float] = (535.0, 565.0)  #: In which they are brighter [nm].
