@@ -61,7 +61,9 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset, co
     ground = counted & np.isin(kind, ["asphalt", "concrete", "line", "grass", "panel"])
     found, true = (bits & int(Quality.SHADOW)) > 0, scene.shadow.values >= 0.2
     assert (found & true & ground).sum() >= 0.99 * (found & ground).sum()
-    assert (found & true & ground).sum() >= 0.8 * (true & ground).sum() > 350
+    assert (found & true & ground).sum() >= 0.8 * (true & ground).sum()
+    # shade on asphalt beside concrete in the sun is known as asphalt: the border is an edge, and not counted
+    assert (true & ground).sum() > 350
     level = scene.reflectance.values
     colour = np.ptp(level[:, 20:], axis=1) / level.mean(axis=1)
     paint = counted & (kind == "paint") & (colour > 0.5)
