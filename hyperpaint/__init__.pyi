@@ -42,10 +42,10 @@ from .io.store import (
 from .light.illumination import Tilt as Tilt
 from .paints.signatures import extract_signatures as extract_signatures
 from .radiometry.counts_to_reflectance import (
-    Panel as Panel,
     radiance as radiance,
     reflectance as reflectance,
 )
+from .radiometry.panels import Panel as Panel
 from .regions import (
     Region as Region,
     Regions as Regions,

@@ -22,7 +22,7 @@ from hyperpaint.geometry.georeference.poses import Interpolation
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
-from hyperpaint.radiometry.counts_to_reflectance import Panel
+from hyperpaint.radiometry.panels import Panel
 from hyperpaint.regions.proposals.proposing import Proposals
 from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere

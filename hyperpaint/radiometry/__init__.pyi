@@ -1,8 +1,8 @@
 from .counts_to_reflectance import (
-    Panel as Panel,
     radiance as radiance,
     reflectance as reflectance,
 )
+from .panels import Panel as Panel
 from .spectral_axis import (
     at as at,
     smooth as smooth,

@@ -8,7 +8,6 @@ Both are lazy: one task a slab of lines, one pass over memory.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import dask
@@ -26,16 +25,17 @@ from hyperpaint.base.schema import (
     IRRADIANCE_WAVELENGTH,
     Quality,
 )
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
+from .panels import Panel, panel_inputs
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
-__all__ = ["Panel", "radiance", "reflectance"]
+__all__ = ["radiance", "reflectance"]
 
 _COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
 _LIGHT = ("irradiance", "irradiance_fwhm")
@@ -58,55 +58,6 @@ _BITS_OF_LIGHT = (
 )
 _OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
 """Bits that are found anew, for each product; others were set elsewhere, and stay."""
-
-
-@takes_quantities()
-@dataclass(frozen=True)
-class Panel:
-    """A target of known reflectance in the scene.
-
-    Attributes
-    ----------
-    along_track, cross_track
-        Lines and columns it fills, by position.
-    reflectance
-        Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
-        [any unit of length].
-    uncertainty
-        Relative standard uncertainty of its reflectance [1].
-
-    Raises
-    ------
-    SchemaError
-        The reflectance or its uncertainty is out of range.
-    """
-
-    along_track: slice
-    cross_track: slice
-    reflectance: Any
-    uncertainty: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.uncertainty < 1.0:
-            raise SchemaError(
-                f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
-            )
-        labelled = hasattr(self.reflectance, "coords")
-        if labelled and "wavelength" not in self.reflectance.coords:
-            raise SchemaError("the panel's reflectance has no coordinate 'wavelength' [nm]")
-        if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
-            raise SchemaError(
-                f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
-            )
-
-    def at(self, wavelength: Any) -> Any:
-        """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
-        if np.ndim(self.reflectance) == 0:
-            return np.full(np.shape(wavelength), float(self.reflectance))
-        factor = convert(self.reflectance, "1", "reflectance")
-        nm = convert(factor["wavelength"].astype(np.float64), "nm").values
-        order = np.argsort(nm, kind="stable")
-        return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
 
 
 @takes_quantities()
@@ -288,7 +239,7 @@ def reflectance(
     )
     options = {
         "tilt": attitude,
-        "panel": None if panel is None else _panel_inputs(dataset, panel),
+        "panel": None if panel is None else panel_inputs(dataset, panel, reflectance),
         "keep_bits": keep_bits,
         "uncertain": uncertain,
     }
@@ -410,24 +361,6 @@ def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
     line.attrs = {**of_line, **of_record}
     return line
-
-
-def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
-    """Return what is known of a panel in the scene, and its reflectance as seen without it."""
-    problems = Problems("the panel cannot be used", SchemaError)
-    for dim in (ALONG_TRACK, CROSS_TRACK):
-        chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
-        if not len(chosen):
-            problems.add(f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line")
-    problems.raise_if_any()
-    region = dataset.isel({ALONG_TRACK: panel.along_track, CROSS_TRACK: panel.cross_track})
-    # whatever scale the gain has, the panel takes it out
-    seen = reflectance(region.assign_attrs(absolute_scale="of the panel"))["reflectance"]
-    wavelength = slabs.small(dataset["wavelength"])
-    if dataset["wavelength"].chunks is not None:
-        wavelength = wavelength.map_blocks(panel.at, dtype=np.float64)
-        return {"observed": seen.data, "reflectance": wavelength}
-    return {"observed": seen.data, "reflectance": panel.at(wavelength)}
 
 
 def _applied(values: dict[str, Any]) -> dict[str, str | None]:

@@ -20,6 +20,7 @@ from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
+from .panel_closure import panel_scale
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .tilted_light import tilt_factors
@@ -99,7 +100,7 @@ def make_plan(
         dark_weight=dark_weight,
         gain=gain,
         rate=np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure),
-        scale=np.ones(bands) if panel is None else _panel_scale(panel),
+        scale=np.ones(bands) if panel is None else panel_scale(panel),
         series=series,
         lines=neighbours,
         misfit=misfit,
@@ -344,20 +345,3 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
     return np.stack(
         [spectra[:, used & (interval == i)].sum(axis=1) for i in np.unique(interval[used])], axis=1
     )
-
-
-def _panel_scale(panel: Mapping[str, Any]) -> Floats:
-    """Return known over observed reflectance of a panel, band by band."""
-    observed = np.asarray(panel["observed"], np.float64)
-    pixels = np.isfinite(observed)
-    number = pixels.sum(axis=(0, 2))
-    if not number.any():
-        raise SchemaError(
-            "the panel's region holds no valid pixel; it is saturated, in a gap, or outside the line"
-        )
-    share = number / (observed.shape[0] * observed.shape[2])
-    if (share < 0.5).any():
-        text = f"more than half of the panel's pixels are saturated or bad in {(share < 0.5).sum()} bands"
-        warnings.warn(text, PaintWarning, stacklevel=2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(panel["reflectance"] * number / np.where(pixels, observed, 0.0).sum(axis=(0, 2)))

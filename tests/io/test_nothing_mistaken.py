@@ -17,7 +17,7 @@ from support.wrong_quantities import NM, Case, objection, remarks, sunlight
 import hyperpaint as hp
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-from hyperpaint.radiometry.counts_to_reflectance import Panel
+from hyperpaint.radiometry.panels import Panel
 
 SUN = sunlight()
 W = "W m-2 nm-1"

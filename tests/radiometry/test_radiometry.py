@@ -14,11 +14,11 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.counts_to_reflectance import (
-    Panel,
     radiance,
     reflectance,
     worked_example,
 )
+from hyperpaint.radiometry.panels import Panel
 
 # ------------------------------------------------------------------------------------------ the equations
 

@@ -13,7 +13,8 @@ from hypothesis import given, settings, strategies as st
 from support.strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry.counts_to_reflectance import Panel, radiance, reflectance
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
+from hyperpaint.radiometry.panels import Panel
 
 
 @pytest.fixture(scope="module")

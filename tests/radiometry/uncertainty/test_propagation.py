@@ -12,7 +12,8 @@ from support.strategies import SHIFT, START, flight, stored, with_noise
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry.counts_to_reflectance import Panel, radiance, reflectance
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
+from hyperpaint.radiometry.panels import Panel
 from hyperpaint.simulation import simulate_line
 
 U = ("reflectance_u_random", "reflectance_u_systematic")
