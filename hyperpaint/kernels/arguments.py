@@ -83,17 +83,18 @@ class FixedFlags(NamedTuple):
 class ErrorTerms(NamedTuple):
     """Terms of the error budget, as the uncertainty of every sample is computed from them."""
 
-    #: per_electron, noise_floor (1 or band, column) float32: counts per electron, and the variance of a
-    #: count without light [count2]
+    #: per_electron, noise_floor (1 or band, column) float32: counts per electron, and the variance that a
+    #: count without light has afresh in every sample [count2]
     per_electron: Array
     noise_floor: Array
     #: (1 or band, column) float32: what is proportional to reflectance and common to the flight [1]
     relative: Array
-    offset: Array  #: (1 or band, column) float32: systematic uncertainty of the dark [count]
+    #: (0, 1 or band, column) float32: uncertainty of the dark that is subtracted [count]; empty where it and
+    #: wavelengths are certain
+    offset: Array
     #: (0 or band, 4) float32: wavelength uncertainty over the distance to the neighbouring bands: what the
     #: rise to the band above is multiplied by with a band below, and without; what the rise from the band
-    #: below is multiplied by with a band above, and without. Empty where neither wavelengths nor the dark are
-    #: uncertain.
+    #: below is multiplied by with a band above, and without. Empty where wavelengths are certain.
     slope: Array
 
 

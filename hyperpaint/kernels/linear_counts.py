@@ -11,7 +11,9 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .arguments import DetectorModel
 
-__all__ = ["LinearRow", "scale_linear_row", "signal_row", "slope_row", "straighten_row"]
+__all__ = [
+    "LinearRow", "linear_random_row", "scale_linear_row", "signal_row", "slope_row", "straighten_row",
+]  # fmt: skip
 
 _NAN = np.float32(np.nan)
 _ONE = np.uint32(1)
@@ -113,3 +115,19 @@ def slope_row(counts: Array, dark: Array, detector: DetectorModel, slope: Array)
         place = (count - detector.first_node) * per_count
         node = np.uint32(np.int32(min(place, last) if place > _NOTHING else _NOTHING))
         slope[x] = _ONE_F32 + (table[node + _ONE] - table[node]) * per_count
+
+
+@borrowing_kernel
+def linear_random_row(
+    counts: Array, dark: Array, per_count: Array, per_electron: Array, noise_floor: Array, values: Array,
+    u_random: Array,
+) -> None:  # fmt: skip
+    """Write m L'(C) sqrt((C - D) / k + floor): noise is that of counts as they are read.
+
+    ``per_count`` (column,) is m L', reflectance per count.
+    """
+    for x in range(u_random.size):
+        above = np.float32(counts[x]) - dark[x]
+        shot = _NOTHING if above < _NOTHING else above
+        noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
+        u_random[x] = abs(per_count[x]) * noise if values[x] == values[x] else _NAN

@@ -22,7 +22,14 @@ from .arguments import (
     LightCells,
     SlabOutputs,
 )  # fmt: skip
-from .linear_counts import LinearRow, scale_linear_row, signal_row, slope_row, straighten_row
+from .linear_counts import (
+    LinearRow,
+    linear_random_row,
+    scale_linear_row,
+    signal_row,
+    slope_row,
+    straighten_row,
+)  # fmt: skip
 from .pedestal import pedestal_of, raise_dark
 
 __all__ = ["calibrate_slab", "round_row"]
@@ -305,6 +312,16 @@ def proportional_row(values: Array, relative: Array, u_systematic: Array) -> Non
 
 
 @borrowing_kernel
+def offset_row(
+    values: Array, gain: Array, inverse: Array, relative: Array, offset: Array, out: Array
+) -> None:
+    """Write the systematic uncertainty where it is of reflectance and of the dark alone."""
+    for x in range(out.size):
+        scale, dark = values[x] * relative[x], gain[x] * inverse[x] * offset[x]
+        out[x] = np.sqrt(scale * scale + dark * dark)
+
+
+@borrowing_kernel
 def systematic_row(
     values: Array, gain: Array, lit: BandLight, terms: ErrorTerms, band: Any, u_systematic: Array
 ) -> None:
@@ -330,22 +347,6 @@ def systematic_row(
         dark = gain[band, x] * per_light * offset[x]
         scale = here * relative[x]
         u_systematic[x] = np.sqrt(scale * scale + (wavelength * wavelength + dark * dark))
-
-
-@borrowing_kernel
-def linear_random_row(
-    counts: Array, dark: Array, per_count: Array, per_electron: Array, noise_floor: Array, values: Array,
-    u_random: Array,
-) -> None:  # fmt: skip
-    """Write m L'(C) sqrt((C - D) / k + floor): noise is that of counts as they are read.
-
-    ``per_count`` (column,) is m L', reflectance per count.
-    """
-    for x in range(u_random.size):
-        above = np.float32(counts[x]) - dark[x]
-        shot = _NOTHING if above < _NOTHING else above
-        noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
-        u_random[x] = abs(per_count[x]) * noise if values[x] == values[x] else _NAN
 
 
 @borrowing_kernel
@@ -378,7 +379,12 @@ def propagate_line(
             random_row(values[band], gain[band], inverse, per_electron, noise_floor, u_random)
         if terms.slope.shape[0] == 0:
             relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
-            proportional_row(values[band], relative, out.u_systematic[line, band])
+            u = out.u_systematic[line, band]
+            if terms.offset.shape[0] == 0:
+                proportional_row(values[band], relative, u)
+            else:
+                offset = terms.offset[band if terms.offset.shape[0] > 1 else 0]
+                offset_row(values[band], gain[band], inverse, relative, offset, u)
             continue
         for done in range(max(band - 1, 0), band + (band == last)):
             systematic_row(values, gain, lit, terms, done, out.u_systematic[line, done])
@@ -432,10 +438,8 @@ def calibrate_slab(
     # what is written, as the bits that are rounded
     bits, u_random_bits = out.cube.view(np.uint32), out.u_random.view(np.uint32)
     u_systematic_bits = out.u_systematic.view(np.uint32)
-    lit = BandLight(
-        np.empty((3, n_column), np.float32), np.empty((3, n_column), np.float32),
-        np.empty(n_column, np.float32),
-    )  # fmt: skip
+    lights = np.empty((2, 3, n_column), np.float32)
+    lit = BandLight(lights[0], lights[1], np.empty(n_column, np.float32))
     lowest, highest = limits.saturation.min(), limits.saturation.max()
     has_pedestal = detector.masked.shape[0] > 0
     own_dark = dark.shape[0] > 1 or has_pedestal  # of every line

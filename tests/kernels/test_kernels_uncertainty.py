@@ -14,7 +14,9 @@ from hyperpaint.kernels.radiometry import calibrate_slab
 LINES, BANDS, COLUMNS = 4, 7, 11
 
 
-def problem(*, smile: int = 0, elements: bool = False, slope: bool = True, seed: int = 0) -> dict[str, Any]:
+def problem(
+    *, smile: int = 0, elements: bool = False, slope: bool = True, offset: bool = True, seed: int = 0
+) -> dict[str, Any]:
     """Return arguments of a slab with saturated samples, bad elements, signals under the dark, no light."""
     rng = np.random.default_rng(seed)
     counts = rng.integers(60, 4095, (LINES, BANDS, COLUMNS)).astype(np.uint16)
@@ -55,7 +57,7 @@ def problem(*, smile: int = 0, elements: bool = False, slope: bool = True, seed:
         "per_electron": rows_of(0.02, 0.2),
         "noise_floor": rows_of(0.1, 2.0),
         "relative": rows_of(0.0, 0.05),
-        "offset": rows_of(0.0, 3.0),
+        "offset": rows_of(0.0, 3.0) if offset else np.zeros((0, COLUMNS), np.float32),
         "slope": rng.uniform(0.0, 0.3, (BANDS if slope else 0, 4)).astype(np.float32),
     }
 
@@ -85,14 +87,14 @@ def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     gain = p["gain"].astype(float)
     radiance = signal * gain
     k, floor, relative, offset = (
-        np.broadcast_to(p[name].astype(float), shape[1:])
+        np.broadcast_to(p[name].astype(float) if len(p[name]) else 0.0, shape[1:])
         for name in ("per_electron", "noise_floor", "relative", "offset")
     )
     random = lit * gain * np.sqrt(np.maximum(signal, 0.0) * k + floor)
     systematic = np.full(shape, np.nan)
     for line, band, x in np.ndindex(shape):
         here = radiance[line, band, x]
-        wavelength = dark = 0.0
+        wavelength = 0.0
         if len(p["slope"]):
             up, up_alone, down, down_alone = p["slope"][band].astype(float)
             below = radiance[line, max(band - 1, 0), x]
@@ -101,18 +103,22 @@ def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
                 wavelength += (above - here) * (up_alone if np.isnan(below) else up)
             if not np.isnan(below):
                 wavelength += (here - below) * (down_alone if np.isnan(above) else down)
-            dark = gain[band, x] * offset[band, x]
+        dark = gain[band, x] * offset[band, x]
         systematic[line, band, x] = lit[line, band, x] * np.sqrt(
             (here * relative[band, x]) ** 2 + wavelength**2 + dark**2
         )
     return np.where(np.isnan(radiance), np.nan, random), systematic
 
 
-@pytest.mark.parametrize("slope", [True, False], ids=["every component", "proportional"])
+@pytest.mark.parametrize(
+    ("slope", "offset"),
+    [(True, True), (False, True), (False, False)],
+    ids=["every component", "without wavelengths", "proportional"],
+)
 @pytest.mark.parametrize("elements", [False, True], ids=["one value", "each element"])
 @pytest.mark.parametrize("smile", [0, 1, 2])
-def test_against_plain_numpy(smile: int, elements: bool, slope: bool) -> None:
-    p = problem(smile=smile, elements=elements, slope=slope)
+def test_against_plain_numpy(smile: int, elements: bool, slope: bool, offset: bool) -> None:
+    p = problem(smile=smile, elements=elements, slope=slope, offset=offset)
     before = {name: value.copy() for name, value in p.items()}
     out, random, systematic = run(p)
     for made, expected in zip((random, systematic), oracle(p), strict=True):

@@ -1,7 +1,7 @@
 """From what is known of the instrument's errors to the uncertainty of every reflectance, and of means.
 
-Errors are of two kinds. Random ones differ from sample to sample; systematic ones are common to a flight,
-however they came about: the noise of a calibration is systematic for all that is measured with it.
+Errors are of two kinds. Random ones are made afresh in every sample. Systematic ones are shared: by a flight,
+or by the lines of a column, as the noise of the mean dark and of a calibration is, whatever it came from.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ __all__ = [
 ]  # fmt: skip
 
 
-_NOISE = ("electrons_per_count", "read_noise", "dark_counts_u_random")
+_NOISE = ("electrons_per_count", "read_noise")
 _SYSTEMATIC = (
+    "dark_counts_u_random",
     "radiance_gain_u_random",
     "radiance_gain_u_systematic",
     "irradiance_u_systematic",
@@ -59,7 +60,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
     if "counts" not in dataset.variables:
         problems.add("'counts' is missing: noise follows from counts, not from radiance alone")
-    for name in _NOISE[:2]:
+    for name in _NOISE:
         if name not in dataset.variables:
             problems.add(
                 f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}; it comes with a "
@@ -75,8 +76,9 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
 def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict[str, Any]) -> xr.Dataset:
     """Return the dataset with both uncertainties, in obsarray's terms.
 
-    obsarray knows errors that are independent and errors that are common along a dim. The gain's own error of
-    every element is common to all lines only; taken as common to all samples it is never underrated.
+    obsarray knows errors that are independent and errors that are common along a dim. What an element's gain
+    and dark have of their own is common to all lines only; taken as common to all samples it is never
+    underrated. `hyperpaint.radiometry.mean_uncertainty` takes each for what it is.
     """
     systematic = [name for name in _SYSTEMATIC if name in uncertain]
     if "panel_u" in uncertain:
@@ -114,7 +116,7 @@ def error_terms(
 
     ``uncertain`` is that of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
     by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
-    mean is the pedestal of a line, and so adds a noise of its own.
+    mean is the pedestal of a line, and so has a noise that all of the line shares.
 
     Raises
     ------
@@ -127,25 +129,25 @@ def error_terms(
         return _rows(uncertain.get(name, 0.0), bad.shape)
 
     whole = np.issubdtype(np.dtype(dtype), np.integer)
-    floor = (
-        of("read_noise") ** 2
-        + of("dark_counts_u_random") ** 2
-        + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
-    )
+    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
+    own_dark = of("dark_counts_u_random") ** 2
+    dark_variance = of("dark_counts_u_systematic") ** 2 + own_dark
     if masked:
-        floor = floor + float(np.nanmean(floor)) / masked
+        dark_variance = dark_variance + float(np.nanmean(floor + own_dark)) / masked
     squares = [of("radiance_gain_u_random") ** 2, of("linearity_u") ** 2]
     if "panel_u" in uncertain:
         # scaled to a panel, reflectance has the panel's uncertainty in place of what all elements share
         squares.append(of("panel_u") ** 2)
     else:
         squares += [of("radiance_gain_u_systematic") ** 2, _irradiance_u(uncertain, cube, light) ** 2]
-    offset = of("dark_counts_u_systematic")
+    offset = np.sqrt(dark_variance)
     wavelength_u = np.broadcast_to(np.asarray(uncertain.get("wavelength_u", 0.0), np.float64), len(bad))
     slope = np.empty((0, 4), np.float32)
-    if wavelength_u.any() or offset.any():
+    if wavelength_u.any():
         steps = _band_steps(np.asarray(cube["wavelength"], np.float64))
         slope = (wavelength_u[:, None] * steps).astype(np.float32)
+    elif not offset.any():
+        offset = offset[:0]
     terms = (1.0 / of("electrons_per_count"), floor, np.sqrt(sum(squares[1:], squares[0])), offset)
     per_electron, noise, relative, dark = (np.ascontiguousarray(values, np.float32) for values in terms)
     return ErrorTerms(per_electron, noise, relative, dark, slope)
