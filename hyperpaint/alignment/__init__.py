@@ -7,7 +7,8 @@ columns, or the line corrected by them, go out. Called by users, the accessor an
 from __future__ import annotations
 
 from .application import apply_alignment
+from .comparison import compared
 from .estimation import align_to_irradiance
 from .oxygen import oxygen_depth, oxygen_residual
 
-__all__ = ["align_to_irradiance", "apply_alignment", "oxygen_depth", "oxygen_residual"]
+__all__ = ["align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]

@@ -25,7 +25,10 @@ from hyperpaint.light.responses import (
 )
 from hyperpaint.light.synchrony import line_light
 
-__all__ = ["FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "table_of_bands"]
+__all__ = [
+    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "responses_table", "table_of_bands",
+    "variance_of_responses",
+]  # fmt: skip
 
 _MOST_SHIFT = 20.0
 """Declared shift beyond which units are wrong [nm]."""
@@ -234,16 +237,48 @@ def irradiance_table(
     ``spectrum`` (channel,): irradiance, any unit; ``limits``: lowest and highest shift [nm].
     """
     shifts, operators = _operators(spectrometer, imager, limits)
-    log = np.empty((shifts.size, FACTORS.size, imager.wavelength.size))
-    missing = ~np.isfinite(spectrum)
-    for index, matching in enumerate(operators):
-        seen = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
-        touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            log[:, index] = np.where((seen > 0.0) & ~touched, np.log(seen), np.nan)
+    log = np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1)
     gain = np.array([np.nan_to_num(matching.noise_gain).max() for matching in operators])
-    variance = np.stack([_variance(_widened(imager, float(factor))) for factor in FACTORS])
+    variance = np.stack([variance_of_responses(_widened(imager, float(factor))) for factor in FACTORS])
     return IrradianceTable(imager.wavelength, shifts, FACTORS, log, gain, variance)
+
+
+def _log_of_seen(matching: Matching, spectrum: Floats) -> Floats:
+    """Return the logarithm of a spectrum (channel,) as bands see it (shift, band); NaN without channels."""
+    missing = ~np.isfinite(spectrum)
+    seen = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
+    touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where((seen > 0.0) & ~touched, np.log(seen), np.nan))
+
+
+def responses_table(
+    spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float], widths: Floats
+) -> tuple[Floats, Floats]:
+    """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum as bands see it.
+
+    Widths are those of the spectrometer over the declared ones; else as `irradiance_table`.
+    """
+    shifts = _shift_nodes(limits)
+    operators = _operators_of_widths(spectrometer, imager, tuple(shifts), tuple(widths))
+    return shifts, np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1)
+
+
+@functools.lru_cache(maxsize=16)
+def _operators_of_widths(
+    spectrometer: Responses, imager: Responses, shifts: tuple[float, ...], widths: tuple[float, ...]
+) -> list[Matching]:
+    """Return the operators of spectrometers of several widths; once for all flight lines of a camera."""
+    return [
+        matching_operator(replace(spectrometer, fwhm=spectrometer.fwhm * width), imager, shifts)
+        for width in widths
+    ]
+
+
+def _shift_nodes(limits: tuple[float, float]) -> Floats:
+    """Return even shifts [nm] around the limits."""
+    first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
+    return np.asarray(np.arange(first, last + 1) * SHIFT_STEP)
 
 
 @functools.lru_cache(maxsize=4)
@@ -251,8 +286,7 @@ def _operators(
     spectrometer: Responses, imager: Responses, limits: tuple[float, float]
 ) -> tuple[Floats, list[Matching]]:
     """Return the shifts, and the operators at every width; once for all flight lines of a camera."""
-    first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
-    shifts = np.arange(first, last + 1) * SHIFT_STEP
+    shifts = _shift_nodes(limits)
     widened = [_widened(imager, float(factor)) for factor in FACTORS]
     return shifts, [matching_operator(spectrometer, bands, shifts) for bands in widened]
 
@@ -264,7 +298,7 @@ def _widened(imager: Responses, factor: float) -> Responses:
     return replace(imager, fwhm=imager.fwhm * factor)
 
 
-def _variance(bands: Responses) -> Floats:
+def variance_of_responses(bands: Responses) -> Floats:
     """Return the variance of every band's line shape [nm2]."""
     if bands.shape == "slit":
         return np.asarray((bands.fwhm**2 + np.asarray(bands.spacing) ** 2) / 12.0)

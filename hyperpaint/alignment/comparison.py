@@ -1,0 +1,420 @@
+"""Camera and irradiance record in one flight: how far apart they are in wavelength and in width.
+
+Both saw the same daylight. The surfaces' spectra are smooth over some tens of nanometres, the light's lines
+are not: where they stay in radiance over matched irradiance, one of the two instruments is not as declared. A
+few slabs of lines are read; the same whatever the chunks.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.schema import ALONG_TRACK, BAND
+from hyperpaint.light.responses import Responses
+from hyperpaint.radiometry.counts_to_reflectance import radiance
+
+from .lamp import Declared, mean_light, responses_table, variance_of_responses
+from .oxygen import mean_over_lines
+
+__all__ = ["COMPARISON", "Comparison", "ComparisonRules", "compared"]
+
+
+@dataclass(frozen=True)
+class ComparisonRules:
+    """What the comparison of camera and record goes by.
+
+    Attributes
+    ----------
+    windows
+        Where to look [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning, the
+        oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of a few powers.
+    degree
+        Of the polynomial that a surface's spectrum is in a window: features of some 15 nm and wider pass.
+    blocks, block_lines
+        Slabs that are read, evenly over the line, and lines in each: what bounds time and memory.
+    column_groups
+        Neighbouring columns are averaged into so many groups; over an eighth of the swath a smile of 0.5 nm
+        changes by 0.1 nm, which widens the mean by less than 0.1 %.
+    least_pixels
+        Pixels below which a group is not used.
+    max_shift_nm
+        How far to look; a field spectrometer is sold as good to 0.5 nm.
+    widths
+        Least and most width over the declared one.
+    shift_prior_nm, tilt_prior, width_prior
+        Standard deviations of what is believed before: of the shift [nm], its change over 100 nm [nm], and
+        the width over the declared one [1]. Wide: they decide only where the light has no lines.
+    least_shift_u_nm, least_width_u
+        What is stated of uncertainty at the least: what line shapes that are not quite as declared leave in
+        closed loops [nm], [1].
+    significance
+        Departure over its standard uncertainty from which instruments differ; 5, since bands that lie beside
+        each other are not independent and there are three numbers.
+    least_effect
+        Relative change of matched irradiance in any band below which nothing is worth a change [1].
+    """
+
+    windows: tuple[tuple[float, float], ...] = (
+        (402.0, 460.0), (460.0, 530.0), (530.0, 600.0), (625.0, 690.0), (740.0, 800.0), (800.0, 870.0),
+        (890.0, 985.0),
+    )  # fmt: skip
+    degree: int = 5
+    blocks: int = 8
+    block_lines: int = 16
+    column_groups: int = 8
+    least_pixels: int = 64
+    max_shift_nm: float = 1.5
+    widths: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6)
+    shift_prior_nm: float = 1.0
+    tilt_prior: float = 0.05
+    width_prior: float = 0.5
+    least_shift_u_nm: float = 0.003
+    least_width_u: float = 0.003
+    significance: float = 5.0
+    least_effect: float = 1e-3
+
+
+COMPARISON = ComparisonRules()
+
+_CENTRE_NM, _SPAN_NM = 600.0, 100.0
+_COARSE_STEP_NM = 0.25
+_ITERATIONS = 8
+_CLUSTER_BANDS = 4
+"""Neighbouring bands whose errors are taken for one: a channel's noise reaches as far as both responses."""
+_DERIVATIVE_NM, _DERIVATIVE_WIDTH = 0.02, 0.01
+_LEAST_RESIDUAL = 2e-4
+
+
+class Comparison(NamedTuple):
+    """What separates camera and record, with standard uncertainties.
+
+    ``shift`` and ``tilt``: wavelength of the camera minus that of the record, both as they are, over what is
+    declared [nm], at 600 nm and its change over 100 nm; ``width``: that of the record over the declared one
+    [1] if the camera is as declared; ``covariance`` (3, 3) of these. ``residual`` and ``residual_declared``:
+    relative departure of radiance over irradiance from smooth, rms [1]. ``wavelength`` (band,) and ``effect``
+    (band,): relative change of matched irradiance in the bands that were looked at.
+    """
+
+    shift: float
+    tilt: float
+    width: float
+    covariance: Floats
+    residual: float
+    residual_declared: float
+    wavelength: Floats
+    effect: Floats
+    groups: int
+    at_limit: bool
+
+    @property
+    def departure(self) -> float:
+        """Departure from what is declared over its uncertainty [1]."""
+        away = np.array([self.shift, self.tilt, self.width - 1.0])
+        return float(np.sqrt(away @ np.linalg.solve(self.covariance, away)))
+
+    def shift_at(self, wavelength: Floats) -> Floats:
+        """Return the shift at wavelengths [nm]."""
+        return np.asarray(self.shift + self.tilt * (wavelength - _CENTRE_NM) / _SPAN_NM)
+
+    def is_significant(self, rules: ComparisonRules = COMPARISON) -> bool:
+        """Tell whether camera and record differ by more than chance, and by more than a trifle."""
+        return bool(
+            not self.at_limit
+            and self.departure > rules.significance
+            and np.nanmax(np.abs(self.effect)) > rules.least_effect
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _WindowFit:
+    """One window: means of groups of pixels, and the light as its bands would see it."""
+
+    wavelength: Floats  # (band,)
+    log: Floats  # (band, group): of radiance
+    shift: Floats  # (band, group): declared [nm]
+    basis: Floats  # (band, power), orthonormal
+    slopes: Floats  # (band, power): its derivative [nm-1]
+    variance: Floats  # (band,): of the camera's responses [nm2]
+    nodes: Floats  # (node,): even shifts [nm]
+    widths: Floats  # (width,)
+    light: Floats  # (node, width, band): logarithm of matched irradiance
+
+    def light_at(self, shift: Floats, width: float) -> Floats:
+        """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
+        at_width = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+        place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
+        low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
+        t = place - low
+        weights = (
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        )
+        band = np.arange(shift.shape[0])[:, None]
+        return np.asarray(sum(w * at_width[low + k - 1, band] for k, w in enumerate(weights)))
+
+    def departure(self, shift: Floats, width: float) -> Floats:
+        """Return radiance over light (band, group), as logarithms, without what is smooth.
+
+        A surface of slope g seen by a band of variance v acts as a shift g v: the slope is the smooth
+        curve's.
+        """
+        place = self.shift + shift[:, None]
+        ratio = self.log - self.light_at(place, width)
+        tilt = (self.slopes @ (self.basis.T @ ratio)) * self.variance[:, None]
+        ratio = self.log - self.light_at(place + tilt, width)
+        return np.asarray(ratio - self.basis @ (self.basis.T @ ratio))
+
+
+def _lagrange(nodes: Floats, at: float) -> Floats:
+    """Return the weights of the polynomial through values at nodes."""
+    away = at - nodes
+    return np.array(
+        [np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k)) for k in range(nodes.size)]
+    )
+
+
+def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Comparison | None:
+    """Return how far apart camera and record are; None where no window has bands, record and light enough.
+
+    ``line``: with counts or radiance and their irradiance, as `hyperpaint.reflectance` needs them.
+
+    Raises `SchemaError`, `UnitsError`: variables are missing, or have other dims or units.
+    """
+    dataset = schema.rename_to_roles(line)
+    declared = Declared.by(dataset)
+    windows = _windows(declared, rules)
+    if not windows:
+        return None
+    inside = [
+        (declared.wavelength >= low) & (declared.wavelength <= high) & declared.good for low, high in windows
+    ]
+    used = np.flatnonzero(np.logical_or.reduce(inside))
+    means = _group_means(dataset, declared, used, windows, rules)
+    if means is None:
+        return None
+    spectrum, shift, light = means
+    fits = []
+    for chosen in inside:
+        fit = _window_fit(
+            declared, chosen, spectrum[np.isin(used, np.flatnonzero(chosen))], shift, light, rules
+        )
+        if fit is not None:
+            fits.append(fit)
+    return _joint(fits, rules) if fits else None
+
+
+def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
+    """Return the windows that hold bands enough for polynomial and three numbers."""
+    channels = declared.light.wavelength
+    fewest = rules.degree + 1 + 6
+    return [
+        (low, high)
+        for low, high in rules.windows
+        if ((declared.wavelength >= low) & (declared.wavelength <= high) & declared.good).sum() >= fewest
+        and channels.min() < low
+        and channels.max() > high
+    ]
+
+
+def _group_means(
+    dataset: xr.Dataset,
+    declared: Declared,
+    used: Array,
+    windows: list[tuple[float, float]],
+    rules: ComparisonRules,
+) -> tuple[Floats, Floats, Floats] | None:
+    """Return spectra (band, group), declared shifts (band of all, group), and the light's mean (channel,)."""
+    lines = dataset.sizes[ALONG_TRACK]
+    size = min(rules.block_lines, lines)
+    starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
+    part = dataset.isel({BAND: used}).assign_attrs(absolute_scale="not needed")
+    cube = radiance(part)["radiance"]
+    spectra, shifts, lights = [], [], []
+    for start in starts:
+        block = slice(int(start), int(start) + size)
+        light, level = mean_light(declared, windows, block)
+        mean, pixels = mean_over_lines(cube[block], level)
+        edges = np.unique(np.linspace(0, mean.shape[1], rules.column_groups + 1).astype(np.int64))
+        every = declared.shift(mean.shape[1])
+        for first, last in itertools.pairwise(edges):
+            # bad elements cost their columns: other columns would show another surface in that band alone
+            whole = np.isfinite(mean[:, first:last]).all(axis=0)
+            weight = np.where(whole, pixels[first:last], 0)
+            if weight.sum() < rules.least_pixels:
+                continue
+            spectra.append(np.where(whole, mean[:, first:last], 0.0) @ weight / weight.sum())
+            shifts.append(every[:, first:last] @ weight / weight.sum())
+            lights.append(light)
+    if len(spectra) < 2:
+        return None
+    return np.stack(spectra, axis=1), np.stack(shifts, axis=1), np.mean(lights, axis=0)
+
+
+def _window_fit(
+    declared: Declared, chosen: Array, spectrum: Floats, shift: Floats, light: Floats, rules: ComparisonRules
+) -> _WindowFit | None:
+    """Return a window ready for the fit; None where the record covers too little of it."""
+    bands, own = declared.bands(chosen), shift[chosen]
+    limits = (float(own.min()) - rules.max_shift_nm, float(own.max()) + rules.max_shift_nm)
+    channels = declared.light.wavelength
+    order = np.argsort(channels, kind="stable")
+    width = np.broadcast_to(declared.light.fwhm, channels.shape)
+    reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 8.0 * width.max()
+    near = order[np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach]
+    spectrometer = Responses(channels[near], width[near], declared.light.srf_shape)
+    widths = np.asarray(rules.widths)
+    nodes, logs = responses_table(spectrometer, bands, light[near], limits, widths)
+    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum > 0).all(axis=1)
+    if covered.sum() < rules.degree + 7:
+        return None
+    wavelength = bands.wavelength[covered]
+    scale = np.ptp(wavelength) / 2.0
+    place = (wavelength - wavelength.min()) / scale - 1.0
+    basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(place, rules.degree))
+    powers = [np.polynomial.Legendre.basis(power).deriv()(place) for power in range(rules.degree + 1)]
+    return _WindowFit(
+        wavelength=wavelength,
+        log=np.log(spectrum[covered]),
+        shift=own[covered],
+        basis=basis,
+        slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
+        variance=variance_of_responses(bands)[covered],
+        nodes=nodes,
+        widths=widths,
+        light=logs[:, :, covered],
+    )
+
+
+# --- least squares over all windows and groups ---
+
+
+def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
+    """Return the shift (band,) [nm] of shift at the centre, tilt, width."""
+    return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - _CENTRE_NM) / _SPAN_NM)
+
+
+def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
+    """Return the numbers at which all windows of all groups are smoothest."""
+    prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior]) ** 2
+    numbers = _coarse(fits, rules)
+    limits = np.array([rules.max_shift_nm, 0.3, np.inf])
+    for _ in range(_ITERATIONS):
+        away, slopes = _linear(fits, numbers)
+        weights = _weights(away)
+        normal, right = np.diag(prior), -prior * (numbers - [0.0, 0.0, 1.0])
+        for r, j, w in zip(away, slopes, weights, strict=True):
+            normal = normal + np.einsum("ibg,jbg,bg->ij", j, j, w)
+            right = right - np.einsum("ibg,bg,bg->i", j, r, w)
+        numbers = np.clip(numbers + np.linalg.solve(normal, right), -limits, limits)
+        numbers[2] = np.clip(numbers[2], rules.widths[0], rules.widths[-1])
+    away, slopes = _linear(fits, numbers)
+    covariance = _covariance(away, slopes, _weights(away), np.diag(prior), rules)
+    before = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
+    effects = [
+        (
+            fit.light_at(fit.shift + _shifts(fit, numbers)[:, None], numbers[2])
+            - fit.light_at(fit.shift, 1.0)
+        ).mean(axis=1)
+        for fit in fits
+    ]
+    return Comparison(
+        shift=float(numbers[0]),
+        tilt=float(numbers[1]),
+        width=float(numbers[2]),
+        covariance=covariance,
+        residual=_rms(away),
+        residual_declared=_rms(before),
+        wavelength=np.concatenate([fit.wavelength for fit in fits]),
+        effect=np.concatenate(effects),
+        groups=fits[0].log.shape[1],
+        at_limit=bool(
+            abs(numbers[0]) >= rules.max_shift_nm or not rules.widths[0] < numbers[2] < rules.widths[-1]
+        ),
+    )
+
+
+def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
+    """Return the best of a grid of shifts and widths for the mean group: lines make several valleys."""
+    means = [
+        replace(fit, log=fit.log.mean(axis=1, keepdims=True), shift=fit.shift.mean(axis=1, keepdims=True))
+        for fit in fits
+    ]
+    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
+    best, numbers = np.inf, np.array([0.0, 0.0, 1.0])
+    for shift in np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1):
+        for width in rules.widths:
+            trial = np.array([shift, 0.0, width])
+            total = sum((fit.departure(_shifts(fit, trial), width) ** 2).sum() for fit in means)
+            if total < best:
+                best, numbers = total, trial
+    return numbers
+
+
+def _linear(fits: list[_WindowFit], numbers: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Return departures (band, group) and their derivatives (number, band, group) of every window."""
+    away, slopes = [], []
+    for fit in fits:
+        at, width = _shifts(fit, numbers), float(numbers[2])
+        by_shift = (fit.departure(at + _DERIVATIVE_NM, width) - fit.departure(at - _DERIVATIVE_NM, width)) / (
+            2 * _DERIVATIVE_NM
+        )
+        by_width = (
+            fit.departure(at, width + _DERIVATIVE_WIDTH) - fit.departure(at, width - _DERIVATIVE_WIDTH)
+        ) / (2 * _DERIVATIVE_WIDTH)
+        away.append(fit.departure(at, width))
+        lever = ((fit.wavelength - _CENTRE_NM) / _SPAN_NM)[:, None]
+        slopes.append(np.stack([by_shift, lever * by_shift, by_width]))
+    return away, slopes
+
+
+def _weights(away: list[Floats]) -> list[Floats]:
+    """Return the inverse variance (band, group) of every window: that of its own departures.
+
+    A group's share is half its own and half the window's: a surface with an edge counts less in its window.
+    """
+    weights = []
+    for r in away:
+        own = (r**2).mean(axis=0, keepdims=True)
+        variance = 0.5 * own + 0.5 * np.median(own) + _LEAST_RESIDUAL**2
+        weights.append(np.broadcast_to(1.0 / variance, r.shape))
+    return weights
+
+
+def _covariance(
+    away: list[Floats], slopes: list[Floats], weights: list[Floats], prior: Floats, rules: ComparisonRules
+) -> Floats:
+    """Return the covariance (3, 3): scatter between groups, which surfaces make, and between bands.
+
+    What all groups share (noise of the record, gains) shows between bands alone; what a surface does, between
+    groups. Both are sandwiches of the normal matrix with sums over clusters, and are added.
+    """
+    groups = away[0].shape[1]
+    normal = prior.copy()
+    by_group = np.zeros((groups, 3))
+    by_band = []
+    for r, j, w in zip(away, slopes, weights, strict=True):
+        normal += np.einsum("ibg,jbg,bg->ij", j, j, w)
+        score = j * (r * w)
+        by_group += score.sum(axis=1).T
+        edges = np.arange(0, r.shape[0], _CLUSTER_BANDS)
+        free = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
+        by_band.append(np.add.reduceat(score.sum(axis=2), edges, axis=1).T * np.sqrt(free))
+    bands = np.concatenate(by_band)
+    meat = by_group.T @ by_group * groups / max(groups - 1, 1)
+    meat += bands.T @ bands * len(bands) / max(len(bands) - 3, 1)
+    inverse = np.linalg.inv(normal)
+    floor = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
+    return np.asarray(inverse @ meat @ inverse + floor)
+
+
+def _rms(away: list[Floats]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate([r.mean(axis=1) for r in away]) ** 2)))
