@@ -1,7 +1,8 @@
 """Wavelengths and widths of the camera in flight, with the daylight as the lamp.
 
 A flight line with radiance or counts and its irradiance record comes in; wavelength shifts and widths of
-columns, or the line corrected by them, go out. Called by users, the accessor and `validation`.
+columns, or the line corrected by them, go out; `align` compares camera and record, and puts right what is
+significant. Called by users, the accessor, `validation` and `workflows`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from .application import apply_alignment
 from .comparison import compared
 from .estimation import align_to_irradiance
+from .in_flight import align
 from .oxygen import oxygen_depth, oxygen_residual
 
-__all__ = ["align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]
+__all__ = ["align", "align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]

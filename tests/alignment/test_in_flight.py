@@ -1,0 +1,125 @@
+"""Camera and record compared in flight, against the simulator, which shares no code with the chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.simulation import simulate_line
+
+
+def flown(**effects: Any) -> xr.Dataset:
+    """Return a line whose width of the record is what it is said to be."""
+    return simulate_line(**{"lines": 24, "columns": 32, "irradiance_noise": 1e-3, **effects})
+
+
+def misdeclared(
+    line: xr.Dataset, *, fwhm: float = 3.0, record: float = 0.33, camera: float = 0.2
+) -> xr.Dataset:
+    """Return a line that says another width of the record, and wavelengths that are off [nm]."""
+    channels, bands = line.irradiance_wavelength, line.wavelength
+    told = line.assign_coords(irradiance_wavelength=channels - record, wavelength=bands + camera)
+    return told.assign(irradiance_fwhm=xr.full_like(line.irradiance_fwhm, fwhm))
+
+
+def errors(line: xr.Dataset) -> tuple[float, float]:
+    """Return the largest relative error of the mean reflectance at the oxygen band, and at 420 to 740 nm."""
+    measured, truth = hp.reflectance(line).reflectance.values.astype(float), line.true_reflectance.values
+    whole = np.isfinite(measured).all(axis=1, keepdims=True) & (truth > 0.02).all(axis=1, keepdims=True)
+    ratio = np.where(whole, measured, 0).sum(axis=(0, 2)) / np.where(whole, truth, 0).sum(axis=(0, 2))
+    away = np.abs(ratio - 1)
+    nm = line.wavelength.values
+    return float(away[abs(nm - 760.5) < 6].max()), float(away[(nm > 420) & (nm < 740)].max())
+
+
+@pytest.fixture(scope="module")
+def wide() -> xr.Dataset:
+    """A line whose record is 4 nm wide, and says so."""
+    return flown(seed=302, irradiance_fwhm_nm=4.0, irradiance_noise=0.0, noise=False)
+
+
+@pytest.fixture(scope="module")
+def told(wide: xr.Dataset) -> xr.Dataset:
+    """The same, said to be 3 nm wide and to stand elsewhere."""
+    return misdeclared(wide)
+
+
+@pytest.fixture(scope="module")
+def aligned(told: xr.Dataset) -> xr.Dataset:
+    return hp.alignment.align(told)
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "slit"])
+def test_a_record_that_is_as_declared_is_left_alone(shape: str) -> None:
+    line = flown(seed=301, srf_shape=shape)
+    same = hp.alignment.align(line)
+    assert same.attrs["alignment_state"] == "not significant"
+    assert abs(same.attrs["alignment_shift"]) < 0.02
+    assert abs(same.attrs["alignment_width"] - 1) < 0.02
+    xr.testing.assert_identical(same.drop_attrs(), line.drop_attrs())
+
+
+def test_a_record_4_nm_wide_and_shifted_is_found_and_corrected(told: xr.Dataset, aligned: xr.Dataset) -> None:
+    oxygen, blue = errors(told)
+    assert oxygen > 0.05
+    assert blue > 0.015
+    found = aligned.attrs
+    assert found["alignment_state"] == "applied"
+    assert abs(found["alignment_shift"] + 0.53) < 4 * found["alignment_shift_u"] < 0.05
+    assert abs(found["alignment_width"] - 4 / 3) < 4 * found["alignment_width_u"] < 0.1
+    assert aligned.irradiance_fwhm.dims == ("irradiance_wavelength",)
+    oxygen, blue = errors(aligned)
+    assert oxygen < 0.003
+    assert blue < 0.001
+
+
+def test_what_was_corrected_is_not_found_again(aligned: xr.Dataset) -> None:
+    again = hp.alignment.align(aligned)
+    assert again.attrs["alignment_state"] == "not significant"
+    np.testing.assert_array_equal(again.irradiance_wavelength, aligned.irradiance_wavelength)
+
+
+def test_never_says_so_and_changes_nothing(told: xr.Dataset) -> None:
+    with pytest.warns(PaintWarning, match="camera minus record"):
+        same = hp.alignment.align(told, apply="never")
+    assert same.attrs["alignment_state"] == "not applied"
+    xr.testing.assert_identical(same.drop_attrs(), told.drop_attrs())
+
+
+def test_always_corrects_what_is_not_significant(wide: xr.Dataset) -> None:
+    corrected = hp.alignment.align(wide, apply="always")
+    assert corrected.attrs["alignment_state"] == "applied"
+    moved = corrected.irradiance_wavelength.values - wide.irradiance_wavelength.values
+    assert 0 < np.abs(moved).max() < 0.03
+
+
+def test_the_same_whatever_the_chunks_and_cubes_stay_lazy(told: xr.Dataset, aligned: xr.Dataset) -> None:
+    other = hp.alignment.align(told.chunk(along_track=7, band=50, cross_track=11))
+    assert aligned.attrs == other.attrs
+    np.testing.assert_array_equal(aligned.irradiance_wavelength, other.irradiance_wavelength)
+    assert dask.is_dask_collection(other.counts.data)
+    assert dask.is_dask_collection(hp.reflectance(other).reflectance.data)
+
+
+def test_a_camera_of_few_bands_is_not_compared() -> None:
+    line = flown(bands=20)
+    same = hp.alignment.align(line)
+    assert same.attrs["alignment_state"] == "not compared"
+    xr.testing.assert_identical(same.drop_attrs(), line.drop_attrs())
+
+
+def test_what_lies_beyond_the_search_is_not_corrected(wide: xr.Dataset) -> None:
+    with pytest.warns(PaintWarning, match="more than can be corrected"):
+        same = hp.alignment.align(misdeclared(wide, camera=1.9))
+    assert same.attrs["alignment_state"] == "not applied"
+
+
+def test_words_are_checked() -> None:
+    with pytest.raises(SchemaError, match="expected 'auto', 'never', 'always'"):
+        hp.alignment.align(flown(bands=20), apply="yes")  # type: ignore[arg-type]
