@@ -96,7 +96,7 @@ def align(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaintWarning)  # said where the line itself is computed
             found = compared(line, rules)
-    except PaintError as error:
+    except (PaintError, OSError) as error:  # which ends the processing of the line itself
         return _not_compared(line, str(error).splitlines()[0])
     if found is None:
         return _not_compared(line, "too few bands, pixels or channels where daylight has lines")

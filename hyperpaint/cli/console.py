@@ -72,5 +72,7 @@ def say_outcome(outcome: Outcome) -> None:
         click.echo(f"{outcome.path} is already complete: same inputs, same parameters; nothing was done")
         return
     click.echo(f"{outcome.path}: wrote {written}")
+    for group, text in outcome.corrected.items():
+        click.echo(f"/{group}: {text}")
     if unchanged:
         click.echo(f"{outcome.path}: {unchanged} there already, from the same inputs")

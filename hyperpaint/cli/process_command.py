@@ -34,6 +34,11 @@ Examples:
     help="'stored' also writes the computed cube, for other programs; 'none' leaves it to be computed "
     "from counts.",
 )  # fmt: skip
+@click.option(
+    "--alignment", type=click.Choice(["auto", "never", "always"]),
+    help="Correct what separates camera and irradiance record in wavelength and width: 'auto' where it is "
+    "significant.  [default: as [alignment] apply of COLLECT.toml, else auto]",
+)  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
 @click.option(
     "--memory-limit", metavar="SIZE",

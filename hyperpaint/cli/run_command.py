@@ -42,6 +42,10 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
     "--specular-sky", is_flag=True,
     help="Subtract the sky that clear coats mirror, which contact probes do not see.",
 )  # fmt: skip
+@click.option(
+    "--alignment", type=click.Choice(["auto", "never", "always"]),
+    help="Correct what separates camera and irradiance record.  [default: as COLLECT.toml says, else auto]",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a store made from other inputs.")
 @click.option("--quiet", is_flag=True, help="No progress bars.")
 @click.pass_context

@@ -46,6 +46,7 @@ def facts_of_line(line: xr.Dataset) -> Facts:
     yield "dark", str(line.attrs.get("dark_source", ""))
     if "irradiance" in line:
         yield "irradiance", f"{counted(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
+    yield "alignment", str(line.attrs.get("alignment", ""))
 
 
 def facts_of_map(dataset: xr.Dataset) -> Facts:

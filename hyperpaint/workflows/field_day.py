@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
@@ -85,6 +85,7 @@ def run_field_day(
     regions: str | os.PathLike[str] | None = None,
     skip: Collection[str] = (),
     specular_sky: bool = False,
+    alignment: Literal["auto", "never", "always"] | None = None,
     overwrite: bool = False,
     progress: Callable[[str], Progress | None] | None = None,
     say: Callable[[StepOutcome], None] = lambda _: None,
@@ -109,6 +110,8 @@ def run_field_day(
     specular_sky
         Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`:
         what a field spectrometer with a contact probe, or a sphere, does not see.
+    alignment
+        Correct what separates camera and irradiance record, see `hyperpaint.process`.
     overwrite
         Replace a store of other inputs, and products that were not written by a run.
     progress
@@ -153,6 +156,7 @@ def run_field_day(
         regions=None if regions is None else _read_regions(Path(regions)),
         skip=frozenset(skip),
         specular_sky=specular_sky,
+        alignment=alignment,
         overwrite=overwrite,
         progress=progress or (lambda _: None),
         is_watched=progress is not None,
@@ -197,6 +201,7 @@ class _Day:
     regions: Regions | None
     skip: frozenset[str]
     specular_sky: bool
+    alignment: Literal["auto", "never", "always"] | None
     overwrite: bool
     progress: Callable[[str], Progress | None]
     is_watched: bool
@@ -366,9 +371,13 @@ class _Day:
     def _process(self) -> StepOutcome:
         from .pipeline import run
 
-        done = run(self.settings.path, self.store, overwrite=self.overwrite, progress=self.is_watched)
+        done = run(
+            self.settings.path, self.store, alignment=self.alignment, overwrite=self.overwrite,
+            progress=self.is_watched,
+        )  # fmt: skip
         state = "done" if done.written else "unchanged"
-        return StepOutcome("process", state, str(self.store), (self.store,))
+        corrected = [f"{name}: {text}" for name, text in done.corrected.items()]
+        return StepOutcome("process", state, "\n".join([str(self.store), *corrected]), (self.store,))
 
     def _signatures(self) -> str:
         from .library_files import write_signatures

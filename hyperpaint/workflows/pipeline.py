@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -44,6 +44,8 @@ class Outcome:
     path: Path  #: The store.
     written: tuple[str, ...]  #: Groups that were written.
     unchanged: tuple[str, ...]  #: Groups that were there already, made from the same inputs and parameters.
+    #: What was corrected between camera and irradiance record, by the group of the flight line.
+    corrected: Mapping[str, str] = field(default_factory=dict)
 
 
 def local_folder(out: str | Path, command: str) -> Path:
@@ -179,6 +181,7 @@ CLUSTER_LINES = 256
 
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
+Alignment = Literal["auto", "never", "always"]
 
 
 def process(
@@ -187,6 +190,7 @@ def process(
     *,
     to: Product = "reflectance",
     reflectance: Kept = "stored",
+    alignment: Alignment | None = None,
     scheduler: str | None = None,
     memory_limit: str | int | None = None,
     overwrite: bool = False,
@@ -197,8 +201,9 @@ def process(
     Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
     ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept, how its light divides
     (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`)
-    and a small true-colour ``overview``. The whole irradiance record, the calibration and the spectra of
-    field spectrometers are archived beside them.
+    and a small true-colour ``overview``. Before, camera and irradiance record are compared, and put right
+    where they differ (`hyperpaint.alignment.align`, whose attributes the group keeps). The whole irradiance
+    record, the calibration and the spectra of field spectrometers are archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -213,6 +218,10 @@ def process(
         ``"radiance"`` needs no irradiance, and stores ``radiance``, unrounded, in place of ``reflectance``.
     reflectance
         ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts.
+    alignment
+        What separates camera and irradiance record in wavelength and width is corrected where it is
+        significant (``"auto"``), ``"never"``, or whenever it can be found (``"always"``); by default as
+        ``[alignment] apply`` of the collect says, else ``"auto"``.
     scheduler
         Address of a dask.distributed scheduler, whose workers see the same files. By default the client
         that is active, else threads.
@@ -234,7 +243,7 @@ def process(
     CollectError
         The collect, or anything it names, cannot be used; all problems of all files are listed.
     SchemaError
-        ``to`` or ``reflectance`` is none of the words above, or ``memory_limit`` is no size.
+        ``to``, ``reflectance`` or ``alignment`` is none of the words above, or ``memory_limit`` is no size.
     StoreError
         ``out`` is a URL; the store holds something else, is being written, or cannot be written; or memory
         or disk would not suffice, of which the message names the needed figure before anything is written; or
@@ -246,7 +255,7 @@ def process(
     Warns
     -----
     PaintWarning
-        As `open_collect`.
+        As `open_collect` and `hyperpaint.alignment.align`.
 
     Examples
     --------
@@ -254,15 +263,15 @@ def process(
     >>> xr.open_zarr(path, group="flightlines/raw_0").paint.rgb()                 # doctest: +SKIP
     """
     return run(
-        collect, out, to=to, reflectance=reflectance, scheduler=scheduler, memory_limit=memory_limit,
-        overwrite=overwrite, progress=progress,
+        collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,
+        memory_limit=memory_limit, overwrite=overwrite, progress=progress,
     ).path  # fmt: skip
 
 
 def run(
     collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
-    scheduler: str | None = None, memory_limit: str | int | None = None, overwrite: bool = False,
-    progress: bool = False,
+    alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
+    overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `process` does, and return what was written; the arguments are those of `process`."""
     import xarray as xr
@@ -272,10 +281,10 @@ def run(
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.writer import check_room
 
-    _check_words(to, reflectance)
+    _check_words(to, reflectance, alignment)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
-    parameters = {"to": to, "reflectance": reflectance}
+    parameters = {"to": to, "reflectance": reflectance, "alignment": alignment}
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
@@ -289,7 +298,9 @@ def run(
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
             opened, groups = _opened(opened.settings, demand.lines, parameters)
-        products = {name: _product(groups[name], name, to, reflectance) for name in pending}
+        apply = alignment or opened.settings.alignment
+        aligned = {name: _aligned(groups[name], name, to, apply) for name in pending}
+        products = {name: _product(aligned[name], name, to, reflectance) for name in pending}
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()})
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
@@ -300,14 +311,20 @@ def run(
             store_group(dataset, out, name, overwrite=overwrite, progress=progress)
         root = xr.DataTree(xr.Dataset(attrs=opened.tree.attrs))
         to_store(root, out, overwrite=overwrite)
-    return Outcome(out, tuple(products), tuple(complete))
+    corrected = {
+        name: str(line.attrs["alignment"])
+        for name, line in aligned.items()
+        if line.attrs.get("alignment_state") == "applied"
+    }
+    return Outcome(out, tuple(products), tuple(complete), corrected)
 
 
-def _check_words(to: str, reflectance: str) -> None:
+def _check_words(to: str, reflectance: str, alignment: str | None) -> None:
     problems = Problems("cannot process", SchemaError)
     for name, value, allowed in (
         ("to", to, ("radiance", "reflectance")),
         ("reflectance", reflectance, ("none", "stored")),
+        ("alignment", alignment or "auto", ("auto", "never", "always")),
     ):
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
@@ -327,13 +344,18 @@ def _opened(
         collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines}
     )
     tree, cubes = opened.tree, opened.cubes
+    own = dict(parameters)
+    if own["to"] == "radiance":
+        del own["alignment"]
+    elif own["alignment"] is None:
+        own["alignment"] = opened.settings.alignment
     groups = {}
     references = (f"references/{name}" for name in tree.children.get("references", {}))
     for name in (*cubes, "irradiance", "calibration", *references):
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        digest = _digest(dataset, cubes.get(name, ()), dict(parameters) if name in cubes else {})
+        digest = _digest(dataset, cubes.get(name, ()), own if name in cubes else {})
         groups[name] = dataset.assign_attrs({INPUTS: digest})
     return opened, groups
 
@@ -355,6 +377,15 @@ def _digest(dataset: xr.Dataset, cubes: tuple[Path, ...], parameters: Mapping[st
             # of texts numpy holds places in memory
             digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
     return digest.hexdigest()[:32]
+
+
+def _aligned(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
+    """Return a flight line whose camera and record have been compared; other groups as they are."""
+    if to == "radiance" or not name.startswith("flightlines/"):
+        return dataset
+    from hyperpaint.alignment import align
+
+    return align(dataset, apply=apply)
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:

@@ -76,6 +76,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "averaging_s": check.number,
         "calibration": check.table,
     },
+    "alignment": {"apply": check.one_of("auto", "never", "always")},
     "flightlines": {
         "id": check.text,
         "cube": check.text,
@@ -138,6 +139,7 @@ class Collect:
     sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
     # Ground [m above the ellipsoid] or dem (a path), and how the camera sits in the platform
     geometry: Mapping[str, Any]
+    alignment: str  # When what separates camera and record is corrected: "auto", "never" or "always"
     # Names of cubes of one table, a pattern or a folder, in their order, with the id that the table gives
     flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
@@ -412,6 +414,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         references=_references(reader),
         sweep=sweep,
         geometry=_geometry(reader),
+        alignment=reader.one("alignment").get("apply", "auto"),
         flights=tuple(reader.flights),
     )
 
