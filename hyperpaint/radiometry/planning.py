@@ -26,7 +26,7 @@ from .slabs import Plan
 from .tilted_light import tilt_factors
 from .uncertainty.propagation import error_terms
 
-__all__ = ["make_plan"]
+__all__ = ["darks_of_lines", "make_plan"]
 
 
 NOISE_MARGIN_SD = 5.0
@@ -73,7 +73,7 @@ def make_plan(
     _check_values(cube, shape)
     good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
     exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
-    dark, dark_index, dark_weight = _darks(cube, exposure) if from_counts else _no_dark(shape)
+    dark, dark_index, dark_weight = darks_of_lines(cube, exposure) if from_counts else _no_dark(shape)
     masked = _masked(cube, dark)
     gain = np.ones((bands, columns), np.float32)
     if from_counts:
@@ -184,7 +184,7 @@ def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
     return np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64), np.zeros(lines, np.float32)
 
 
-def _darks(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
+def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
     """Return darks (n, band, column), and between which of them every line lies, at which weight.
 
     Darks at the line's exposure are interpolated in time. Where no dark is, or lines differ in exposure, bias
