@@ -31,6 +31,7 @@ SUN, SLOT = "sun", "slot"
 """Dims of a traced scene: its suns, and the different paths of light that a pixel holds."""
 
 PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
+ERROR_SOURCE, LAG = "error_source", "lag"
 """Dims of a paint library."""
 
 
@@ -171,6 +172,7 @@ _LINE_TABLE = (
     Variable("radiance_gain_u_systematic", _ELEMENT, "1", "float32", "Relative standard uncertainty of radiance_gain, common to all elements", alternatives=((BAND,), ())),
     Variable("wavelength_u", (), "nm", "float64", "Standard uncertainty of wavelength", alternatives=((BAND,),)),
     Variable("irradiance_u_systematic", (), "1", "float32", "Relative standard uncertainty of irradiance, common to all times", alternatives=((IRRADIANCE_WAVELENGTH,),)),
+    Variable("irradiance_u_random", (), "1", "float32", "Relative standard uncertainty of one irradiance sample by noise, independent from time to time and channel to channel", alternatives=((IRRADIANCE_WAVELENGTH,),)),
     Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
     Variable("quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue", alternatives=(_ELEMENT,)),
     Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a band that another band sees"),
@@ -259,6 +261,10 @@ _LIBRARY_TABLE = (
     Variable("reflectance_quantiles", (PAINT, QUANTILE, BAND), "1", "float32", "Quantiles of reflectance over the pixels used"),
     Variable("reflectance_u_random", _SPECTRUM, "1", "float32", "Random standard uncertainty of the mean reflectance"),
     Variable("reflectance_u_systematic", _SPECTRUM, "1", "float32", "Systematic standard uncertainty of the mean reflectance"),
+    Variable("reflectance_errors", (PAINT, ERROR_SOURCE, BAND), "1", "float32", "Standard uncertainty of the mean reflectance by each source of error; with its sign where all bands share the error"),
+    Variable("error_correlation", (PAINT, LAG, BAND), "1", "float32", "Correlation of what bands do not share as one, of a band with that so many after it"),
+    Variable(ERROR_SOURCE, (ERROR_SOURCE,), "", "str", "Source of an error", coordinate=True),
+    Variable("error_form", (ERROR_SOURCE,), "", "str", "How samples share the error, dim by dim, in the words of FIDUCEO and obsarray", coordinate=True),
     Variable("member_reflectance", (PAINT, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
     Variable("member_along_track", (PAINT, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
     Variable("member_cross_track", (PAINT, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),

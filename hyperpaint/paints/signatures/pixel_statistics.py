@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
-from hyperpaint.radiometry.uncertainty.propagation import effective_number
+from hyperpaint.radiometry.uncertainty.averages import effective_number
 from hyperpaint.regions import Region
 
 __all__ = [

@@ -1,0 +1,201 @@
+"""Means over pixels and how sure they are: what is random averages out, what is common does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
+
+from .line_errors import line_errors
+from .mean_errors import MeanErrors, RegionSums, error_variables
+from .propagation import NONE_KNOWN, UNCERTAINTIES
+
+__all__ = ["effective_number", "mean_uncertainty"]
+
+
+@takes_quantities()
+def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
+    r"""Mean reflectance over pixels, and how sure it is.
+
+    Eager: reads the region.
+
+    Parameters
+    ----------
+    region
+        ``reflectance``, ``reflectance_u_random`` and ``reflectance_u_systematic``, as
+        ``.paint.reflectance(uncertainty=True)`` adds them, cut to the pixels of interest; NaN where one is
+        not.
+    dims
+        What is averaged; by default along_track and cross_track. They must be next to each other in space, in
+        order: the distance of pixels counts.
+
+    Returns
+    -------
+    Dataset
+        On the other dims (mostly band): ``mean`` [1], ``n`` pixels, ``n_eff`` of them independent,
+        ``u_random`` and ``u_systematic`` [1], float64 and int64. The attribute ``components`` of both says
+        what entered. ``u_systematic`` is NaN where that is "none known", which is not to say that there is no
+        such error. Where sources of error are told apart, ``reflectance_errors`` (error_source, band) and
+        ``error_correlation`` (lag, band) as well, see `hyperpaint.paints.covariance`.
+
+    Raises
+    ------
+    SchemaError
+        A variable or a dim is missing.
+
+    Notes
+    -----
+    Of a region of a line that still has its calibration, each source of error is taken for what it is. With
+    :math:`m` reflectance per count, :math:`x` columns, :math:`l` lines, :math:`s` samples of irradiance, and
+    :math:`w_{ls}` their weights,
+
+    .. math:: n^2 u_r^2 = \sum_{lx} u_{r,lx}^2 + \sum_x u_{D,x}^2 \Big(\sum_l m_{lx}\Big)^2
+              + \sum_x u_{g,x}^2 \Big(\sum_l \rho_{lx}\Big)^2
+              + u_E^2 \sum_s \Big(\sum_{lx} w_{ls} \rho_{lx}\Big)^2
+
+    band by band: noise is fresh in every sample, the mean dark's and the gain's own error that of an element,
+    the noise of irradiance that of a sample of it. Several darks enter by their weights; rounding is common
+    to a column where noise is less than half a count. :math:`u_s` is the root of the sum of squares of what
+    all bands share: gain, irradiance, dark, wavelength, linearity or a panel, and the pedestal of each line.
+    Elsewhere
+
+    .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
+              n_{eff} = n^2 \Big/ \sum_{ij} c_{ij}
+
+    with :math:`c_{ij}` the autocorrelation of the pixels at their distance, summed from the centre outwards
+    until it is not above zero. A surface's texture counts as correlated noise in it: the region should be
+    homogeneous, since a gradient over it leaves few independent pixels. What is here is how sure the mean of
+    *these* pixels is, not how far another part of the surface may differ.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> rng = np.random.default_rng(0)
+    >>> pixels = ("along_track", "cross_track")
+    >>> region = xr.Dataset({
+    ...     "reflectance": (pixels, rng.normal(0.3, 0.01, (20, 30))),
+    ...     "reflectance_u_random": (pixels, np.full((20, 30), 0.01)),
+    ...     "reflectance_u_systematic": (pixels, np.full((20, 30), 0.006))})
+    >>> mean = mean_uncertainty(region)
+    >>> print(int(mean.n), f"{float(mean.u_random):.4f} {float(mean.u_systematic):.4f}")
+    600 0.0004 0.0060
+    """
+    over = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
+    names = ("reflectance", *UNCERTAINTIES)
+    problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
+    for name in (name for name in names if name not in region.variables):
+        problems.add(f"{name!r} is missing; make it with .paint.reflectance(uncertainty=True)")
+    for dim in over:
+        if dim not in region.dims:
+            problems.add(f"{dim!r} is no dim of the region, which has {', '.join(map(str, region.dims))}")
+    problems.raise_if_any()
+    rest = [dim for dim in region["reflectance"].dims if dim not in over]
+    cubes = [region[name].transpose(*rest, *over).values.astype(np.float64) for name in names]
+    shape = cubes[0].shape[: len(rest)]
+    value, random, systematic = (cube.reshape(-1, *cube.shape[len(rest) :]) for cube in cubes)
+    pixels = tuple(range(1, value.ndim))
+    there = np.isfinite(value)
+    n = there.sum(axis=pixels)
+    divisor = np.where(n > 0, n, np.nan)
+    mean, square, common = (
+        np.where(there, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
+    )
+    errors = _errors_of(region, over, cubes)
+    if _nothing_known(region[names[2]], systematic):
+        common = np.full_like(common, np.nan)
+    effective = np.array([effective_number(plane) for plane in value])
+    estimates = {
+        "mean": (mean, "Mean reflectance"),
+        "n": (n, "Pixels"),
+        "n_eff": (effective, "Independent pixels"),
+        "u_random": (np.sqrt(square / np.where(n > 0, effective, np.nan)), "Random uncertainty of the mean"),
+        "u_systematic": (common, "Systematic uncertainty of the mean"),
+    }
+    if errors is not None:
+        estimates["u_random"] = (np.where(n > 0, errors.u_random, np.nan), estimates["u_random"][1])
+        estimates["u_systematic"] = (errors.u_systematic, estimates["u_systematic"][1])
+    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(rest)}
+    result = xr.Dataset(
+        {
+            k: (rest, v.reshape(shape), {"units": "1", "long_name": text})
+            for k, (v, text) in estimates.items()
+        },
+        coords,
+    )
+    if errors is not None:
+        result["u_random"].attrs["components"], result["u_systematic"].attrs["components"] = errors.components
+        return result.assign(
+            {name: _labelled(name, array) for name, array in error_variables([errors]).items()}
+        )
+    for name, source in zip(("u_random", "u_systematic"), names[1:], strict=True):
+        if "components" in region[source].attrs:
+            result[name].attrs["components"] = region[source].attrs["components"]
+    return result
+
+
+def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
+    """Return the errors of the mean, source by source; None where they are not told apart."""
+    if set(over) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
+        return None
+    line = line_errors(region)
+    if line is None:
+        return None
+    order = [over.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
+    value, random = (cube.transpose(0, *(1 + axis for axis in order)) for cube in cubes[:2])
+    along, across = (axis.ravel() for axis in np.indices(value.shape[1:]))
+    sums = RegionSums(line, along, across)
+    for band in range(len(value)):
+        sums.add(band, value[band].ravel(), random[band].ravel())
+    return sums.errors()
+
+
+def _labelled(name: str, array: xr.DataArray) -> xr.DataArray:
+    row = schema.LIBRARY_VARIABLES[name]
+    return array.isel({schema.PAINT: 0}, drop=True) if schema.PAINT in row.dims else array
+
+
+def _nothing_known(array: xr.DataArray, values: Floats) -> bool:
+    """Return whether no component of the uncertainty is known; its cube is then zero throughout.
+
+    Arithmetic of xarray may have dropped the attribute, so that the zeros are asked as well.
+    """
+    return array.attrs.get("components") == NONE_KNOWN or not np.nan_to_num(values).any()
+
+
+def effective_number(plane: Floats) -> float:
+    """Return how many independent values are as good as these, which lie on a grid; NaN are left out."""
+    there = np.isfinite(plane)
+    n = int(there.sum())
+    if n < 3:
+        return float(n)
+    departure = np.where(there, plane - plane[there].mean(), 0.0)
+    if not departure.any():
+        return float(n)
+    size, axes = [2 * length for length in plane.shape], range(plane.ndim)
+
+    def correlate(values: Floats) -> Floats:
+        power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
+        return np.asarray(np.fft.irfftn(power, size, axes))
+
+    pairs, products = np.rint(correlate(there.astype(np.float64))), correlate(departure)
+    places = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
+    ring = np.zeros(size, np.int64)
+    for axis, place in enumerate(places):
+        ring = np.maximum(ring, place.reshape([-1 if a == axis else 1 for a in range(plane.ndim)]))
+    count = np.bincount(ring.ravel(), pairs.ravel())
+    total = np.bincount(ring.ravel(), products.ravel()) / (products.flat[0] / n)
+    # a mean that was subtracted leaves -1/n in every pair
+    correlation = (total + count / n) / np.maximum(count, 1.0)
+    # every pair is counted from either end
+    correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
+    correlated[0] = True
+    reach = int(np.argmin(correlated)) if not correlated.all() else correlated.size
+    excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
+    return float(np.clip(n / (1.0 + excess), 1.0, n))

@@ -1,0 +1,229 @@
+"""What is known of the errors of a flight line, source by source, and which samples share each of them.
+
+Small tables, whatever the number of lines of a cube: `mean_errors` sums them over the pixels of a region.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import dask
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.light.synchrony import line_light
+
+from .irradiance_noise import USUAL_SHARE, at_bands, matched_noise
+from .propagation import (
+    MASKED,
+    NOISE,
+    PANEL_U,
+    SYSTEMATIC,
+    UNCERTAINTIES,
+    WHOLE_COUNTS,
+    element_rows,
+    masked_elements,
+)  # fmt: skip
+
+__all__ = ["FORMS", "LightErrors", "LineErrors", "line_errors", "rounding_variance"]
+
+
+class Form(NamedTuple):
+    """Which samples share an error, dim by dim, in the words of FIDUCEO and obsarray."""
+
+    along_track: str
+    band: str
+    cross_track: str
+
+    def __str__(self) -> str:
+        return ", ".join(f"{dim} {form}" for dim, form in zip(self._fields, self, strict=True))
+
+
+FORMS = {
+    "noise": Form("random", "random", "random"),
+    "mean dark": Form("systematic", "random", "random"),
+    "gain of elements": Form("systematic", "random", "random"),
+    "irradiance noise": Form("triangle_relative", "bell_relative", "systematic"),
+    "pedestal": Form("random", "systematic", "systematic"),
+    "gain": Form("systematic", "systematic", "systematic"),
+    "irradiance": Form("systematic", "systematic", "systematic"),
+    "linearity": Form("systematic", "systematic", "systematic"),
+    "panel": Form("systematic", "systematic", "systematic"),
+    "dark": Form("systematic", "systematic", "systematic"),
+    "wavelength": Form("systematic", "systematic", "systematic"),
+}
+"""Sources of error of a sample. Smile and smoothing make neighbouring bands share what is random."""
+
+COMPONENTS = {
+    "noise": NOISE,
+    "mean dark": ("dark_counts_u_random",),
+    "gain of elements": ("radiance_gain_u_random",),
+    "irradiance noise": ("irradiance_u_random",),
+    "pedestal": ("masked",),
+    "gain": ("radiance_gain_u_systematic",),
+    "irradiance": ("irradiance_u_systematic",),
+    "linearity": ("linearity_u",),
+    "panel": ("panel",),
+    "dark": ("dark_counts_u_systematic",),
+    "wavelength": ("wavelength_u",),
+}
+"""Variables that each source follows from."""
+
+_COMMON = {
+    "gain": "radiance_gain_u_systematic",
+    "linearity": "linearity_u",
+}
+_MOST_HARMONICS = 20
+
+
+class LightErrors(NamedTuple):
+    """Irradiance of the bands, and its noise."""
+
+    #: before, after (line,) int64, weight (line,) float64: samples around every line, and that of the later
+    before: Array
+    after: Array
+    weight: Floats
+    level: Floats  #: (band,) float64: irradiance, mean over the record [W m-2 nm-1]
+    covariance: Floats  #: (band, band) float64: of the noise of one sample, relative [1]
+
+
+@dataclass(frozen=True)
+class LineErrors:
+    """Standard uncertainties of a line by their sources; (band, column) where no dims are given."""
+
+    per_electron: Floats  #: Counts per electron
+    noise_floor: Floats  #: Variance of a count without light [count2]
+    whole: bool  #: Whether counts are whole numbers
+    read_noise: Floats  #: [count]
+    dark: Floats  #: Uncertainty of each mean dark [count]
+    dark_weights: Floats  #: (line, dark): how much of each dark is subtracted from a line
+    gain_of_elements: Floats  #: Relative [1]
+    common: Mapping[str, Floats]  #: What all samples share, relative [1], by source
+    dark_offset: Floats  #: What all elements share [count]
+    pedestal_variance: float  #: Of the pedestal of a line [count2]
+    wavelength_u: Floats  #: (band,) [nm]
+    wavelength: Floats  #: (band,) [nm]
+    light: LightErrors | None  #: None where neither its noise nor errors of wavelength are known
+
+
+def line_errors(line: xr.Dataset) -> LineErrors | None:
+    """Return the errors of a line whose reflectance has uncertainties; None where they are not told apart.
+
+    Reads the small variables. They are told apart where the line still holds what its uncertainties were
+    computed from: reflectance from a store or a map without its calibration has their sum alone.
+    """
+    if not {"reflectance", *UNCERTAINTIES} <= set(line.variables):
+        return None
+    said = [line[name].attrs for name in UNCERTAINTIES]
+    random, systematic = (str(attrs.get("components", "")).split(", ") for attrs in said)
+    entered = [name for name in systematic if name in SYSTEMATIC]
+    needed = [*NOISE, *entered, "dark_counts", "exposure_time", *(["time"] if len(entered) else [])]
+    is_ours = tuple(random) == NOISE and WHOLE_COUNTS in said[0]
+    if not is_ours or not set(needed) <= set(line.variables):
+        return None
+    try:
+        found = schema.require(line, needed, "errors of a region")
+        values = dict(zip(found, dask.compute(*(array.values for array in found.values())), strict=True))
+        return _line_errors(line, values)
+    except SchemaError:
+        # bands or a record that were cut since
+        return None
+
+
+def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
+    shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
+    attrs = line[UNCERTAINTIES[1]].attrs
+
+    def of(name: str) -> Floats:
+        return np.broadcast_to(element_rows(values.get(name, 0.0), shape), shape)
+
+    whole = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
+    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
+    masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
+    sources = {name: of(variable) for name, variable in _COMMON.items() if variable in values}
+    if "irradiance_u_systematic" in values:
+        channels = line[schema.IRRADIANCE_WAVELENGTH].values
+        at = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
+        sources["irradiance"] = np.broadcast_to(at[:, None], shape)
+    if PANEL_U in attrs:
+        sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
+    wavelength = line["wavelength"].values.astype(np.float64)
+    wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
+    needs_light = "irradiance_u_random" in values or wavelength_u.any()
+    return LineErrors(
+        per_electron=1.0 / of("electrons_per_count"),
+        noise_floor=floor,
+        whole=whole,
+        read_noise=of("read_noise"),
+        dark=of("dark_counts_u_random"),
+        dark_weights=_dark_weights(line),
+        gain_of_elements=of("radiance_gain_u_random"),
+        common=sources,
+        dark_offset=of("dark_counts_u_systematic"),
+        pedestal_variance=float(np.nanmean(floor + of("dark_counts_u_random") ** 2)) / masked
+        if masked
+        else 0.0,
+        wavelength_u=wavelength_u,
+        wavelength=wavelength,
+        light=_light_errors(line) if needs_light else None,
+    )
+
+
+def _dark_weights(line: xr.Dataset) -> Floats:
+    """Return how much of each dark reference is subtracted from every line (line, dark)."""
+    from hyperpaint.radiometry.planning import darks_of_lines
+
+    lines = line.sizes[ALONG_TRACK]
+    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
+    if count == 1:
+        return np.ones((lines, 1))
+    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), lines)
+    names = ("time", "dark_time", "dark_exposure_time")
+    # what is subtracted is linear in the darks: those of one reference at a time say its weight
+    darks = {name: line[name].values for name in names if name in line.variables}
+    darks["dark_counts"] = np.eye(count, dtype=np.float32)[:, :, None]
+    with warnings.catch_warnings():  # which the plan has given
+        warnings.simplefilter("ignore")
+        ends, index, weight = darks_of_lines(darks, exposure)
+    later = np.minimum(index + 1, len(ends) - 1)
+    shares = ends[index, :, 0] + weight[:, None] * (ends[later, :, 0] - ends[index, :, 0])
+    return np.asarray(shares, np.float64)
+
+
+def _light_errors(line: xr.Dataset) -> LightErrors:
+    names = ["irradiance", "irradiance_fwhm", schema.IRRADIANCE_TIME, schema.IRRADIANCE_WAVELENGTH]
+    names += ["wavelength", "fwhm"]
+    optional = ("band_spacing", "srf_offset", "srf", "radiance_gain", "irradiance_u_random")
+    names += [name for name in optional if name in line.variables]
+    arrays = {name: array.values for name, array in schema.require(line, names, "noise of light").items()}
+    arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
+    spectra = arrays["irradiance"]
+    known = np.isfinite(spectra)
+    whole = known[:, known.mean(axis=0) > USUAL_SHARE].all(axis=1)
+    levels = np.where(whole, np.where(known, spectra, 0.0).sum(axis=1), np.nan)
+    around = line_light(
+        line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
+    )
+    noise = matched_noise(arrays)
+    weight = np.nan_to_num(around.weight)
+    return LightErrors(around.before, around.after, weight, noise.level, noise.covariance)
+
+
+def rounding_variance(variance: Array) -> Floats:
+    r"""Return the variance of what rounding adds to a mean of many counts of one level [count2].
+
+    ``variance`` is that of the counts before rounding [count2]. The mean of rounded counts is off by
+    :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
+    Quantization Noise, 2008); here is the mean square over all levels x: 1/12 without noise, nothing from
+    half a count of noise on.
+    """
+    squares = (np.arange(1, _MOST_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
+    return np.asarray((np.exp(-4.0 * np.pi**2 * squares * variance) / (2.0 * np.pi**2 * squares)).sum(axis=0))

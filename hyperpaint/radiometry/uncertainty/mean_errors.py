@@ -1,0 +1,236 @@
+"""From the errors of a line to those of the mean over a region of it, and how bands share them.
+
+What is random averages out over the samples that differ in it; what they share stays. The sums that this
+needs are of columns and of lines: bounded, whatever the number of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy import sparse
+
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.schema import LIBRARY_VARIABLES
+
+from .line_errors import COMPONENTS, FORMS, LineErrors, rounding_variance
+from .propagation import NONE_KNOWN, band_steps
+
+__all__ = ["MeanErrors", "NominalAxis", "RegionSums", "error_variables"]
+
+LEAST_CORRELATION = 0.01
+"""Correlation of two bands below which none is stored [1]."""
+MOST_LAGS = 48
+"""Bands after a band whose correlation with it is stored at most."""
+
+
+class NominalAxis(NamedTuple):
+    """How spectra of columns are brought to nominal wavelengths."""
+
+    first: Array  #: (band, column) int64: first of the bands that a band is interpolated from
+    weights: Array  #: (band, column, tap): their weights; NaN where a column does not reach the band
+
+
+class MeanErrors(NamedTuple):
+    """Errors of a mean spectrum."""
+
+    sources: tuple[str, ...]  #: Those of `FORMS` that are known
+    #: (source, band) float64: standard uncertainty by each; of what bands share, with its sign
+    sizes: Floats
+    covariance: Floats  #: (band, band) float64: of all that bands do not share as one
+
+    @property
+    def components(self) -> tuple[str, str]:
+        """Names of the variables that the random and the systematic uncertainty follow from."""
+        names: list[list[str]] = [[], []]
+        for source, is_shared in zip(self.sources, self.systematic, strict=True):
+            names[int(is_shared)] += COMPONENTS[source]
+        return ", ".join(names[0]) or NONE_KNOWN, ", ".join(names[1]) or NONE_KNOWN
+
+    @property
+    def systematic(self) -> Array:
+        """Which sources are one error of all bands (source,)."""
+        return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
+
+    @property
+    def u_random(self) -> Floats:
+        """Uncertainty by what bands do not share as one (band,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def u_systematic(self) -> Floats:
+        """Uncertainty by what is one error of all bands (band,); NaN where none is known."""
+        if not self.systematic.any():
+            return np.full(self.sizes.shape[1], np.nan)
+        return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
+
+
+def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
+    """Return the errors of several means of the same bands, as a library holds them; {} where none has any.
+
+    Correlations beyond the last lag are below `LEAST_CORRELATION`, or left out from `MOST_LAGS` on.
+    """
+    present = [each for each in errors if each is not None]
+    if not present:
+        return {}
+    sources = [name for name in FORMS if any(name in each.sources for each in present)]
+    bands = present[0].sizes.shape[1]
+    sizes = np.full((len(errors), len(sources), bands), np.nan)
+    lags = np.full((len(errors), min(MOST_LAGS, bands), bands), np.nan)
+    for number, each in enumerate(errors):
+        if each is None:
+            continue
+        sizes[number] = 0.0
+        sizes[number, [sources.index(name) for name in each.sources]] = each.sizes
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation = each.covariance / (each.u_random * each.u_random[:, None])
+        for lag in range(lags.shape[1]):
+            lags[number, lag, : bands - lag] = np.diagonal(correlation, lag)
+    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > LEAST_CORRELATION).any(axis=(0, 2)))
+    values = {
+        "error_source": np.array(sources, object),
+        "error_form": np.array([str(FORMS[name]) for name in sources], object),
+        "reflectance_errors": sizes.astype(np.float32),
+        "error_correlation": lags[:, : notable.max(initial=0) + 1].astype(np.float32),
+    }
+    rows = {name: LIBRARY_VARIABLES[name] for name in values}
+    return {name: xr.DataArray(values[name], dims=row.dims, attrs=row.attrs) for name, row in rows.items()}
+
+
+class RegionSums:
+    """Sums over a region's pixels from which the errors of its mean follow."""
+
+    def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
+        """Begin with none; ``along`` and ``across`` (pixel,) are the pixels' lines and columns."""
+        self._line = line
+        self._rows, self._row = np.unique(along, return_inverse=True)
+        self._columns, self._column = np.unique(across, return_inverse=True)
+        bands, darks = line.dark.shape[0], line.dark_weights.shape[1]
+        shape = (bands, self._columns.size)
+        self._count, self._noise, self._level = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._per_count = np.zeros((darks, *shape))
+        self._rounding = np.zeros(shape)
+        self._lines = np.zeros(bands)
+        light = line.light
+        self._samples = np.zeros((0 if light is None else int(light.after.max()) + 1, bands))
+
+    def add(self, band: int, reflectance: Array, u_random: Array) -> None:
+        """Add a band of all pixels (pixel,): reflectance as it was measured, and its noise."""
+        line, column = self._line, self._column
+        there = np.isfinite(reflectance) & np.isfinite(u_random)
+        value = np.where(there, reflectance, 0.0).astype(np.float64)
+        variance = np.where(there, u_random, 0.0).astype(np.float64) ** 2
+        per_electron, floor = (
+            table[band, self._columns][column] for table in (line.per_electron, line.noise_floor)
+        )
+        # variance = m^2 (value / (m k) + floor), solved for m, reflectance per count, without a difference
+        shot = np.maximum(value, 0.0) * per_electron
+        root = shot + np.sqrt(shot**2 + 4.0 * floor * variance)
+        per_count = np.divide(2.0 * variance, root, out=np.zeros_like(root), where=root > 0)
+
+        def of_columns(values: Floats) -> Floats:
+            return np.asarray(np.bincount(column, values, self._columns.size), np.float64)
+
+        self._count[band] = of_columns(there.astype(np.float64))
+        self._noise[band] = of_columns(variance)
+        self._level[band] = of_columns(value)
+        for dark, share in enumerate(line.dark_weights[self._rows].T):
+            self._per_count[dark, band] = of_columns(per_count * share[self._row])
+        if line.pedestal_variance:
+            self._lines[band] = (np.bincount(self._row, per_count) ** 2).sum()
+        if line.light is not None:
+            of_lines = np.bincount(self._row, value, self._rows.size)
+            weight = line.light.weight[self._rows]
+            np.add.at(self._samples[:, band], line.light.before[self._rows], (1.0 - weight) * of_lines)
+            np.add.at(self._samples[:, band], line.light.after[self._rows], weight * of_lines)
+
+    def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
+        """Return the errors of the mean, brought to nominal wavelengths and smoothed as its pixels were.
+
+        ``smoothing`` (band, band) is what spectra are multiplied by; NaN of bands without a value.
+        """
+        line, columns = self._line, self._columns
+        bands = len(self._count)
+        onto = _onto(bands, columns, axis)
+        count = onto @ self._count.ravel()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(count > 0.5, 1.0 / count, np.nan)
+
+        def mean(table: Floats) -> Floats:
+            return np.asarray(onto @ np.nan_to_num(table).ravel()) * share
+
+        def independent(table: Floats) -> Floats:
+            square = onto.multiply(np.nan_to_num(table).ravel()) @ onto.T
+            return np.asarray(square.toarray() * share * share[:, None])
+
+        level, per_count = mean(self._level), self._per_count.sum(axis=0)
+        dark = line.dark[:, columns]
+        between = {"noise": independent(self._noise)}
+        dark_variance = (self._per_count**2).sum(axis=0) * dark**2 + self._rounded(per_count)
+        if dark_variance.any():
+            between["mean dark"] = independent(dark_variance)
+        if line.gain_of_elements.any():
+            between["gain of elements"] = independent((self._level * line.gain_of_elements[:, columns]) ** 2)
+        if line.light is not None and line.light.covariance.any():
+            with np.errstate(invalid="ignore", divide="ignore"):  # part of the mean that each sample lights
+                samples = np.nan_to_num(self._samples / self._level.sum(axis=1) * level)
+            between["irradiance noise"] = (samples.T @ samples) * line.light.covariance
+        shared = {name: mean(self._level * relative[:, columns]) for name, relative in line.common.items()}
+        if line.pedestal_variance:
+            shared["pedestal"] = np.sqrt(self._lines * line.pedestal_variance) / self._count.sum(axis=1)
+        if line.dark_offset.any():
+            shared["dark"] = mean(per_count * line.dark_offset[:, columns])
+        if line.wavelength_u.any() and line.light is not None:
+            shared["wavelength"] = _moved(line, level)
+        if smoothing is not None:
+            filled = np.nan_to_num(smoothing)
+            between = {name: filled @ np.nan_to_num(square) @ filled.T for name, square in between.items()}
+            shared = {name: filled @ np.nan_to_num(size) for name, size in shared.items()}
+        sizes = {name: np.sqrt(np.diagonal(square)) for name, square in between.items()} | shared
+        names = tuple(name for name in FORMS if name in sizes)
+        return MeanErrors(
+            names, np.array([sizes[name] for name in names]), np.sum(list(between.values()), axis=0)
+        )
+
+    def _rounded(self, per_count: Floats) -> Floats:
+        """Return the variance that rounding leaves in sums over the lines of a column (band, column)."""
+        if not self._line.whole:
+            return np.zeros_like(per_count)
+        line, columns = self._line, self._columns
+        own = line.read_noise[:, columns] ** 2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            counts = np.nan_to_num(np.maximum(self._level, 0.0) / per_count)
+        shot = counts * line.per_electron[:, columns]
+        return per_count**2 * (
+            rounding_variance(own) * (line.dark[:, columns] > 0) + rounding_variance(own + shot)
+        )
+
+
+def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
+    """Return what sums spectra of columns, (band, column) in one row, at nominal wavelengths (band,)."""
+    place = np.arange(bands * columns.size).reshape(bands, columns.size)
+    band = np.broadcast_to(np.arange(bands)[:, None], place.shape)
+    if axis is None:
+        return sparse.csr_array((np.ones(place.size), (band.ravel(), place.ravel())), (bands, place.size))
+    weights = np.nan_to_num(axis.weights[:, columns].astype(np.float64))
+    taps = axis.first[:, columns, None] + np.arange(weights.shape[2])
+    source = place[taps, np.arange(columns.size)[None, :, None]]
+    rows = np.broadcast_to(band[..., None], weights.shape)
+    return sparse.csr_array((weights.ravel(), (rows.ravel(), source.ravel())), (bands, place.size))
+
+
+def _moved(line: LineErrors, level: Floats) -> Floats:
+    """Return by how much a mean changes with an error of the wavelength scale (band,)."""
+    assert line.light is not None
+    light = line.light.level
+    steps = band_steps(line.wavelength)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radiance = level * light
+        rise = np.append(np.diff(radiance), np.nan) / light
+        fall = np.insert(np.diff(radiance), 0, np.nan) / light
+    to_above = np.where(np.isfinite(fall), steps[:, 0], steps[:, 1])
+    to_below = np.where(np.isfinite(rise), steps[:, 2], steps[:, 3])
+    return np.asarray((np.nan_to_num(rise) * to_above + np.nan_to_num(fall) * to_below) * line.wavelength_u)
