@@ -62,7 +62,7 @@ class PaintAccessor:
         *,
         uncertainty: bool = False,
         tilt: Tilt | tuple[float, float] | None = None,
-        panel: Panel | None = None,
+        panel: Panel | Sequence[Panel] | None = None,
         keep_bits: int | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:

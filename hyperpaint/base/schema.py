@@ -27,6 +27,7 @@ from .variables import (
     LIBRARY_VARIABLES,
     MEMBER,
     PAINT,
+    PANEL,
     QUANTILE,
     SLOT,
     STEP,
@@ -39,7 +40,7 @@ from .variables import (
 __all__ = [
     "ALONG_TRACK", "BAND", "CHUNK_LINES", "CROSS_TRACK", "CUBE", "DIM_ALIASES", "FLAG", "FORMAT_VERSION",
     "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
-    "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
+    "PAINT", "PANEL", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
     "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flag_shares", "flags_named",
     "label", "numbers_of", "quality_attrs", "rename_to_roles", "require", "with_numbers",
 ]  # fmt: skip

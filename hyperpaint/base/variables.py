@@ -16,7 +16,7 @@ from .units import same_dimension
 
 __all__ = [
     "ALONG_TRACK", "BAND", "CROSS_TRACK", "CUBE", "FLAG", "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH",
-    "LIBRARY_VARIABLES", "SLOT", "STEP", "SUN", "SWEEP_VARIABLES", "VARIABLES", "Variable",
+    "LIBRARY_VARIABLES", "PANEL", "SLOT", "STEP", "SUN", "SWEEP_VARIABLES", "VARIABLES", "Variable",
 ]  # fmt: skip
 
 ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
@@ -29,6 +29,9 @@ STEP = "step"
 
 SUN, SLOT = "sun", "slot"
 """Dims of a traced scene: its suns, and the different paths of light that a pixel holds."""
+
+PANEL = "panel"
+"""Dim of the panels of known reflectance in a scene."""
 
 PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
 ERROR_SOURCE, LAG = "error_source", "lag"
@@ -139,6 +142,13 @@ _LINE_TABLE = (
     Variable("sky_state", _LINE, "", "int8", "What sky the irradiance is of", alternatives=((IRRADIANCE_TIME,), ())),
     Variable("coat_transmission", (BAND,), "1", "float32", "What a clear coat leaves of its body's light, over what it leaves near the normal", alternatives=((ALONG_TRACK, BAND),)),
     Variable("coat_transmission_u", (BAND,), "1", "float32", "Standard uncertainty of coat_transmission", alternatives=((ALONG_TRACK, BAND),)),
+    # --- panels in the scene
+    Variable("panel_factor", (PANEL, BAND), "1", "float32", "Reflectance of a panel through irradiance over its known one"),
+    Variable("panel_factor_u", (PANEL, BAND), "1", "float32", "Standard uncertainty of panel_factor by gain, irradiance, the panel and its pixels"),
+    Variable("panel_used", (PANEL, BAND), "1", "float32", "Share of a panel's pixels that panel_factor is the mean of"),
+    Variable("panel_state", (PANEL,), "", "uint8", "What was noticed of a panel"),
+    Variable("panel_time", (PANEL,), "", "datetime64[ns]", "UTC at which a panel was seen"),
+    Variable("panel_scale_u", _LINE, "1", "float32", "Relative standard uncertainty of the level that panels give reflectance"),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),
     Variable(ALONG_TRACK, _LINE, "", "int64", "Line, counted from the first of the cube; crops keep their numbers", coordinate=True),

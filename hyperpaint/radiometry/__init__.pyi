@@ -1,4 +1,5 @@
 from .counts_to_reflectance import (
+    panel_closure as panel_closure,
     radiance as radiance,
     reflectance as reflectance,
 )

@@ -8,6 +8,7 @@ Both are lazy: one task a slab of lines, one pass over memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import dask
@@ -31,11 +32,11 @@ from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
-from .panels import Panel, panel_inputs
+from .panels import CLOSURE, Panel, closure_variables, panel_inputs, several_panels
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
-__all__ = ["radiance", "reflectance"]
+__all__ = ["panel_closure", "radiance", "reflectance"]
 
 _COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
 _LIGHT = ("irradiance", "irradiance_fwhm")
@@ -130,7 +131,7 @@ def reflectance(
     *,
     uncertainty: bool = False,
     tilt: Tilt | tuple[float, float] | None = None,
-    panel: Panel | None = None,
+    panel: Panel | Sequence[Panel] | None = None,
     keep_bits: int | None = None,
 ) -> xr.Dataset:
     r"""Reflectance factor under the irradiance measured at the time of every line.
@@ -154,7 +155,9 @@ def reflectance(
         longitude. Where it names no ``diffuse_fraction``, that of the lines counts, else what the record
         itself says (`hyperpaint.light.diffuse_from_record`): a clear sky, or another one.
     panel
-        A target of known reflectance in the scene, to which every band is scaled.
+        A target of known reflectance in the scene, to which every band is scaled; or several, seen at
+        different times, which correct the level of the record between them. What they measure, and what is
+        noticed of them, is stored beside reflectance, see `panel_closure`.
     keep_bits
         Mantissa bits that are kept, rounding to nearest-even; all 23 by default.
 
@@ -175,7 +178,7 @@ def reflectance(
     SchemaError, UnitsError, TimeError
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
         problem is listed. The gain has no absolute scale and there is no
-        ``panel``. When computed: values are out of range.
+        ``panel``. When computed: values are out of range; or all panels are refused, with the reason.
 
     Notes
     -----
@@ -215,11 +218,79 @@ def reflectance(
     >>> print(f"{float(radiometry.reflectance(line).reflectance[0, 0, 0]):.6f}")
     0.400000
     """
+    return _reflectance(
+        dataset,
+        irradiance,
+        uncertainty=uncertainty,
+        tilt=tilt,
+        panels=several_panels(panel),
+        keep_bits=keep_bits,
+    )
+
+
+@takes_quantities()
+def panel_closure(
+    dataset: xr.Dataset, panel: Panel | Sequence[Panel], irradiance: xr.Dataset | None = None
+) -> xr.Dataset:
+    r"""Return what panels measure over what the irradiance record lets expect, and what is noticed of them.
+
+    Lazy. The same is stored beside ``reflectance(panel=)``, which refuses panels; here none is.
+
+    Parameters
+    ----------
+    dataset, irradiance
+        As of `reflectance`.
+    panel
+        One panel, or several.
+
+    Returns
+    -------
+    Dataset
+        ``panel_factor``, ``panel_factor_u`` and ``panel_used`` (panel, band), float32 [1]: the factor, its
+        combined standard uncertainty, and the share of pixels it is of; ``panel_state`` (panel), uint8, what
+        was noticed; ``panel_time`` (panel).
+
+    Raises
+    ------
+    SchemaError, UnitsError, TimeError
+        As `reflectance`; a panel's region lies outside of the line, or holds no valid pixel.
+
+    Notes
+    -----
+    .. math:: F = \frac{1}{\rho} \left< \frac{\pi L}{E} \right>
+
+    Computing warns of what is noticed: saturated pixels, pixels that are shaded or show something else, a
+    mean that is not good to 1 %, the spectrum of a panel that leans, and a factor beyond twice its
+    uncertainty. How, and thresholds: `hyperpaint.radiometry.panel_judging`.
+
+    Examples
+    --------
+    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
+    >>> line = radiometry.worked_example()
+    >>> whole = Panel(slice(None), slice(None), 0.4)
+    >>> radiometry.panel_closure(line, whole).panel_factor.values.round(3)
+    array([[1., 1., 1.]], dtype=float32)
+    """
+    line = _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)
+    return line[list(CLOSURE)]
+
+
+def _reflectance(
+    dataset: xr.Dataset,
+    irradiance: xr.Dataset | None,
+    *,
+    uncertainty: bool = False,
+    tilt: Tilt | tuple[float, float] | None = None,
+    panels: tuple[Panel, ...] = (),
+    keep_bits: int | None = None,
+    refuses: bool = True,
+) -> xr.Dataset:
+    """Do what `reflectance` does; without ``refuses`` panels are judged only."""
     dataset = schema.rename_to_roles(dataset)
     attitude = _attitude(tilt)
     _refuse_without(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
-        if any(option is not None for option in (irradiance, tilt, panel, keep_bits)):
+        if any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)):
             raise SchemaError(
                 "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
                 "found 'reflectance' only"
@@ -231,22 +302,23 @@ def reflectance(
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
     if "counts" in dataset.variables:
-        _refuse_calibration(dataset, needs_scale=panel is None)
+        _refuse_calibration(dataset, needs_scale=not panels)
     cube, values = _cube_inputs(dataset, "reflectance")
-    light = _light_inputs(dataset, attitude)
-    uncertain = (
-        uncertainty_inputs(dataset, None if panel is None else panel.uncertainty) if uncertainty else None
-    )
+    light = _light_inputs(dataset, attitude, bool(panels))
+    # the plan adds how well the pixels of panels, and lines between them, are known
+    own_u = max((panel.uncertainty for panel in panels), default=None)
+    uncertain = uncertainty_inputs(dataset, own_u) if uncertainty else None
     options = {
         "tilt": attitude,
-        "panel": None if panel is None else panel_inputs(dataset, panel, reflectance),
+        "panel": panel_inputs(dataset, panels, reflectance) | {"refuses": refuses} if panels else None,
         "keep_bits": keep_bits,
         "uncertain": uncertain,
     }
     cubes, quality, plan = slabs.calibrated(
         cube, make_plan, cubes=1 if uncertain is None else 3, cube=values, light=light, **options
     )
-    notes = {"tilt": str(attitude) if attitude else None, "panel": str(panel) if panel else None}
+    texts = "; ".join(map(str, panels))
+    notes = {"tilt": str(attitude) if attitude else None, "panel": texts or None}
     # uncertainties of an earlier reflectance are not those of this one
     notes |= _applied(values)
     result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, notes)
@@ -262,7 +334,9 @@ def reflectance(
     for name, (values, dim, size) in small.items():
         array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
         result[name] = schema.label(array, name)
-    return result
+    # what an earlier reflectance was scaled by does not belong to this one
+    result = result.drop_vars([name for name in result.variables if str(name).startswith("panel_")])
+    return result.assign(closure_variables(plan, len(panels), bands, lines)) if panels else result
 
 
 def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
@@ -318,13 +392,14 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
     return cube, values
 
 
-def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
+def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
     """Return the irradiance and its companions, checked as far as their labels allow."""
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
     names += [name for name in companions if name in dataset.variables]
     if tilt is not None:
         names += ["latitude", "longitude"]
+    if tilt is not None or has_panels:
         names += [name for name in ("diffuse_fraction", "sky_state") if name in dataset.variables]
     arrays = schema.require(dataset, names, "reflectance")
     if arrays[IRRADIANCE_TIME].chunks is None:

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, PANEL, VARIABLES, label, require
 from hyperpaint.base.units import convert, takes_quantities
 
 from . import slabs
+from .panel_judging import PANEL_STATES
 
-__all__ = ["Panel", "panel_inputs"]
+__all__ = ["CLOSURE", "Panel", "closure_variables", "panel_inputs", "several_panels"]
+
+CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
+"""Variables that say what panels measure."""
+
+_STATED = ("radiance_gain_u_systematic", "irradiance_u_systematic")
+"""What a line may say of how well its panels are expected to close."""
 
 
 @takes_quantities()
@@ -31,7 +41,10 @@ class Panel:
         Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
         [any unit of length].
     uncertainty
-        Relative standard uncertainty of its reflectance [1].
+        Relative standard uncertainty of its reflectance [1]. A panel that seems to lean by more than twice
+        of it is refused.
+    tilt
+        Its attitude where it is not level, as `hyperpaint.Tilt` or (angle, azimuth) [degree].
 
     Raises
     ------
@@ -43,6 +56,7 @@ class Panel:
     cross_track: slice
     reflectance: Any
     uncertainty: float = 0.0
+    tilt: Any = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.uncertainty < 1.0:
@@ -67,24 +81,85 @@ class Panel:
         return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
 
 
+def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
+    """Return panels, of which there is one at least where any was given."""
+    panels = () if panel is None else (panel,) if isinstance(panel, Panel) else tuple(panel)
+    if (panel is not None and not panels) or not all(isinstance(each, Panel) for each in panels):
+        raise SchemaError(f"panel={panel!r:.80}, expected hyperpaint.Panel, or several of them")
+    return panels
+
+
 def panel_inputs(
-    dataset: xr.Dataset, panel: Panel, reflectance: Callable[[xr.Dataset], xr.Dataset]
+    dataset: xr.Dataset, panels: Sequence[Panel], reflectance: Callable[..., xr.Dataset]
 ) -> dict[str, Any]:
-    """Return what is known of a panel in the scene, and its reflectance as seen without it.
+    """Return what is known of panels in the scene, and their reflectance as seen without them.
 
     ``reflectance`` is that of `hyperpaint.radiometry.counts_to_reflectance`.
     """
     problems = Problems("the panel cannot be used", SchemaError)
-    for dim in (ALONG_TRACK, CROSS_TRACK):
-        chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
-        if not len(chosen):
-            problems.add(f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line")
+    for panel in panels:
+        for dim in (ALONG_TRACK, CROSS_TRACK):
+            chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
+            if not len(chosen):
+                problems.add(
+                    f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line"
+                )
     problems.raise_if_any()
+    names = [name for name in _STATED if name in dataset.variables]
+    stated = {name: slabs.small(array) for name, array in require(dataset, names, "panels").items()}
+    return {
+        "panels": [_one_panel(dataset, panel, reflectance) for panel in panels],
+        "stated": stated,
+        "has_scale": dataset.attrs.get("absolute_scale") != "unknown",
+    }
+
+
+def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.Dataset]) -> dict[str, Any]:
     region = dataset.isel({ALONG_TRACK: panel.along_track, CROSS_TRACK: panel.cross_track})
     # whatever scale the gain has, the panel takes it out
-    seen = reflectance(region.assign_attrs(absolute_scale="of the panel"))["reflectance"]
+    region = region.assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
     if dataset["wavelength"].chunks is not None:
-        wavelength = wavelength.map_blocks(panel.at, dtype=np.float64)
-        return {"observed": seen.data, "reflectance": wavelength}
-    return {"observed": seen.data, "reflectance": panel.at(wavelength)}
+        expected = wavelength.map_blocks(panel.at, dtype=np.float64)
+    else:
+        expected = panel.at(wavelength)
+    lines = range(dataset.sizes[ALONG_TRACK])[panel.along_track]
+    inputs = {
+        "observed": reflectance(region, tilt=panel.tilt)["reflectance"].data,
+        "ceiling": None,
+        "reflectance": expected,
+        "uncertainty": panel.uncertainty,
+        "lines": (min(lines), max(lines) + 1),
+        "name": f"the panel at lines {min(lines)} to {max(lines)}",
+    }
+    if "counts" in dataset.variables:
+        full = reflectance(region.assign(counts=_highest_counts(region)), tilt=panel.tilt)
+        inputs["ceiling"] = full["reflectance"].data
+    return inputs
+
+
+def _highest_counts(region: xr.Dataset) -> xr.DataArray:
+    """Return the counts of a region as they would be a hair below saturation."""
+    counts = region["counts"]
+    top = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
+    # what is masked sees no light; NaN saturates never
+    fixed = np.isnan(top)
+    if "masked" in region.variables:
+        fixed = fixed | region["masked"]
+    highest = xr.where(fixed, counts, top).transpose(*counts.dims)
+    labelled: xr.DataArray = highest.astype(counts.dtype).assign_attrs(counts.attrs)
+    return labelled
+
+
+def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[str, xr.DataArray]:
+    """Return what a plan says of panels, lazily."""
+    words = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
+    attrs: dict[str, dict[str, Any]] = {"panel_state": {**words, "flag_meanings": " ".join(PANEL_STATES)}}
+    variables = {}
+    for name in (*CLOSURE, "panel_scale_u"):
+        row = VARIABLES[name]
+        shape = tuple({PANEL: panels, BAND: bands, ALONG_TRACK: lines}[dim] for dim in row.dims)
+        part = dask.delayed(slabs.of_panels, pure=True)(plan, name.removeprefix("panel_"))
+        array = xr.DataArray(da.from_delayed(part, shape, np.dtype(row.dtype)), dims=row.dims)
+        variables[name] = label(array, name, **attrs.get(name, {}))
+    return variables

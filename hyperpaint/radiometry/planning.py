@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
-from .panel_closure import panel_scale
+from .panel_judging import RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
+from .panel_scale import panel_correction, usable_panels
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
-from .tilted_light import tilt_factors
+from .tilted_light import direct_share, tilt_factors
 from .uncertainty.propagation import error_terms
 
 __all__ = ["darks_of_lines", "make_plan"]
@@ -94,13 +95,21 @@ def make_plan(
     if light is not None and time is not None:
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
         line_flags |= neighbours.flags
+    scale, on_panels = np.ones(bands), _NO_PANELS
+    if panel is not None:
+        scale, on_panels = _panel_scale(panel, cube, light, good, lines)
+        if uncertain is not None and on_panels.u is not None:
+            uncertain = {**uncertain, "panel_u": float(np.nanmax(on_panels.u))}
     return Plan(
         dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
         dark_index=dark_index,
         dark_weight=dark_weight,
         gain=gain,
         rate=np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure),
-        scale=np.ones(bands) if panel is None else panel_scale(panel),
+        scale=scale,
+        closure=on_panels.closure,
+        panel_weights=on_panels.weights,
+        panel_u=on_panels.u,
         series=series,
         lines=neighbours,
         misfit=misfit,
@@ -345,3 +354,72 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
     return np.stack(
         [spectra[:, used & (interval == i)].sum(axis=1) for i in np.unique(interval[used])], axis=1
     )
+
+
+class _OnPanels(NamedTuple):
+    """What a plan holds of panels, beside their scale."""
+
+    closure: PanelClosure | None = None
+    weights: Floats | None = None
+    u: Floats | None = None
+
+
+_NO_PANELS = _OnPanels()
+
+
+def _panel_scale(
+    given: Mapping[str, Any],
+    cube: Mapping[str, Any],
+    light: Mapping[str, Any] | None,
+    good: Array,
+    lines: int,
+) -> tuple[Floats, _OnPanels]:
+    """Return the scale by panels, as a `Plan` has it; ``given`` is that of `hyperpaint.radiometry.panels`."""
+    time = np.asarray(cube["time"]).astype("datetime64[ns]")
+    panels = [{**panel, **_at_panel(panel, cube, light, time)} for panel in given["panels"]]
+    closure = judge_panels(tuple(panels), _panel_context(given, cube, light, good))
+    if not given["refuses"]:
+        return np.ones(good.size), _OnPanels(closure, u=np.full(lines, np.nan))
+    places = usable_panels(closure)
+    own = max(float(panels[place]["uncertainty"]) for place in places)
+    if places.size == 1:
+        noise = float(np.nanmedian(closure.mean_u[places[0]]))
+        return closure.scale[places[0]], _OnPanels(closure, u=np.full(lines, np.hypot(own, noise)))
+    scale, weights, u = panel_correction(closure.at(places), time)
+    return scale, _OnPanels(closure, weights, np.hypot(own, u))
+
+
+def _at_panel(
+    panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
+) -> dict[str, Any]:
+    """Return when a panel was seen, and by how much of itself its light changes with the direct one."""
+    stamps = time[slice(*panel["lines"])]
+    stamps = stamps[~np.isnat(stamps)]
+    if not stamps.size:
+        raise TimeError(f"{panel['name']}: its lines have no time")
+    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
+    share = None
+    if light is not None and {"latitude", "longitude"} <= set(cube):
+        places = [np.asarray(cube[name], np.float64) for name in ("latitude", "longitude")]
+        if all(np.isfinite(degrees).any() for degrees in places):
+            place = (float(np.nanmean(places[0])), float(np.nanmean(places[1])))
+            share = direct_share(
+                {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), place
+            )
+    return {"time": middle, "direct_share": share}
+
+
+def _panel_context(
+    given: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, good: Array
+) -> PanelContext:
+    wavelength = np.asarray(cube["wavelength"], np.float64)
+    stated = {name: np.asarray(value, np.float64) for name, value in given["stated"].items()}
+    gain = stated.get("radiance_gain_u_systematic", np.asarray(PANEL_RULES.gain_u))
+    gain = np.nanmean(gain, axis=1) if gain.ndim == 2 else gain
+    record = stated.get("irradiance_u_systematic", np.asarray(PANEL_RULES.irradiance_u))
+    if record.ndim and light is not None:
+        channels = np.asarray(light["irradiance_wavelength"], np.float64)
+        order = np.argsort(channels, kind="stable")
+        record = np.interp(wavelength, channels[order], record[order])
+    u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
+    return PanelContext(wavelength, good, u, given["has_scale"])

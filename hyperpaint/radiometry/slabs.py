@@ -18,6 +18,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
@@ -32,8 +33,12 @@ from hyperpaint.kernels.arguments import (
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
+from .panel_judging import PanelClosure
+from .panel_scale import scale_of_lines
+
 __all__ = [
-    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "run_slab", "small",
+    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "of_panels", "run_slab",
+    "small",
 ]  # fmt: skip
 
 
@@ -50,7 +55,8 @@ class Plan:
     gain: Array
     #: (line,) float64: inverse exposure time [s-1]; 1 for a radiance cube, NaN for a line without data
     rate: Floats
-    scale: Floats  #: (band,) float64: factor of a known panel in the scene; 1 without
+    #: (band,) float64: factor of a known panel in the scene, 1 without; of several (panel, band), logarithms
+    scale: Floats
     #: (time, band, cell, 1 or 4) float64, or None: matched irradiance [W m-2 nm-1], as cubics over the smile;
     #: None for radiance
     series: Floats | None
@@ -73,11 +79,18 @@ class Plan:
     starts: Array  #: (slab,): first line of every slab
     detector: DetectorModel  #: What is undone of what the detector does to counts
     error_terms: ErrorTerms | None = None  #: None where uncertainties were not asked for
+    closure: PanelClosure | None = None  #: What panels measure; None without
+    panel_weights: Floats | None = None  #: (line, panel) of several panels; None else
+    #: (line,) relative standard uncertainty of the scale that panels give; None without
+    panel_u: Floats | None = None
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
         rate = self.rate[start:stop, None, None, None]
-        scale = self.scale[None, :, None, None]
+        if self.panel_weights is None:
+            scale = self.scale[None, :, None, None]
+        else:
+            scale = scale_of_lines(self.scale, self.panel_weights[start:stop])[:, :, None, None]
         if self.series is None or self.lines is None:
             return np.ascontiguousarray(rate * scale, np.float32)
         before, after = self.lines.before[start:stop], self.lines.after[start:stop]
@@ -156,6 +169,15 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
 def light_of_lines(plan: Plan, name: str) -> Array:
     """Return ``age`` or ``sensitivity`` of the `LineLight` of every line (line,); NaN without light."""
     return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else getattr(plan.lines, name)
+
+
+def of_panels(plan: Plan, name: str) -> Array:
+    """Return a part of what panels measure, or ``scale_u`` (line,), as the table of variables has it."""
+    if plan.closure is None or plan.panel_u is None:
+        raise SchemaError("no panel was given", expected="panel=")
+    names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
+    array: Array = names[name] if name in names else getattr(plan.closure, name)
+    return array.astype(np.float32) if array.dtype == np.float64 else array
 
 
 def calibrated(

@@ -13,11 +13,17 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
-from hyperpaint.light.illumination import Tilt
+from hyperpaint.light.illumination import MAX_SUN_ZENITH_DEG, Tilt
+from hyperpaint.light.sky_functions import sunward_gain
+from hyperpaint.light.sun import solar_position
 
-__all__ = ["tilt_factors"]
+__all__ = ["direct_share", "tilt_factors"]
 
 _CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
+
+
+_AROUND_PANEL = np.timedelta64(120, "s")
+"""How far from a panel samples may be that tell its sky: what changes over a minute is part of it."""
 
 
 def tilt_factors(
@@ -61,6 +67,35 @@ def tilt_factors(
         sky = "clear" if state[at] == _HAZY else "uniform"
         factors[at] = under(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
     return factors
+
+
+def direct_share(
+    light: Mapping[str, Any], moment: np.datetime64, wavelength: Floats, place: tuple[float, float]
+) -> Floats | None:
+    """Return by how much of itself the light on a panel changes with the direct part of it (sky, band) [1].
+
+    1 - f of a diffuse part f that comes from all sides; under a clear sky also where its bright side goes
+    along with the sun. None where nothing tells the split. The arguments are those of `tilt_factors`.
+    """
+    stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+    away = np.abs(stamps - moment)
+    near = np.flatnonzero(away <= max(_AROUND_PANEL, away.min()))
+    some = {**light, "irradiance": np.asarray(light["irradiance"])[near], "irradiance_time": stamps[near]}
+    if "diffuse_fraction" in light and len(np.atleast_2d(light["diffuse_fraction"])) == stamps.size:
+        some |= {
+            name: np.asarray(light[name])[near] for name in ("diffuse_fraction", "sky_state") if name in light
+        }
+    fraction, state = _split(some, stamps[near], wavelength, place)
+    if fraction is None:
+        return None
+    at = int(away[near].argmin())
+    zenith = float(solar_position(np.array([moment]), *place)[0][0])
+    if zenith >= MAX_SUN_ZENITH_DEG:
+        return None
+    shares = [1.0 - fraction[at]]
+    if state[at] in (_CLEAR, _HAZY, _CONTRADICTORY):
+        shares.append(shares[0] + fraction[at] * sunward_gain(wavelength, zenith))
+    return np.stack(shares)
 
 
 def _split(

@@ -294,6 +294,7 @@ def test_an_anchor_wants_a_dark_of_its_exposure(relative: tuple[xr.Dataset, xr.D
     assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-4
 
 
+@pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
     with pytest.raises(SchemaError, match="needs an absolute scale"):
         quantum_efficiency(relative[1], 20.0)

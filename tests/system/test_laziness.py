@@ -102,6 +102,7 @@ def test_rounding_keeps_the_bits_that_were_asked_for() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
+@pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no_compute: Any) -> None:
     line = stored(hard_line, tmp_path / "line.zarr")
     assert line.time.chunks is not None  # non-index coordinates are lazy too
@@ -156,6 +157,7 @@ def test_graph_of_a_long_line_computes_nothing(no_compute: Any) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
+@pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 def test_inputs_are_never_changed(hard_line: xr.Dataset) -> None:
     before = hard_line.copy(deep=True)
     reflectance(hard_line, tilt=(2.0, 10.0), panel=Panel(slice(0, 4), slice(0, 3), 0.4)).compute()

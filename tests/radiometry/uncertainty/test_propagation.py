@@ -184,6 +184,7 @@ def test_masks_survive() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
+@pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 @pytest.mark.parametrize("smile", [None, SHIFT, np.broadcast_to(SHIFT, (12, 6)) + 0.1])
 @pytest.mark.parametrize(
     "options",
@@ -207,7 +208,7 @@ def test_reflectance_is_the_same_bit_for_bit(smile: Any, options: dict[str, Any]
 
 def test_a_panel_takes_the_place_of_what_all_elements_share() -> None:
     known = {"radiance_gain_u_systematic": 0.05, "irradiance_u_systematic": 0.04}
-    line = with_noise(flight().line, radiance_gain_u_random=np.full((12, 6), 0.003), **known)
+    line = with_noise(flight(flat=True).line, radiance_gain_u_random=np.full((12, 6), 0.003), **known)
     panel = Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=0.01)
     for made, relative in (
         (reflectance(line, uncertainty=True), np.sqrt(0.05**2 + 0.04**2 + 0.003**2)),

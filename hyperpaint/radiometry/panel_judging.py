@@ -1,0 +1,390 @@
+r"""What panels measure over what they are expected to, and whether they are what they are taken for.
+
+The factor of a panel is the mean of its pixels' reflectance, through the irradiance record, over its known
+one. Left out of that mean is what is no sunlit panel; where pixels are saturated, the mean is that of a
+normal distribution cut off at each sample's own limit, after the panel's pattern in the bands without any
+has been taken out. A panel that leans gets more or less direct light, by the same share in all bands, and so
+leaves the spectrum of the direct share in its factor. No labels here: arrays of one panel in, numbers out.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import PaintWarning, SchemaError
+
+__all__ = ["PANEL_STATES", "RULES", "PanelClosure", "PanelContext", "PanelRules", "judge_panels"]
+
+
+PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
+"""What is noticed of a panel, in the order of the bits of ``panel_state``."""
+_SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, _REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
+
+
+@dataclass(frozen=True)
+class PanelRules:
+    """From where on a panel is not what it is taken for.
+
+    outlier_sd
+        Robust standard deviations from the median of the pixels, in brightness or colour, from which one
+        shows something else [1]. Of 1000 normal pixels none is beyond 6.
+    least_departure
+        Departure below which a pixel is kept whatever the spread [1]: one in twenty of them moves the mean by
+        a thousandth.
+    noticed_share
+        Share of pixels that are saturated, or show something else, from which on it is said [1].
+    most_saturated
+        Share of saturated pixels up to which a band has a mean [1]: beyond a half, what is seen of the
+        distribution does not hold its middle.
+    least_used
+        Share of pixels that must be panel [1]: with fewer, the median may be what is not.
+    most_error
+        Standard error of the mean of the pixels from which on they are uneven [1].
+    least_lean
+        Change of the light by a panel's attitude from which on it is said [1].
+    lean_significance
+        Standard errors of that change that it must have [1].
+    lean_misfit
+        Residuals of the factor, over the spread that the change gives it, up to which attitude explains its
+        shape [1].
+    least_contrast
+        Difference of the direct share between bands without which attitude leaves no shape [1].
+    gain_u, irradiance_u
+        Relative standard uncertainties where the line states none [1]: of a lamp calibration a year old, and
+        of a calibrated field spectrometer with a cosine receptor.
+    coverage
+        Standard uncertainties that a factor may be from 1 [1].
+    off_bands
+        Share of bands beyond that, from which on it is said [1].
+    repeatability
+        Relative standard uncertainty of a panel that is laid out again [1]: half a degree from level changes
+        direct light by 0.5 % with the sun at 30 degrees.
+    """
+
+    outlier_sd: float = 6.0
+    least_departure: float = 0.02
+    noticed_share: float = 0.01
+    most_saturated: float = 0.5
+    least_used: float = 0.5
+    most_error: float = 0.01
+    least_lean: float = 0.01
+    lean_significance: float = 5.0
+    lean_misfit: float = 0.3
+    least_contrast: float = 0.08
+    gain_u: float = 0.03
+    irradiance_u: float = 0.05
+    coverage: float = 2.0
+    off_bands: float = 0.1
+    repeatability: float = 0.005
+
+
+RULES = PanelRules()
+
+
+class PanelContext(NamedTuple):
+    """What a line says that its panels are judged by."""
+
+    wavelength: Floats  # (band,) [nm]
+    good: NDArray[np.bool_]  # (band,)
+    u: Floats  # (band,) relative standard uncertainty of gain and irradiance together [1]
+    has_scale: bool  # Whether the gain is absolute
+
+
+class PanelClosure(NamedTuple):
+    """Panels one below the other: (panel, band), but for ``state`` and ``time`` (panel,)."""
+
+    scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
+    factor: Floats  # Measured over expected [1]
+    u: Floats  # Its standard uncertainty, all that is known or assumed [1]
+    mean_u: Floats  # That of the panel's mean alone, relative [1]
+    used: Floats  # Share of the pixels that went in [1]
+    state: NDArray[np.uint8]
+    time: NDArray[np.datetime64]
+    reasons: tuple[str, ...]  # Why a panel is refused; empty where it is not
+
+    def at(self, places: NDArray[np.int64]) -> PanelClosure:
+        """Return some of the panels."""
+        scale, factor, u, mean_u, used = (each[places] for each in self[:5])
+        reasons = tuple(self.reasons[place] for place in places)
+        return PanelClosure(scale, factor, u, mean_u, used, self.state[places], self.time[places], reasons)
+
+
+class _Part(NamedTuple):
+    """One panel's row of a `PanelClosure`, with all that is to be said of it."""
+
+    scale: Floats
+    factor: Floats
+    u: Floats
+    mean_u: Floats
+    used: Floats
+    state: int
+    notes: tuple[str, ...]
+    reason: str
+
+
+def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:
+    """Return what panels measure over what they are expected to.
+
+    Each has ``observed`` and ``ceiling`` (line, band, column), the reflectance through irradiance and that
+    from which samples are saturated, or None; ``reflectance`` (band,), ``uncertainty``, ``name``, ``time``
+    and ``direct_share`` (sky, band), by how much of itself its light changes with the direct one under some
+    skies, or None.
+
+    Warns PaintWarning: A panel is not what it is taken for; one warning a panel.
+    """
+    parts = []
+    for panel in panels:
+        part = _judge(panel, context)
+        if part.notes:
+            warnings.warn(f"{panel['name']}: {'; '.join(part.notes)}", PaintWarning, stacklevel=2)
+        parts.append(part)
+    return PanelClosure(
+        np.array([part.scale for part in parts]),
+        np.array([part.factor for part in parts]),
+        np.array([part.u for part in parts]),
+        np.array([part.mean_u for part in parts]),
+        np.array([part.used for part in parts]),
+        np.array([part.state for part in parts], np.uint8),
+        np.array([panel["time"] for panel in panels], "datetime64[ns]"),
+        tuple(part.reason for part in parts),
+    )
+
+
+def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
+    observed = np.asarray(panel["observed"], np.float64)
+    expected = np.asarray(panel["reflectance"], np.float64)
+    valid = np.isfinite(observed)
+    if not valid.any():
+        raise SchemaError(
+            f"{panel['name']}'s region holds no valid pixel; it is saturated, in a gap, or outside the line"
+        )
+    ceiling = panel["ceiling"]
+    if ceiling is None:  # of radiance nothing says what is saturated: the brightest sample does
+        top = np.where(valid, observed, -np.inf).max(axis=(0, 2))
+        ceiling = np.broadcast_to(top[None, :, None], observed.shape)
+    ceiling = np.asarray(ceiling, np.float64)
+    saturated = ~valid & np.isfinite(ceiling)
+    notes: list[str] = []
+    reasons: list[str] = []
+    state = 0
+    clean = ~saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
+    clean &= context.good & (np.nan_to_num(expected) > 0.0)
+    brightness, foreign = _pixels(observed, clean)
+    share = float(foreign.mean())
+    if share >= RULES.noticed_share:
+        state |= _OTHER
+        notes.append(f"{100 * share:.1f} % of its pixels are shaded or show something else, and are left out")
+        if 1.0 - share < RULES.least_used:
+            reasons.append("more than half of its region shows something else")
+        wider = _dilated(foreign)
+        foreign = wider if 1.0 - wider.mean() >= RULES.least_used else foreign
+    kept = ~foreign[:, None, :]
+    number, total, error, full = _means(
+        observed, ceiling, saturated, kept, brightness if clean.sum() >= 3 else None
+    )
+    lit = kept & context.good[:, None]
+    share = float((saturated & lit).any(axis=1).sum() / max(kept[:, 0].sum(), 1))
+    if share >= RULES.noticed_share:
+        state |= _SATURATED
+        lost = np.isnan(total) & (full > 0)
+        what = f", and {lost.sum()} bands are refused" if lost.any() else ""
+        notes.append(f"{100 * share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{what}")
+        if lost[context.good].all():
+            reasons.append("more than half of its pixels are saturated in every band")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = expected * number / total
+        factor, mean_u = 1.0 / scale, error * number / total
+    usual = mean_u[context.good & np.isfinite(mean_u)]
+    if usual.size and np.median(usual) > RULES.most_error:
+        state |= _UNEVEN
+        notes.append(f"its pixels differ so much that their mean is good to {100 * np.median(usual):.1f} %")
+    u = factor * np.sqrt(context.u**2 + panel["uncertainty"] ** 2 + mean_u**2)
+    change, level = _change_by_attitude(factor, panel["direct_share"], context)
+    if change:
+        state |= _LEANING
+        notes.append(
+            f"its factor has the spectrum of a panel that leans, {100 * change:+.1f} % of light by the sun"
+        )
+        closes = not context.has_scale or abs(level - 1.0) <= RULES.coverage * np.nanmedian(u)
+        if closes and abs(change) > max(RULES.least_lean, RULES.coverage * panel["uncertainty"]):
+            reasons.append(
+                f"it leans, or stands in a shadow or reflections: {100 * change:+.1f} % of light by the sun"
+            )
+    with np.errstate(invalid="ignore"):
+        off = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
+    if context.has_scale and off.size and off.mean() >= RULES.off_bands:
+        state |= _OFF_LEVEL
+        low, middle, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
+        notes.append(
+            f"it measures {low:.3f} to {high:.3f} (median {middle:.3f}) of what irradiance lets expect, with "
+            f"a combined standard uncertainty of {np.nanmedian(u):.3f}"
+        )
+    state |= _REFUSED if reasons else 0
+    used = 1.0 - (foreign[:, None, :] | ~valid).mean(axis=(0, 2))
+    return _Part(scale, factor, u, mean_u, used, state, tuple(notes), "; ".join(reasons))
+
+
+def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the relative brightness of pixels (line, column), and which show something else than the rest.
+
+    From the ``clean`` bands, or from all where there are few; NaN and false where a pixel has no such sample.
+    """
+    cube = np.moveaxis(observed, 1, 2)[..., clean if clean.sum() >= 3 else np.isfinite(observed).any((0, 2))]
+    there = np.isfinite(cube)
+    usual = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
+
+    def level(bands: Any) -> Floats:
+        weight = np.where(there[..., bands], usual[bands], 0.0).sum(axis=-1)
+        light = np.where(there[..., bands], cube[..., bands], 0.0).sum(axis=-1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(light / weight)
+
+    brightness = level(slice(None))
+    parts = [part for part in np.array_split(np.arange(usual.size), min(4, usual.size)) if part.size]
+    foreign = _outlying(brightness)
+    for part in parts:
+        foreign |= _outlying(level(part) / brightness)
+    return brightness, foreign
+
+
+def _outlying(values: Floats) -> NDArray[np.bool_]:
+    """Return which values are further from their median, relative, than the rest lets expect."""
+    there = values[np.isfinite(values)]
+    if there.size < 3:
+        return np.zeros(values.shape, bool)
+    middle = np.median(there)
+    # of few values the median deviation may be small by chance
+    spread = 1.4826 * np.median(np.abs(there - middle)) * (1.0 + 5.0 / there.size)
+    limit = max(RULES.outlier_sd * spread, RULES.least_departure * abs(middle))
+    return np.asarray(np.nan_to_num(np.abs(values - middle)) > limit)
+
+
+def _dilated(foreign: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return pixels and their eight neighbours: what an outlier spills over is less than an outlier."""
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(foreign, np.ones((3, 3), bool)))
+
+
+def _means(
+    observed: Floats,
+    ceiling: Floats,
+    saturated: NDArray[np.bool_],
+    kept: NDArray[np.bool_],
+    brightness: Floats | None,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return number and sum of the kept pixels, the mean's error, and the share that is saturated (band,).
+
+    ``brightness`` (line, column): pattern of the panel, where other bands tell it.
+    """
+    valid = np.isfinite(observed) & kept
+    number = valid.sum(axis=(0, 2))
+    counted = number + (saturated & kept).sum(axis=(0, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        full = np.where(counted > 0, 1.0 - number / np.maximum(counted, 1), 0.0)
+        total = np.where(valid, observed, 0.0).sum(axis=(0, 2))
+        mean = total / number
+        squares = (np.where(valid, observed - mean[None, :, None], 0.0) ** 2).sum(axis=(0, 2))
+        error = np.sqrt(squares / np.maximum(number - 1, 1) / number)
+    total[full > RULES.most_saturated] = np.nan
+    cut = np.flatnonzero((full > 0.0) & (full <= RULES.most_saturated))
+    if not cut.size:
+        return number, total, error, full
+    pattern = np.ones(observed[:, 0].shape) if brightness is None else brightness / _mean(brightness, kept)
+    pixels = kept[:, 0, :] & np.isfinite(pattern)
+    weight = pattern[pixels][:, None]
+    values = np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight
+    limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
+    mean[cut], spread = _censored_mean(values, limits)
+    total[cut] = mean[cut] * number[cut]
+    error[cut] = spread / np.sqrt(number[cut])
+    return number, total, error, full
+
+
+def _mean(brightness: Floats, kept: NDArray[np.bool_]) -> float:
+    return float(np.nanmean(brightness[kept[:, 0, :]]))
+
+
+def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
+    """Return mean and standard deviation of normal samples (pixel, band), some of which are beyond limits.
+
+    By expectation and maximisation. ``values`` are NaN there, and ``limits`` NaN elsewhere; where both are, a
+    sample is missing.
+    """
+    from scipy.special import log_ndtr
+
+    beyond = np.isfinite(limits)
+    there = np.isfinite(values) | beyond
+    seen, number = np.where(np.isfinite(values), values, 0.0), there.sum(axis=0)
+    mean, spread = np.nanmean(values, axis=0), np.nanstd(values, axis=0)
+    least = 1e-6 * np.abs(mean)
+    for _ in range(300):
+        spread = np.maximum(spread, least)
+        z = np.where(beyond, (limits - mean) / spread, 0.0)
+        # phi(z) / Q(z), without underflow
+        hazard = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-z))
+        guess = np.where(beyond, mean + spread * hazard, seen)
+        variance = np.where(beyond, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
+        before, mean = mean, np.where(there, guess, 0.0).sum(axis=0) / number
+        square = np.where(there, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number
+        spread = np.sqrt(square)
+        if (np.abs(mean - before) <= 1e-7 * np.abs(mean)).all():
+            break
+    return mean, spread
+
+
+def _change_by_attitude(
+    factor: Floats, direct_share: Floats | None, context: PanelContext
+) -> tuple[float, float]:
+    r"""Return the change of a panel's light that only an attitude gives it, 0 without, and its level [1].
+
+    .. math:: F = k (1 + a w)
+
+    fitted to medians of neighbouring bands, with :math:`w` the direct share of the sky that fits best.
+    """
+    best = None
+    for share in () if direct_share is None else direct_share:
+        usable = context.good & np.isfinite(factor) & np.isfinite(share)
+        places = np.flatnonzero(usable)[np.argsort(context.wavelength[usable], kind="stable")]
+        if places.size < 5 or np.ptp(share[places]) < RULES.least_contrast:
+            continue
+        groups = np.array_split(places, min(16, places.size))
+        design, shape = (np.array([np.median(each[group]) for group in groups]) for each in (share, factor))
+        fit = _Line.through(design, shape)
+        best = fit if best is None or fit.rest < best.rest else best
+    if best is None:
+        return 0.0, 1.0
+    change = best.slope / best.level * best.middle
+    is_lean = (
+        abs(change) >= RULES.least_lean
+        and abs(best.slope) >= RULES.lean_significance * best.slope_u
+        and best.rest <= RULES.lean_misfit * abs(best.slope) * best.spread
+    )
+    return (change if is_lean else 0.0), best.level
+
+
+class _Line(NamedTuple):
+    """A straight line through points."""
+
+    level: float
+    slope: float
+    slope_u: float
+    rest: float  # Standard deviation of the residuals
+    middle: float  # Median and standard deviation of the places
+    spread: float
+
+    @classmethod
+    def through(cls, places: Floats, values: Floats) -> _Line:
+        spread = float(places.std())
+        slope = float(np.mean((places - places.mean()) * (values - values.mean()))) / spread**2
+        level = float(values.mean() - slope * places.mean())
+        rest = float(np.sqrt(((values - level - slope * places) ** 2).sum() / (places.size - 2)))
+        slope_u = rest / (spread * float(np.sqrt(places.size)))
+        return cls(level, slope, slope_u, rest, float(np.median(places)), spread)

@@ -1,0 +1,84 @@
+"""From panels at some times of a line to the scale of all its lines."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import PaintWarning, SchemaError
+
+from .panel_judging import RULES, PanelClosure
+
+__all__ = ["panel_correction", "scale_of_lines", "usable_panels"]
+
+
+def usable_panels(closure: PanelClosure) -> Array:
+    """Return the places of panels that are not refused.
+
+    Raises SchemaError: All are. Warns PaintWarning: Some are, and are left out.
+    """
+    refused = [reason for reason in closure.reasons if reason]
+    if len(refused) == len(closure.reasons):
+        raise SchemaError(
+            f"the panel is refused: {'; '.join(dict.fromkeys(refused))}",
+            mend="see hyperpaint.radiometry.panel_closure; outline another part of it, name its attitude, "
+            "Panel(..., tilt=(angle, azimuth)), or how far it may be off, Panel(..., uncertainty=0.05), or "
+            "do without panel=",
+        )
+    if refused:
+        text = f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}"
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    return np.flatnonzero([not reason for reason in closure.reasons])
+
+
+def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats, Floats]:
+    r"""Return logarithms of panels' scales (panel, band), their weights (line, panel), and what is left.
+
+    Last is the relative standard uncertainty of the level of every line (line,) [1], without that of the
+    panels' own reflectance. All panels of ``closure`` count; ``time`` is UTC of the lines, NaT for unknown.
+
+    Ordinary kriging: the record's error is taken for a random walk of variance q a second, seen by panels
+    with an error each. Between two panels the weights go linearly in time where they differ by more than
+    their errors, and the mean counts where they do not; before the first and after the last that one is held.
+
+    .. math:: q = \frac{\sum_j \left[(\Delta_j \ln F)^2 - u_j^2 - u_{j+1}^2\right]_+}{\sum_j \Delta_j t}
+    """
+    scale = _filled(np.log(closure.scale))
+    error = np.hypot(np.nanmedian(closure.mean_u, axis=1), RULES.repeatability)
+    ticks = (closure.time - closure.time[0]) / np.timedelta64(1, "s")
+    order = np.argsort(ticks, kind="stable")
+    steps = np.nanmedian(np.abs(np.diff(scale[order], axis=0)), axis=1) ** 2
+    span = float(np.ptp(ticks))
+    excess = np.maximum(steps - error[order][1:] ** 2 - error[order][:-1] ** 2, 0.0)
+    walk = float(excess.sum()) / span if span > 0.0 else 0.0
+    number = len(ticks)
+    system = np.ones((number + 1, number + 1))
+    system[:-1, :-1] = -0.5 * walk * np.abs(ticks[:, None] - ticks) + np.diag(error**2)
+    system[-1, -1] = 0.0
+    known = ~np.isnat(time)
+    at = np.where(known, time - closure.time[0], np.timedelta64(0, "ns")) / np.timedelta64(1, "s")
+    right = np.ones((number + 1, at.size))
+    right[:-1] = -0.5 * walk * np.abs(at - ticks[:, None])
+    solved = np.linalg.inv(system) @ right
+    variance = -(solved * right).sum(axis=0)
+    return scale, np.ascontiguousarray(solved[:-1].T), np.sqrt(np.maximum(variance, 0.0))
+
+
+def _filled(scale: Floats) -> Floats:
+    """Return scales (panel, band), those of a panel's refused bands from the others, at its own level."""
+    there = np.isfinite(scale)
+    number = there.sum(axis=0)
+    usual = np.where(number > 0, np.where(there, scale, 0.0).sum(axis=0) / np.maximum(number, 1), np.nan)
+    level = np.nanmedian(scale - usual, axis=1)
+    return np.where(there, scale, usual + level[:, None])
+
+
+def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
+    """Return the scale of lines (line, band) from logarithms of panels' scales and weights of the lines."""
+    # panel by panel, so that no bit depends on how lines are grouped
+    total = np.zeros((len(weights), scale.shape[1]))
+    for own, weight in zip(scale, weights.T, strict=True):
+        total += weight[:, None] * own
+    return np.exp(total)
