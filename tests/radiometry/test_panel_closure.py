@@ -1,0 +1,180 @@
+"""Panels that are not what they are taken for; the truth is the simulator's, with faults laid by hand."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from support.laid_panels import Laid, flown_over
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.radiometry import panel_closure
+from hyperpaint.radiometry.panel_judging import PANEL_STATES
+
+SEED = 7301
+
+
+def closure_of(laid: Laid, **effects: Any) -> Any:
+    """Return the closure, what was noticed, and what was said."""
+    line = flown_over(laid, seed=effects.pop("seed", SEED), **effects)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        closure = panel_closure(line, laid.panel).compute()
+    state = int(closure.panel_state.values[0])
+    names = {name for bit, name in enumerate(PANEL_STATES) if state >> bit & 1}
+    return closure, names, " ".join(str(each.message) for each in said)
+
+
+def bias(laid: Laid, right: Laid, **effects: Any) -> float:
+    """Return the largest departure of a panel's factor from that of one without its fault, each its own."""
+    factors = []
+    for each, own in ((laid, effects), (right, {k: v for k, v in effects.items() if k != "saturated"})):
+        is_panel = ~(each.first(each.shaded) | each.first(each.asphalt))
+        factors.append(closure_of(each, **own)[0].panel_factor.values[0] / each.pattern[is_panel].mean())
+    return float(np.abs(factors[0] / factors[1] - 1.0).max())
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(2), *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 20))]
+)
+def test_right_panels_raise_no_alarm(seed: int) -> None:
+    rng = np.random.default_rng([SEED, seed])
+    size = int(rng.choice([5, 8, 14, 20]))
+    grey, texture = float(rng.choice([0.1, 0.5, 0.8])), float(rng.choice([0.0, 0.01, 0.02]))
+    laid = Laid((6, 6 + size), (4, 4 + size), seed, reflectance=grey, texture=texture)
+    sun = float(rng.uniform(25.0, 65.0))
+    closure, names, said = closure_of(laid, seed=seed + SEED, sun_zenith=sun, irradiance_noise=0.002)
+    assert (names, said) == (set(), "")
+    assert (closure.panel_used == 1.0).all()
+    np.testing.assert_allclose(np.median(closure.panel_factor) / laid.pattern.mean(), 1.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.15])
+@pytest.mark.parametrize("share", [0.02, 0.2, 0.4])
+def test_a_partly_saturated_panel_is_noticed_and_right(share: float, slope: float) -> None:
+    laid = Laid(slope=slope)
+    _, names, said = closure_of(laid, saturated=share)
+    assert names == {"saturated"}
+    assert "% of its pixels are saturated, in" in said
+    assert bias(laid, laid, saturated=share) < 2e-3
+
+
+def test_a_band_that_is_mostly_saturated_is_refused() -> None:
+    laid = Laid()
+    closure, names, said = closure_of(laid, saturated=0.95)
+    assert names == {"saturated"}
+    lost = np.isnan(closure.panel_factor.values[0])
+    assert 0 < lost.sum() < lost.size / 2
+    assert f"and {lost.sum()} bands are refused" in said
+    line = flown_over(laid, seed=SEED, saturated=0.95)
+    with pytest.warns(PaintWarning, match="bands are refused"):
+        scaled = hp.reflectance(line, panel=laid.panel).reflectance.values
+    assert np.isnan(scaled[:, lost]).all()
+
+
+@pytest.mark.parametrize("fault", [{"shaded": 0.05}, {"shaded": 0.01}, {"shaded": 0.4}, {"asphalt": 0.05}])
+def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]) -> None:
+    laid = Laid(**fault)
+    _, names, said = closure_of(laid)
+    assert names == {"partly_other"}
+    assert "are shaded or show something else" in said
+    assert bias(laid, Laid()) < 2e-3
+
+
+@pytest.mark.parametrize("towards", [178.0, 358.0, 223.0])
+@pytest.mark.parametrize("sun_zenith", [25.0, 50.0])
+def test_a_panel_that_leans_is_refused(sun_zenith: float, towards: float) -> None:
+    laid = Laid(lean=(5.0, towards))
+    closure, names, _ = closure_of(laid, sun_zenith=sun_zenith)
+    assert names == {"leaning", "refused"}
+    assert np.isfinite(closure.panel_factor).all()  # judged, whatever is refused
+    line = flown_over(laid, seed=SEED, sun_zenith=sun_zenith)
+    with pytest.warns(PaintWarning, match="leans"), pytest.raises(SchemaError, match="the panel is refused"):
+        hp.reflectance(line, panel=laid.panel).compute()
+
+
+def test_a_panel_of_a_known_attitude_is_as_good_as_a_level_one() -> None:
+    laid = Laid(lean=(5.0, 178.0))
+    line = flown_over(laid, seed=SEED)
+    panel = hp.Panel(laid.along, laid.across, laid.reflectance, tilt=(5.0, 178.0))
+    factor = panel_closure(line, panel).panel_factor.values[0]
+    level = closure_of(Laid())[0].panel_factor.values[0]
+    np.testing.assert_allclose(factor / level, 1.0, atol=5e-3)  # the simulated sky is even
+
+
+def test_a_panel_may_be_said_to_be_off() -> None:
+    laid = Laid(lean=(5.0, 178.0))
+    line = flown_over(laid, seed=SEED)
+    panel = hp.Panel(laid.along, laid.across, laid.reflectance, uncertainty=0.03)
+    with pytest.warns(PaintWarning, match="leans"):
+        scaled = hp.reflectance(line, panel=panel).compute()
+    assert int(scaled.panel_state[0]) == 1 << PANEL_STATES.index("leaning")
+
+
+def test_a_panel_that_does_not_close_is_applied_and_said() -> None:
+    laid = Laid(level=0.85)
+    line = flown_over(laid, seed=SEED)
+    with pytest.warns(PaintWarning, match=r"\(median 0\.850\) of what irradiance lets expect"):
+        scaled = hp.reflectance(line, panel=laid.panel).compute()
+    own = hp.reflectance(line).reflectance.values
+    expected = own / scaled.panel_factor.values[0][:, None]
+    np.testing.assert_allclose(scaled.reflectance.values, expected, rtol=1e-6)
+    u = scaled.panel_factor_u.values[0] / scaled.panel_factor.values[0]
+    np.testing.assert_allclose(u, np.hypot(0.03, 0.05), rtol=0.01)
+
+
+def test_stated_uncertainties_judge_a_panel() -> None:
+    line = flown_over(Laid(level=0.97), seed=SEED)
+    for name, u in (("radiance_gain_u_systematic", 0.01), ("irradiance_u_systematic", 0.005)):
+        line[name] = ((), np.float32(u), {"units": "1"})
+    with pytest.warns(PaintWarning, match="combined standard uncertainty of 0.011"):
+        panel_closure(line, Laid().panel).compute()
+
+
+def test_pixels_that_differ_are_said_and_count_in_the_uncertainty() -> None:
+    laid = Laid((6, 9), (4, 7), texture=0.08)
+    line = flown_over(laid, seed=SEED)
+    line["read_noise"] = ((), np.float32(2.0), {"units": "count"})
+    line["electrons_per_count"] = ((), np.float32(5.0), {"units": "electron count-1"})
+    with pytest.warns(PaintWarning, match="its pixels differ so much"):
+        scaled = hp.reflectance(line, panel=laid.panel, uncertainty=True).compute()
+    assert 0.01 < float(scaled.panel_scale_u[0]) < 0.05
+    relative = scaled.reflectance_u_systematic / scaled.reflectance
+    assert float(relative.median()) >= float(scaled.panel_scale_u[0]) * 0.999
+
+
+def test_bad_elements_are_not_taken_for_saturated() -> None:
+    line = flight(flat=True).line
+    line["radiance_gain"].values[2, 2] = np.nan
+    scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
+    assert int(scaled.panel_state[0]) == 0
+    np.testing.assert_allclose(scaled.panel_used.values[0, 2], 2 / 3, rtol=1e-6)
+    np.testing.assert_allclose(scaled.panel_factor, 1.0, rtol=1e-5)
+
+
+def test_another_reflectance_forgets_the_panel() -> None:
+    laid = Laid()
+    scaled = hp.reflectance(flown_over(laid, seed=SEED), panel=laid.panel)
+    assert "panel_factor" in scaled
+    assert not [name for name in hp.reflectance(scaled).variables if str(name).startswith("panel_")]
+
+
+def test_what_is_no_panel_is_refused() -> None:
+    line = flight(flat=True).line
+    for wrong in ([], "white", [0.5]):
+        with pytest.raises(SchemaError, match=r"expected hyperpaint\.Panel"):
+            hp.reflectance(line, panel=wrong)
+
+
+def test_of_radiance_the_brightest_samples_are_the_limit() -> None:
+    laid = Laid(slope=0.15)
+    line = flown_over(laid, seed=SEED, saturated=0.2)
+    of_counts = closure_of(laid, saturated=0.2)[0].panel_factor.values
+    radiance = hp.radiance(line).drop_vars("counts").compute()
+    with pytest.warns(PaintWarning, match="saturated"):
+        factor = panel_closure(radiance, laid.panel).panel_factor.values
+    np.testing.assert_allclose(factor, of_counts, rtol=2e-3)
