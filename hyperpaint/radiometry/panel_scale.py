@@ -69,10 +69,16 @@ def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats
 def _filled(scale: Floats) -> Floats:
     """Return scales (panel, band), those of a panel's refused bands from the others, at its own level."""
     there = np.isfinite(scale)
-    number = there.sum(axis=0)
-    usual = np.where(number > 0, np.where(there, scale, 0.0).sum(axis=0) / np.maximum(number, 1), np.nan)
-    level = np.nanmedian(scale - usual, axis=1)
-    return np.where(there, scale, usual + level[:, None])
+    if there.all():
+        return scale
+    number, level = there.sum(axis=0), np.zeros(len(scale))
+    # of a level of each panel and a shape of all, one after the other
+    for _ in range(100):
+        shape = np.where(there, scale - level[:, None], 0.0).sum(axis=0) / np.where(
+            number > 0, number, np.nan
+        )
+        level = np.nanmedian(scale - shape, axis=1)
+    return np.where(there, scale, shape + level[:, None])
 
 
 def scale_of_lines(scale: Floats, weights: Floats) -> Floats:

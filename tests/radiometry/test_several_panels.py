@@ -1,0 +1,137 @@
+"""Several panels along a line correct the level of the irradiance record between them."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.laid_panels import Laid, flown_over
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.radiometry.panel_judging import RULES, PanelClosure
+from hyperpaint.radiometry.panel_scale import panel_correction
+
+SEED = 5521
+PANELS = tuple(Laid((first, first + 14), seed=first) for first in (20, 110, 200))
+LINES = 240
+
+
+@functools.cache
+def flown(drift: float = 0.0) -> xr.Dataset:
+    """Return a line of 12 s whose record rises by ``drift`` too much from its first to its last line."""
+    line = flown_over(
+        *PANELS,
+        seed=SEED,
+        lines=LINES,
+        bands=20,
+        frame_period_ms=50.0,
+        drift_per_minute=0.0,
+        glint=0.0,
+        noise=False,
+    )
+    since = (line.irradiance_time - line.time[0]) / (line.time[-1] - line.time[0])
+    wrong = line.irradiance * (1.0 + drift * since)
+    return line.assign(irradiance=wrong.astype(np.float32).assign_attrs(line.irradiance.attrs))
+
+
+def departure(line: xr.Dataset, **options: object) -> np.ndarray:
+    """Return reflectance over the truth (along_track,), median over bands and columns beside the panels."""
+    scaled = hp.reflectance(line, **options)
+    beside = {"cross_track": slice(24, None), "band": slice(2, 18)}
+    ratio = (scaled.reflectance / line.true_reflectance).isel(beside)
+    return ratio.median(["band", "cross_track"]).values
+
+
+@pytest.mark.parametrize("drift", [0.05, -0.03])
+def test_a_record_that_drifts_is_corrected(drift: float) -> None:
+    line = flown(drift)
+    panels = [each.panel for each in PANELS]
+    assert np.ptp(departure(line)) > 0.9 * abs(drift)
+    scaled = hp.reflectance(line, panel=panels)
+    off = np.abs(departure(line, panel=panels) - 1.0)
+    u = scaled.panel_scale_u.values
+    assert off[20:214].max() < 5e-3  # between the panels
+    assert (off < 2.0 * u + 2e-3).all()  # and as good as it says outside of them
+    assert u[0] > u[27]
+    assert u[-1] > u[207]
+    assert u[70] > u[117]
+    factors = np.median(scaled.panel_factor.values, axis=1)
+    rising = 1.0 / (1.0 + drift * np.array([27, 117, 207]) / (LINES - 1))
+    np.testing.assert_allclose(factors, rising, atol=3e-3)
+
+
+def test_what_only_the_pixels_differ_in_is_averaged() -> None:
+    line = flown()
+    scaled = hp.reflectance(line, panel=[each.panel for each in PANELS])
+    own = hp.reflectance(line)
+    ratio = (scaled.reflectance / own.reflectance).values
+    mean = np.exp(-np.log(scaled.panel_factor.values).mean(axis=0))
+    np.testing.assert_allclose(ratio, np.broadcast_to(mean[:, None], ratio.shape), rtol=1e-5)
+    expected = RULES.repeatability / np.sqrt(3.0)
+    assert expected < float(scaled.panel_scale_u[0]) < 1.1 * expected
+
+
+def test_the_same_bits_whatever_the_chunks() -> None:
+    line, panels = flown(0.05), [each.panel for each in PANELS]
+    whole = hp.reflectance(line.chunk(along_track=-1), panel=panels).reflectance.values
+    for chunks in (1, 7, (100, 3, 137)):
+        parts = hp.reflectance(line.chunk(along_track=chunks), panel=panels)
+        assert parts.reflectance.values.tobytes() == whole.tobytes()
+
+
+def test_the_level_enters_the_uncertainty() -> None:
+    line = flown(0.05).assign(
+        read_noise=((), np.float32(2.0), {"units": "count"}),
+        electrons_per_count=((), np.float32(5.0), {"units": "electron count-1"}),
+    )
+    panels = [hp.Panel(each.along, each.across, each.reflectance, uncertainty=0.01) for each in PANELS]
+    scaled = hp.reflectance(line, panel=panels, uncertainty=True)
+    relative = (scaled.reflectance_u_systematic / scaled.reflectance).values
+    np.testing.assert_allclose(relative, float(scaled.panel_scale_u.max()), rtol=1e-4)
+    assert float(scaled.panel_scale_u.min()) > 0.01
+
+
+def test_a_panel_that_is_refused_is_left_out() -> None:
+    leaning = Laid((200, 214), lean=(5.0, 178.0))
+    line = flown_over(*PANELS[:2], leaning, seed=SEED, lines=LINES, frame_period_ms=50.0)
+    panels = [each.panel for each in (*PANELS[:2], leaning)]
+    refused = pytest.warns(PaintWarning, match="1 of 3 panels are refused and left out")
+    with pytest.warns(PaintWarning, match="leans"), refused:
+        scaled = hp.reflectance(line, panel=panels).compute()
+    with pytest.warns(PaintWarning, match="leans"):
+        np.testing.assert_array_equal(
+            scaled.panel_state, hp.radiometry.panel_closure(line, panels).panel_state
+        )
+    two = hp.reflectance(line, panel=panels[:2])
+    np.testing.assert_array_equal(scaled.reflectance, two.reflectance)
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="refused: it leans"):
+        hp.reflectance(line, panel=[panels[2], panels[2]]).compute()
+
+
+def closure(factor: np.ndarray, seconds: tuple[float, ...], mean_u: float = 1e-4) -> PanelClosure:
+    start = np.datetime64("2024-06-21T12:00:00", "ns")
+    time = start + (np.array(seconds) * 1e9).astype("timedelta64[ns]")
+    small = np.full(factor.shape, mean_u)
+    states = np.zeros(len(factor), np.uint8)
+    return PanelClosure(1.0 / factor, factor, small, small, small, states, time, ("",) * len(factor))
+
+
+def test_weights_of_panels_that_differ_go_linearly_in_time() -> None:
+    given = closure(np.array([[1.0, 1.0], [1.3, 1.3]]), (0.0, 100.0))
+    at = given.time[0] + np.array([-50, 0, 25, 100, 200], "timedelta64[s]")
+    scale, weights, u = panel_correction(given, at)
+    np.testing.assert_allclose(weights[:, 1], [0.0, 0.0, 0.25, 1.0, 1.0], atol=2e-3)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(scale, -np.log(given.factor))
+    # a random walk of (ln 1.3)^2 in 100 s: half of it after 50 s alone, a bridge of it at a quarter
+    walk = np.log(1.3) ** 2 / 100.0
+    np.testing.assert_allclose(u[[0, 2, 4]], np.sqrt(walk * np.array([50.0, 18.75, 100.0])), rtol=0.01)
+
+
+def test_a_band_that_one_panel_lacks_is_that_of_the_others_at_its_level() -> None:
+    factor = np.array([[1.0, 1.1, np.nan], [1.2, 1.32, 1.44]])
+    scale, _, _ = panel_correction(closure(factor, (0.0, 10.0)), closure(factor, (0.0, 10.0)).time)
+    np.testing.assert_allclose(np.exp(-scale[0]), [1.0, 1.1, 1.2], rtol=1e-9)
