@@ -20,8 +20,15 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND
 from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.counts_to_reflectance import radiance
 
-from .lamp import Declared, mean_light, responses_table, variance_of_responses
+from .lamp import (
+    Declared,
+    noise_of_channels,
+    responses_table,
+    shares_of_samples,
+    variance_of_responses,
+)
 from .oxygen import mean_over_lines
+from .sunlines import RecordAgainstSun, record_against_sun
 
 __all__ = ["COMPARISON", "Comparison", "ComparisonRules", "compared"]
 
@@ -42,8 +49,8 @@ class ComparisonRules:
     column_groups
         Neighbouring columns are averaged into so many groups; over an eighth of the swath a smile of 0.5 nm
         changes by 0.1 nm, which widens the mean by less than 0.1 %.
-    least_pixels
-        Pixels below which a group is not used.
+    least_pixels, least_groups
+        Pixels below which a group is not used, and groups below which a window is not.
     max_shift_nm
         How far to look; a field spectrometer is sold as good to 0.5 nm.
     widths
@@ -70,6 +77,7 @@ class ComparisonRules:
     block_lines: int = 16
     column_groups: int = 8
     least_pixels: int = 64
+    least_groups: int = 2
     max_shift_nm: float = 1.5
     widths: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6)
     shift_prior_nm: float = 1.0
@@ -99,7 +107,8 @@ class Comparison(NamedTuple):
     declared [nm], at 600 nm and its change over 100 nm; ``width``: that of the record over the declared one
     [1] if the camera is as declared; ``covariance`` (3, 3) of these. ``residual`` and ``residual_declared``:
     relative departure of radiance over irradiance from smooth, rms [1]. ``wavelength`` (band,) and ``effect``
-    (band,): relative change of matched irradiance in the bands that were looked at.
+    (band,): relative change of matched irradiance in the bands that were looked at. ``sun``: the record
+    against the sun's own lines, None with too few channels; ``declared_fwhm``: of record and camera [nm].
     """
 
     shift: float
@@ -112,6 +121,8 @@ class Comparison(NamedTuple):
     effect: Floats
     groups: int
     at_limit: bool
+    sun: RecordAgainstSun | None = None
+    declared_fwhm: tuple[float, float] = (np.nan, np.nan)
 
     @property
     def departure(self) -> float:
@@ -139,12 +150,14 @@ class _WindowFit:
     wavelength: Floats  # (band,)
     log: Floats  # (band, group): of radiance
     shift: Floats  # (band, group): declared [nm]
+    there: Array  # (group,): whether it has pixels enough here
     basis: Floats  # (band, power), orthonormal
     slopes: Floats  # (band, power): its derivative [nm-1]
     variance: Floats  # (band,): of the camera's responses [nm2]
     nodes: Floats  # (node,): even shifts [nm]
     widths: Floats  # (width,)
     light: Floats  # (node, width, band): logarithm of matched irradiance
+    noise: Floats  # (channel, band): of the logarithm, from each of all channels of the record
 
     def light_at(self, shift: Floats, width: float) -> Floats:
         """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
@@ -198,18 +211,20 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
         (declared.wavelength >= low) & (declared.wavelength <= high) & declared.good for low, high in windows
     ]
     used = np.flatnonzero(np.logical_or.reduce(inside))
-    means = _group_means(dataset, declared, used, windows, rules)
-    if means is None:
+    blocks, share = _block_means(dataset, declared, used, windows, rules)
+    spectra = declared.light.spectra[share > 0]
+    light, square = share[share > 0] @ spectra, share[share > 0] ** 2 @ spectra**2
+    noise = np.sqrt(square) * noise_of_channels(declared.light)
+    fits = [_window_fit(declared, chosen, blocks, (light, noise), rules) for chosen in inside]
+    usable = [fit for fit in fits if fit is not None]
+    if not usable:
         return None
-    spectrum, shift, light = means
-    fits = []
-    for chosen in inside:
-        fit = _window_fit(
-            declared, chosen, spectrum[np.isin(used, np.flatnonzero(chosen))], shift, light, rules
-        )
-        if fit is not None:
-            fits.append(fit)
-    return _joint(fits, rules) if fits else None
+    channels = declared.light.wavelength
+    between = (channels >= windows[0][0]) & (channels <= windows[-1][1])
+    width = float(np.broadcast_to(declared.light.fwhm, channels.shape)[between].mean())
+    return _joint(usable, rules)._replace(
+        sun=record_against_sun(channels, light), declared_fwhm=(width, float(declared.fwhm[used].mean()))
+    )
 
 
 def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
@@ -225,45 +240,77 @@ def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, fl
     ]
 
 
-def _group_means(
+class _Block(NamedTuple):
+    """Means over the lines of a slab."""
+
+    radiance: Floats  # (band, column), all bands; NaN of those that were not read
+    pixels: Array  # (column,)
+
+
+def _block_means(
     dataset: xr.Dataset,
     declared: Declared,
     used: Array,
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
-) -> tuple[Floats, Floats, Floats] | None:
-    """Return spectra (band, group), declared shifts (band of all, group), and the light's mean (channel,)."""
+) -> tuple[list[_Block], Floats]:
+    """Return the means of slabs evenly over the line, and what samples (sample,) count for in their light."""
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
     part = dataset.isel({BAND: used}).assign_attrs(absolute_scale="not needed")
     cube = radiance(part)["radiance"]
-    spectra, shifts, lights = [], [], []
+    blocks, shares = [], []
     for start in starts:
-        block = slice(int(start), int(start) + size)
-        light, level = mean_light(declared, windows, block)
-        mean, pixels = mean_over_lines(cube[block], level)
-        edges = np.unique(np.linspace(0, mean.shape[1], rules.column_groups + 1).astype(np.int64))
-        every = declared.shift(mean.shape[1])
+        lines_of_block = slice(int(start), int(start) + size)
+        share, level = shares_of_samples(declared, windows, lines_of_block)
+        mean, pixels = mean_over_lines(cube[lines_of_block], level)
+        every = np.full((declared.wavelength.size, pixels.size), np.nan)
+        every[used] = mean
+        blocks.append(_Block(every, pixels))
+        shares.append(share)
+    return blocks, np.asarray(np.mean(shares, axis=0))
+
+
+def _group_means(
+    declared: Declared, chosen: Array, blocks: list[_Block], rules: ComparisonRules
+) -> tuple[Floats, Floats]:
+    """Return spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few."""
+    columns = blocks[0].pixels.size
+    shift = declared.shift(columns)[chosen]
+    edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
+    spectra, shifts = [], []
+    for block in blocks:
+        # bad elements cost their columns: other columns would show another surface in that band alone
+        values = block.radiance[chosen]
+        whole = np.isfinite(values).all(axis=0)
         for first, last in itertools.pairwise(edges):
-            # bad elements cost their columns: other columns would show another surface in that band alone
-            whole = np.isfinite(mean[:, first:last]).all(axis=0)
-            weight = np.where(whole, pixels[first:last], 0)
-            if weight.sum() < rules.least_pixels:
-                continue
-            spectra.append(np.where(whole, mean[:, first:last], 0.0) @ weight / weight.sum())
-            shifts.append(every[:, first:last] @ weight / weight.sum())
-            lights.append(light)
-    if len(spectra) < 2:
-        return None
-    return np.stack(spectra, axis=1), np.stack(shifts, axis=1), np.mean(lights, axis=0)
+            weight = np.where(whole, block.pixels, 0)[first:last]
+            enough = weight.sum() >= rules.least_pixels
+            share = weight / weight.sum() if enough else np.full(last - first, 1.0 / (last - first))
+            spectrum = np.where(whole, values, 0.0)[:, first:last] @ share
+            spectra.append(spectrum if enough else np.full(spectrum.shape, np.nan))
+            shifts.append(shift[:, first:last] @ share)
+    return np.stack(spectra, axis=1), np.stack(shifts, axis=1)
 
 
 def _window_fit(
-    declared: Declared, chosen: Array, spectrum: Floats, shift: Floats, light: Floats, rules: ComparisonRules
+    declared: Declared,
+    chosen: Array,
+    blocks: list[_Block],
+    record: tuple[Floats, Floats],
+    rules: ComparisonRules,
 ) -> _WindowFit | None:
-    """Return a window ready for the fit; None where the record covers too little of it."""
-    bands, own = declared.bands(chosen), shift[chosen]
+    """Return a window ready for the fit; None where record or pixels cover too little of it.
+
+    ``record`` (channel,): mean of the light, and its noise.
+    """
+    light, noise = record
+    spectrum, own = _group_means(declared, chosen, blocks, rules)
+    there = np.asarray(np.isfinite(spectrum).all(axis=0))
+    if there.sum() < rules.least_groups:
+        return None
+    bands = declared.bands(chosen)
     limits = (float(own.min()) - rules.max_shift_nm, float(own.max()) + rules.max_shift_nm)
     channels = declared.light.wavelength
     order = np.argsort(channels, kind="stable")
@@ -272,25 +319,33 @@ def _window_fit(
     near = order[np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach]
     spectrometer = Responses(channels[near], width[near], declared.light.srf_shape)
     widths = np.asarray(rules.widths)
-    nodes, logs = responses_table(spectrometer, bands, light[near], limits, widths)
-    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum > 0).all(axis=1)
+    nodes, logs, weights = responses_table(spectrometer, bands, light[near], limits, widths)
+    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, there] > 0).all(axis=1)
     if covered.sum() < rules.degree + 7:
         return None
     wavelength = bands.wavelength[covered]
+    by_channel = np.zeros((channels.size, covered.sum()))
+    by_channel[near] = (
+        weights[covered]
+        * np.nan_to_num(noise[near])
+        / (weights[covered] @ np.nan_to_num(light[near]))[:, None]
+    ).T
     scale = np.ptp(wavelength) / 2.0
     place = (wavelength - wavelength.min()) / scale - 1.0
     basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(place, rules.degree))
     powers = [np.polynomial.Legendre.basis(power).deriv()(place) for power in range(rules.degree + 1)]
     return _WindowFit(
         wavelength=wavelength,
-        log=np.log(spectrum[covered]),
+        log=np.log(np.where(there, spectrum, 1.0)[covered]),
         shift=own[covered],
+        there=there,
         basis=basis,
         slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
         variance=variance_of_responses(bands)[covered],
         nodes=nodes,
         widths=widths,
         light=logs[:, :, covered],
+        noise=by_channel,
     )
 
 
@@ -309,7 +364,7 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
     limits = np.array([rules.max_shift_nm, 0.3, np.inf])
     for _ in range(_ITERATIONS):
         away, slopes = _linear(fits, numbers)
-        weights = _weights(away)
+        weights = _weights(fits, away)
         normal, right = np.diag(prior), -prior * (numbers - [0.0, 0.0, 1.0])
         for r, j, w in zip(away, slopes, weights, strict=True):
             normal = normal + np.einsum("ibg,jbg,bg->ij", j, j, w)
@@ -317,7 +372,7 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
         numbers = np.clip(numbers + np.linalg.solve(normal, right), -limits, limits)
         numbers[2] = np.clip(numbers[2], rules.widths[0], rules.widths[-1])
     away, slopes = _linear(fits, numbers)
-    covariance = _covariance(away, slopes, _weights(away), np.diag(prior), rules)
+    covariance = _covariance(fits, away, slopes, np.diag(prior), rules)
     before = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
     effects = [
         (
@@ -331,11 +386,11 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
         tilt=float(numbers[1]),
         width=float(numbers[2]),
         covariance=covariance,
-        residual=_rms(away),
-        residual_declared=_rms(before),
+        residual=_rms(fits, away),
+        residual_declared=_rms(fits, before),
         wavelength=np.concatenate([fit.wavelength for fit in fits]),
         effect=np.concatenate(effects),
-        groups=fits[0].log.shape[1],
+        groups=max(int(fit.there.sum()) for fit in fits),
         at_limit=bool(
             abs(numbers[0]) >= rules.max_shift_nm or not rules.widths[0] < numbers[2] < rules.widths[-1]
         ),
@@ -345,7 +400,11 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
     """Return the best of a grid of shifts and widths for the mean group: lines make several valleys."""
     means = [
-        replace(fit, log=fit.log.mean(axis=1, keepdims=True), shift=fit.shift.mean(axis=1, keepdims=True))
+        replace(
+            fit,
+            log=fit.log[:, fit.there].mean(axis=1, keepdims=True),
+            shift=fit.shift[:, fit.there].mean(axis=1, keepdims=True),
+        )
         for fit in fits
     ]
     steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
@@ -376,34 +435,39 @@ def _linear(fits: list[_WindowFit], numbers: Floats) -> tuple[list[Floats], list
     return away, slopes
 
 
-def _weights(away: list[Floats]) -> list[Floats]:
+def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
     """Return the inverse variance (band, group) of every window: that of its own departures.
 
     A group's share is half its own and half the window's: a surface with an edge counts less in its window.
     """
     weights = []
-    for r in away:
-        own = (r**2).mean(axis=0, keepdims=True)
-        variance = 0.5 * own + 0.5 * np.median(own) + _LEAST_RESIDUAL**2
-        weights.append(np.broadcast_to(1.0 / variance, r.shape))
+    for fit, r in zip(fits, away, strict=True):
+        own = (r**2).mean(axis=0)
+        variance = 0.5 * own + 0.5 * np.median(own[fit.there]) + _LEAST_RESIDUAL**2
+        weights.append(np.broadcast_to(np.where(fit.there, 1.0 / variance, 0.0), r.shape))
     return weights
 
 
 def _covariance(
-    away: list[Floats], slopes: list[Floats], weights: list[Floats], prior: Floats, rules: ComparisonRules
+    fits: list[_WindowFit], away: list[Floats], slopes: list[Floats], prior: Floats, rules: ComparisonRules
 ) -> Floats:
     """Return the covariance (3, 3): scatter between groups, which surfaces make, and between bands.
 
     What all groups share (noise of the record, gains) shows between bands alone; what a surface does, between
-    groups. Both are sandwiches of the normal matrix with sums over clusters, and are added.
+    groups. Both are sandwiches of the normal matrix with sums over clusters, and are added. Noise of a
+    channel spreads over bands, more so where the camera is the sharper one: it goes through the operator.
     """
+    weights = _weights(fits, away)
     groups = away[0].shape[1]
     normal = prior.copy()
     by_group = np.zeros((groups, 3))
     by_band = []
-    for r, j, w in zip(away, slopes, weights, strict=True):
+    by_channel = np.zeros((fits[0].noise.shape[0], 3))
+    for fit, r, j, w in zip(fits, away, slopes, weights, strict=True):
         normal += np.einsum("ibg,jbg,bg->ij", j, j, w)
         score = j * (r * w)
+        # departures lack what is smooth, and so do their derivatives: noise needs no projection of its own
+        by_channel += fit.noise @ (j * w).sum(axis=2).T
         by_group += score.sum(axis=1).T
         edges = np.arange(0, r.shape[0], _CLUSTER_BANDS)
         free = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
@@ -411,10 +475,13 @@ def _covariance(
     bands = np.concatenate(by_band)
     meat = by_group.T @ by_group * groups / max(groups - 1, 1)
     meat += bands.T @ bands * len(bands) / max(len(bands) - 3, 1)
+    meat += by_channel.T @ by_channel
     inverse = np.linalg.inv(normal)
     floor = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
     return np.asarray(inverse @ meat @ inverse + floor)
 
 
-def _rms(away: list[Floats]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate([r.mean(axis=1) for r in away]) ** 2)))
+def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:
+    """Return the root mean square of what groups share."""
+    shared = [r[:, fit.there].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(shared) ** 2)))

@@ -10,9 +10,10 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
-from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH
+from hyperpaint.base.schema import CROSS_TRACK, IRRADIANCE_WAVELENGTH
 
 from .comparison import COMPARISON, Comparison, ComparisonRules, compared
+from .sunlines import Instruments, divided
 
 __all__ = ["APPLY", "align"]
 
@@ -20,6 +21,7 @@ APPLY = ("auto", "never", "always")
 """When what was found is applied: where it is significant, never, or whenever it could be found."""
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
+_CAMERA_SIGNIFICANCE = 3.0
 VNIR_END_NM = 1000.0
 """Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm]."""
 
@@ -53,8 +55,11 @@ def align(
         ``"not applied"`` or ``"not compared"``), ``alignment_shift`` and ``alignment_shift_u`` (wavelength of
         the camera minus that of the record, over what is declared, at 600 nm [nm]), ``alignment_shift_slope``
         and its ``_u`` (change over 100 nm [nm]), ``alignment_width`` and its ``_u`` (width of the record over
-        the declared one [1]), ``alignment_effect`` (largest relative change of irradiance [1]) and
-        ``alignment_departure`` (of all together from none, in standard uncertainties).
+        the declared one [1], were all of it the record's), ``alignment_effect`` (largest relative change of
+        irradiance [1]) and ``alignment_departure`` (of all together from none, in standard uncertainties).
+        What each instrument has of it, by the sun's lines in the record: ``alignment_record_shift``,
+        ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm] and ``alignment_camera_width`` [1],
+        each with ``_u``.
 
     Raises
     ------
@@ -78,8 +83,10 @@ def align(
     over windows of 60 to 95 nm, in which :math:`P` projects onto polynomials of degree 5. Surfaces differ
     between groups: their scatter, and that between bands, is the uncertainty.
 
-    Only what separates the two shows in reflectance. A record that is wider than declared and a camera that
-    is narrower look alike; the record, whose width is seldom measured, takes the correction.
+    Only what separates the two shows in reflectance. Which of them is off tell the sun's lines in the record,
+    ten times less well; the camera's ``wavelength_shift`` takes its share where that is above three standard
+    uncertainties, the record the rest. A record that is wider than declared and a camera that is narrower
+    look alike; the record, whose width is seldom measured, takes the correction.
 
     Examples
     --------
@@ -132,7 +139,14 @@ def _numbers(found: Comparison) -> dict[str, float]:
         "departure": found.departure, "residual": found.residual,
         "residual_declared": found.residual_declared,
     }  # fmt: skip
+    values |= _instruments(found)._asdict()
     return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
+
+
+def _instruments(found: Comparison) -> Instruments:
+    spread = np.sqrt(np.diag(found.covariance))
+    shift, width = (found.shift, float(spread[0])), (found.width, float(spread[2]))
+    return divided(shift, width, found.sun, found.declared_fwhm)
 
 
 def _sentence(found: Comparison) -> str:
@@ -156,7 +170,10 @@ def _corrected(line: xr.Dataset, found: Comparison) -> xr.Dataset:
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
     # a straight line beyond the bands that were compared would run away
     reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
-    shifted = channels - found.shift_at(reached)
+    apart = _instruments(found)
+    is_camera = abs(apart.camera_shift) > _CAMERA_SIGNIFICANCE * apart.camera_shift_u
+    camera = float(f"{apart.camera_shift:.3f}") if is_camera else 0.0
+    shifted = channels - found.shift_at(reached) + camera
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
     same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())
     widths = xr.DataArray(np.where(same_detector, width * found.width, width), dims=IRRADIANCE_WAVELENGTH)
@@ -166,4 +183,16 @@ def _corrected(line: xr.Dataset, found: Comparison) -> xr.Dataset:
     aligned = aligned.drop_vars("irradiance_fwhm").assign_coords(
         {IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)}
     )
+    if camera:
+        aligned = _moved(aligned, camera)
     return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))
+
+
+def _moved(line: xr.Dataset, shift_nm: float) -> xr.Dataset:
+    """Return the line with its columns' wavelengths moved; ``wavelength`` stays, the axis of all lines."""
+    names = [name for name in ("wavelength_shift",) if name in line.variables]
+    declared = schema.require(line, names, "the alignment")
+    zero = xr.DataArray(np.zeros(line.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
+    shift = declared.get("wavelength_shift", zero) + shift_nm
+    plain = xr.DataArray(shift.values, dims=shift.dims)
+    return line.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))

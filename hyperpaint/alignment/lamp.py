@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.ndimage import uniform_filter1d
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -26,8 +27,8 @@ from hyperpaint.light.responses import (
 from hyperpaint.light.synchrony import line_light
 
 __all__ = [
-    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "responses_table", "table_of_bands",
-    "variance_of_responses",
+    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "noise_of_channels", "responses_table",
+    "shares_of_samples", "table_of_bands", "variance_of_responses",
 ]  # fmt: skip
 
 _MOST_SHIFT = 20.0
@@ -172,6 +173,15 @@ def mean_light(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
 ) -> tuple[Floats, Floats]:
     """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
+    share, level_of_line = shares_of_samples(declared, windows, lines)
+    used = share > 0.0
+    return share[used] @ declared.light.spectra[used], level_of_line
+
+
+def shares_of_samples(
+    declared: Declared, windows: list[tuple[float, float]], lines: slice | None
+) -> tuple[Floats, Floats]:
+    """Return what the samples of the record (sample,) count for in the mean light, and the level of lines."""
     light = declared.light
     level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
     times = declared.time if lines is None else declared.time[lines]
@@ -184,8 +194,24 @@ def mean_light(
     share = np.zeros(len(light.spectra))
     np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
     np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
-    used = share > 0.0
-    return (share[used] / seen.size) @ light.spectra[used], level_of_line
+    return share / seen.size, level_of_line
+
+
+def noise_of_channels(light: Light) -> Floats:
+    """Return the relative noise of one sample in every channel (channel,) [1]; 0 where nothing tells.
+
+    Sun and clouds change the light smoothly with wavelength: what neighbouring channels do not share in the
+    ratio of one sample to the next is noise, here over 25 channels.
+    """
+    if len(light.spectra) < 2 or light.wavelength.size < 3:
+        return np.zeros(light.wavelength.size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.log(light.spectra[1:] / light.spectra[:-1])
+    # the variance of a ratio is twice that of a sample, that of the second difference 1.5 times
+    away = ratio[:, 1:-1] - (ratio[:, :-2] + ratio[:, 2:]) / 2.0
+    square = np.where(np.isfinite(away), away, 0.0) ** 2
+    mean = np.pad(square.mean(axis=0) / 3.0, 1, mode="edge")
+    return np.asarray(np.sqrt(uniform_filter1d(mean, 25, mode="nearest")))
 
 
 def _level(light: Light, low: float, high: float) -> Floats:
@@ -254,14 +280,16 @@ def _log_of_seen(matching: Matching, spectrum: Floats) -> Floats:
 
 def responses_table(
     spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float], widths: Floats
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum as bands see it.
 
-    Widths are those of the spectrometer over the declared ones; else as `irradiance_table`.
+    Widths are those of the spectrometer over the declared ones; else as `irradiance_table`. Beside them the
+    weights (band, channel) of the channels at the middle shift and the declared width.
     """
     shifts = _shift_nodes(limits)
     operators = _operators_of_widths(spectrometer, imager, tuple(shifts), tuple(widths))
-    return shifts, np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1)
+    weights = operators[int(np.abs(widths - 1.0).argmin())].weights[shifts.size // 2]
+    return shifts, np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1), weights
 
 
 @functools.lru_cache(maxsize=16)

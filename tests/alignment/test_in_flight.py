@@ -123,3 +123,14 @@ def test_what_lies_beyond_the_search_is_not_corrected(wide: xr.Dataset) -> None:
 def test_words_are_checked() -> None:
     with pytest.raises(SchemaError, match="expected 'auto', 'never', 'always'"):
         hp.alignment.align(flown(bands=20), apply="yes")  # type: ignore[arg-type]
+
+
+def test_what_separates_them_is_divided_by_the_suns_lines(told: xr.Dataset, aligned: xr.Dataset) -> None:
+    found = aligned.attrs
+    for name, truth in (("record_shift", 0.33), ("camera_shift", -0.2), ("record_fwhm", 4.0)):
+        value, spread = found[f"alignment_{name}"], found[f"alignment_{name}_u"]
+        assert abs(value - truth) < 2.5 * spread < 0.5
+    moved = aligned.irradiance_wavelength.values - told.irradiance_wavelength.values
+    shift = aligned.wavelength_shift.values - told.wavelength_shift.values
+    # whatever its division, what separates them is the same
+    np.testing.assert_allclose(np.median(moved) - shift.mean(), -found["alignment_shift"], atol=0.01)

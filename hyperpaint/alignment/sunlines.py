@@ -1,0 +1,215 @@
+"""The irradiance record alone: its wavelengths and width against the sun's own lines and those of oxygen.
+
+The reference is the sunlight of ASTM G173 at 1 nm (`hyperpaint.light.clear_sky`). It is coarse beside a
+spectrometer of 3 nm, so that this tells tenths of a nanometre; what separates camera and record
+(`comparison`) is known ten times better, and this divides it between the two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.light.clear_sky import sunlight_table
+
+__all__ = [
+    "SUN_LINES", "Instruments", "RecordAgainstSun", "SunLineRules", "divided", "record_against_sun",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SunLineRules:
+    """What the comparison of a record with the sun goes by.
+
+    Attributes
+    ----------
+    windows
+        Where to look [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1 nm
+        hold many lines, gave widths twice too large of a real spectrometer.
+    degree
+        Of the polynomial that light of unknown air and colour is in a window.
+    shifts_nm, widths_nm
+        Trials: shifts [nm] and full widths at half maximum [nm], both even.
+    cell_nm
+        Width of the table's cells, which widens every line [nm].
+    least_shift_u_nm, least_width_u_nm
+        What is stated of uncertainty at the least: three windows of a real record agreed to 0.06 nm and
+        0.9 nm (0.3 nm without the narrowest lines).
+    record_prior_nm, camera_prior_nm, camera_width_prior
+        Standard deviations of what is believed without any light: of the wavelengths of a field spectrometer
+        (its makers state 0.5 nm at most) and of a calibrated camera [nm], and of the camera's width [1].
+    """
+
+    windows: tuple[tuple[float, float], ...] = ((475.0, 540.0), (610.0, 680.0), (745.0, 775.0))
+    degree: int = 5
+    shifts_nm: tuple[float, float, float] = (-2.0, 2.0, 0.1)
+    widths_nm: tuple[float, float, float] = (1.0, 12.0, 0.25)
+    cell_nm: float = 1.0
+    least_shift_u_nm: float = 0.06
+    least_width_u_nm: float = 0.3
+    record_prior_nm: float = 0.3
+    camera_prior_nm: float = 0.2
+    camera_width_prior: float = 0.02
+
+
+SUN_LINES = SunLineRules()
+
+
+class RecordAgainstSun(NamedTuple):
+    """Wavelength of the record's channels minus that declared, and their width, with uncertainties [nm]."""
+
+    shift: float
+    shift_u: float
+    width: float
+    width_u: float
+
+
+class Instruments(NamedTuple):
+    """What belongs to the record and what to the camera, each with its standard uncertainty.
+
+    Shifts: wavelength as it is minus that declared [nm]; ``record_fwhm`` [nm]; ``camera_width``: over that
+    declared [1].
+    """
+
+    record_shift: float
+    record_shift_u: float
+    camera_shift: float
+    camera_shift_u: float
+    record_fwhm: float
+    record_fwhm_u: float
+    camera_width: float
+    camera_width_u: float
+
+
+def divided(
+    shift: tuple[float, float],
+    width: tuple[float, float],
+    sun: RecordAgainstSun | None,
+    declared_fwhm: tuple[float, float],
+    rules: SunLineRules = SUN_LINES,
+) -> Instruments:
+    r"""Return the share of each instrument in what separates them.
+
+    ``shift``: camera minus record [nm] and its uncertainty; ``width``: of the record over the declared one,
+    if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
+
+    Least squares of two unknowns each: record and camera, of which the difference is known, the record by the
+    sun, and both before. Widths add as squares: :math:`w^2 - (W^2 - W_0^2)` is what is known.
+    """
+    record, camera = declared_fwhm
+    rows = [
+        (-1.0, 1.0, *shift),
+        (1.0, 0.0, 0.0, rules.record_prior_nm),
+        (0.0, 1.0, 0.0, rules.camera_prior_nm),
+    ]
+    known = (record * width[0]) ** 2
+    squares = [
+        (1.0, -1.0, known, 2.0 * record**2 * width[0] * width[1]),
+        (0.0, 1.0, 0.0, 2.0 * camera**2 * rules.camera_width_prior),
+    ]
+    if sun is not None:
+        rows.append((1.0, 0.0, sun.shift, sun.shift_u))
+        squares.append((1.0, 0.0, sun.width**2, 2.0 * sun.width * sun.width_u))
+    (record_shift, camera_shift), (u_record, u_camera) = _solved(rows)
+    (of_record, of_camera), (v_record, v_camera) = _solved(squares)
+    record_fwhm = np.sqrt(max(of_record, 0.01))
+    camera_fwhm = np.sqrt(max(camera**2 + of_camera, 0.01))
+    return Instruments(
+        record_shift, u_record, camera_shift, u_camera,
+        float(record_fwhm), float(v_record / (2.0 * record_fwhm)),
+        float(camera_fwhm / camera), float(v_camera / (2.0 * camera_fwhm * camera)),
+    )  # fmt: skip
+
+
+def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
+    """Return two unknowns and their uncertainties from rows of factors, value and uncertainty."""
+    table = np.array(rows)
+    weighted = table[:, :3] / table[:, 3:]
+    normal = weighted[:, :2].T @ weighted[:, :2]
+    inverse = np.linalg.inv(normal)
+    value = inverse @ weighted[:, :2].T @ weighted[:, 2]
+    return value.tolist(), np.sqrt(np.diag(inverse)).tolist()
+
+
+def record_against_sun(
+    channels: Floats, spectrum: Floats, rules: SunLineRules = SUN_LINES
+) -> RecordAgainstSun | None:
+    """Return shift and width of a record (channel,) of daylight; None where it has too few channels.
+
+    Of every window the logarithm of the record is fitted by that of the table seen at a shift and a width,
+    oxygen and water at strengths of their own, times a polynomial. Windows count by the inverse of their
+    variance; where they disagree by more than they say, the uncertainty grows by as much.
+    """
+    one = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
+    fits = np.array([fit for fit in one if fit is not None])
+    if not len(fits):
+        return None
+    numbers = []
+    for value, spread, floor in (
+        (fits[:, 0], fits[:, 1], rules.least_shift_u_nm),
+        (fits[:, 2], fits[:, 3], rules.least_width_u_nm),
+    ):
+        weight = 1.0 / (spread**2 + floor**2)
+        mean = float(weight @ value / weight.sum())
+        chi2 = float(weight @ (value - mean) ** 2) / max(len(value) - 1, 1)
+        numbers += [mean, float(np.sqrt(max(chi2, 1.0) / weight.sum() + floor**2))]
+    return RecordAgainstSun(*numbers)
+
+
+def _window(
+    channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
+) -> tuple[float, float, float, float] | None:
+    """Return shift and width of one window, each with its uncertainty [nm]; None where nothing is seen."""
+    used = (channels >= low) & (channels <= high) & (spectrum > 0)
+    if used.sum() < rules.degree + 1 + 12:
+        return None
+    nm, log = channels[used], np.log(spectrum[used])
+    place = (nm - nm.mean()) / (np.ptp(nm) / 2.0)
+    smooth = np.polynomial.legendre.legvander(place, rules.degree)
+    first, last, step = rules.shifts_nm
+    shifts = np.arange(first, last + step / 2, step)
+    first, last, step = rules.widths_nm
+    widths = np.arange(first, last + step / 2, step)
+    left = np.array([[_left(nm + shift, width, log, smooth, rules) for width in widths] for shift in shifts])
+    i, j = divmod(int(left.argmin()), widths.size)
+    if i in (0, shifts.size - 1) or j in (0, widths.size - 1):
+        return None
+    return _refined(left, (i, j), shifts, widths, nm.size - smooth.shape[1] - 4)
+
+
+def _left(nm: Floats, width: float, log: Floats, smooth: Floats, rules: SunLineRules) -> float:
+    """Return the sum of squares that the table at wavelengths (channel,) and a width leaves."""
+    table = sunlight_table()
+    near = np.abs(table.wavelength - nm.mean()) < np.ptp(nm) / 2.0 + 3.0 * width
+    own = max(width**2 - 8.0 * np.log(2.0) * rules.cell_nm**2 / 12.0, 0.25)
+    response = np.exp(-4.0 * np.log(2.0) / own * (table.wavelength[near] - nm[:, None]) ** 2)
+    response /= response.sum(axis=1, keepdims=True)
+    sun = table.extraterrestrial[near]
+    gases = np.exp(-table.mixed[near]), np.exp(-table.water[near])
+    seen = np.log(response @ sun)
+    terms = [np.log(response @ (sun * gas)) - seen for gas in gases]
+    basis = np.column_stack([smooth, *(term for term in terms if np.ptp(term) > 1e-4)])
+    q, _ = np.linalg.qr(basis)
+    away = log - seen
+    away = away - q @ (q.T @ away)
+    return float(away @ away)
+
+
+def _refined(
+    left: Floats, at: tuple[int, int], shifts: Floats, widths: Floats, freedom: int
+) -> tuple[float, float, float, float]:
+    """Return the lowest place of the parabola around the least trial, and the uncertainties it has."""
+    i, j = at
+    box = left[i - 1 : i + 2, j - 1 : j + 2]
+    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
+    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
+    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
+    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
+    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
+    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
+    steps = np.array([shifts[1] - shifts[0], widths[1] - widths[0]])
+    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
+    return shifts[i] + move[0] * steps[0], spread[0], widths[j] + move[1] * steps[1], spread[1]
