@@ -6,6 +6,9 @@ Savitzky-Golay filter of the same width does (see docs/figures.md).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -18,9 +21,16 @@ from hyperpaint.light.responses import band_spacing
 
 from .slabs import line_chunked
 
-__all__ = ["METHODS", "at", "smooth", "to_nominal"]
+__all__ = ["METHODS", "NominalAxis", "at", "nominal_axis", "smooth", "smoothing_matrix", "to_nominal"]
 
 METHODS = ("savitzky-golay", "box")
+
+
+class NominalAxis(NamedTuple):
+    """How spectra of columns are brought to nominal wavelengths."""
+
+    first: Array  #: (band, column) int64: first of the bands that a band is interpolated from
+    weights: Array  #: (band, column, tap): their weights; NaN where a column does not reach the band
 
 
 @takes_quantities(wavelength="nm")
@@ -96,9 +106,8 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
         )
     if "wavelength_shift" not in dataset.variables:
         return dataset[[*products, *_without_bands(dataset)]]
-    arrays = schema.require(dataset, ["wavelength", "wavelength_shift", *products], "nominal wavelengths")
-    shift = arrays["wavelength_shift"].values
-    first, weights = _lagrange_weights(arrays["wavelength"].values, np.atleast_2d(shift))
+    arrays = schema.require(dataset, products, "nominal wavelengths")
+    first, weights = nominal_axis(dataset)
     nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
         cube = line_chunked(arrays[name])
@@ -113,6 +122,19 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
         ).drop_vars("wavelength_shift", errors="ignore")
         nominal[name] = schema.label(flat, name, spectral_axis="nominal wavelengths")
     return nominal
+
+
+def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
+    """Return how the columns of a line are brought to nominal wavelengths; reads wavelengths and shifts.
+
+    Raises
+    ------
+    SchemaError
+        ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
+    """
+    arrays = schema.require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
+    shift = np.atleast_2d(arrays["wavelength_shift"].values)
+    return NominalAxis(*_lagrange_weights(arrays["wavelength"].values, shift))
 
 
 def _without_bands(dataset: xr.Dataset) -> list[str]:
@@ -249,6 +271,13 @@ def smooth(
         attrs["unc_comps"] = [name for name in attrs["unc_comps"] if name != "reflectance_u_random"]
         dataset = dataset.drop_vars("reflectance_u_random", errors="ignore")
     return dataset.assign(reflectance=filtered.assign_attrs(attrs))
+
+
+def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
+    """Return what spectra without gaps are multiplied by in `smooth` (band, band), for its ``options``."""
+    single = xr.DataArray(np.eye(good.size, dtype=np.float32), dims=("of", schema.BAND), attrs={"units": "1"})
+    filtered = smooth(xr.Dataset({"reflectance": single, "good": (schema.BAND, good)}), **options)
+    return np.asarray(filtered["reflectance"].values.T)
 
 
 def _filter(

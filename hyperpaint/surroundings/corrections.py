@@ -56,7 +56,7 @@ _MENDED = {
 """How to go on where a correction was made before."""
 
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
-WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
+WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
 """Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 

@@ -166,7 +166,12 @@ def extract_signatures(
     that band only. The direction of view is that of the line's ``view_zenith`` and ``view_azimuth``, else of
     ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` as the line declares them, and its
     ``boresight``; without any it is NaN, and the attribute ``view_geometry`` says what is missing. The
-    standard uncertainties are those of the mean of these pixels:
+    standard uncertainties are those of the mean of these pixels. Of a flight line that holds its calibration
+    they are source by source, as `hyperpaint.radiometry.mean_uncertainty` tells: ``reflectance_u_random`` is
+    what bands do not share as one, ``reflectance_u_systematic`` what they do, ``reflectance_errors`` (paint,
+    error_source, band) has each, and ``error_correlation`` (paint, lag, band) is that of neighbouring bands,
+    nominal wavelengths and smoothing included; see `hyperpaint.paints.covariance`. Of a map, and of
+    reflectance that was corrected or stored without its calibration,
 
     .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
               u_s = \overline{u_{s,i}}, \qquad
@@ -175,7 +180,7 @@ def extract_signatures(
     over the :math:`n_b` pixels that have a value in a band, NaN where none has, with :math:`c_{ij}` the
     autocorrelation of reflectance at the distance of two pixels, averaged over bands; :math:`n_{eff}` is
     :math:`n / 1.3` at most, since the camera moves on while a line is exposed.
-    Smoothing makes the random one smaller than is stated here. How far another part of the paint may differ,
+    Smoothing makes the random one smaller than is stated there. How far another part of the paint may differ,
     ``reflectance_sd`` and the quantiles say. All bits are the same for any chunking, in any order of the
     regions.
 

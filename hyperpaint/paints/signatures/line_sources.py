@@ -17,7 +17,14 @@ from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, Sc
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
+from hyperpaint.radiometry.spectral_axis import (
+    NominalAxis,
+    nominal_axis,
+    smooth,
+    smoothing_matrix,
+    to_nominal,
+)  # fmt: skip
+from hyperpaint.radiometry.uncertainty.line_errors import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
@@ -251,7 +258,9 @@ class Source:
     """What is drawn from one flight line."""
 
     line: xr.Dataset  #: The line itself, dims named by role.
-    #: ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy.
+    #: ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy. Where sources
+    #: of error are told apart, their sum is left out, and reflectance as it was measured may follow,
+    #: ``measured``.
     cubes: dict[str, xr.DataArray]
     #: Variables of pixels and of lines.
     planes: dict[str, xr.DataArray]
@@ -265,6 +274,9 @@ class Source:
     smoothing: str  #: How spectra are smoothed; "none".
     corrections: dict[str, str]  #: What was corrected, by name, see `CORRECTIONS`.
     components: dict[str, str]  #: What enters the uncertainties, by name.
+    errors: LineErrors | None  #: Sources of error; None where they are not told apart.
+    axis: NominalAxis | None  #: How columns are brought to nominal wavelengths; None where they are there.
+    filtering: Array | None  #: (band, band): What spectra are multiplied by to smooth them.
     said: dict[
         str, str
     ]  #: ``quantity`` and ``mirror_reflection`` of the line's reflectance, where it says them.
@@ -314,6 +326,8 @@ def source_of(
         for key in ("mirror_reflection", "quantity")
         if key in variables["reflectance"].attrs
     }
+    is_map = middle is not None or bool(of_cells) or "nearest_line" in line.variables
+    errors = None if is_map or corrected or before is not None else line_errors(line)
     nominal = to_nominal(line)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrected))
     if specular_sky:
@@ -323,11 +337,15 @@ def source_of(
         )
         nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith, diffuse=diffuse)
     light = _light_of(line, diffuse, sun_zenith, needed=specular_sky)
+    filtering = None
     if smoothing is not None:
         if before is not None:
             raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
+        if errors is not None:
+            good = variables["good"].values if "good" in variables else np.ones(line.sizes[BAND], bool)
+            filtering = smoothing_matrix(good.astype(bool), options)
     cube = nominal["reflectance"]
     viewing = Viewing(line)
     size = cube.sizes[BAND]
@@ -340,9 +358,13 @@ def source_of(
             for name, value in zip(("latitude", "longitude"), middle, strict=True)
         }
     quality = {"quality": variables["quality"]} if "quality" in variables else {}
+    axis = nominal_axis(line) if errors is not None and "wavelength_shift" in line.variables else None
+    others = {name: variables[name] for name in names[1:] if errors is None or name != UNCERTAINTIES[1]}
+    if errors is not None and (axis is not None or smoothing is not None or specular_sky):
+        others["measured"] = variables["reflectance"]
     return Source(
         line=line,
-        cubes={"reflectance": cube, **{name: variables[name] for name in names[1:]}},
+        cubes={"reflectance": cube, **others},
         planes={**quality, **of_cells, **viewing.planes},
         small=small,
         viewing=viewing,
@@ -353,6 +375,9 @@ def source_of(
         smoothing=str(cube.attrs.get("smoothing", before or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
+        errors=errors,
+        axis=axis,
+        filtering=filtering,
         said=said,
     )
 

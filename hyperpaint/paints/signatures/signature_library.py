@@ -22,6 +22,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.light.diffuse_record import sky_state_attrs
 from hyperpaint.light.sun import solar_position
+from hyperpaint.radiometry.uncertainty.mean_errors import MeanErrors, RegionSums, error_variables
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels
@@ -78,6 +79,8 @@ class Draft:
         spread = np.linspace(0, good.size - 1, min(good.size, _CORRELATED_BANDS)).astype(np.intp)
         self._correlated = good[spread] if good.size else good
         self._columns: list[Array] = []
+        self._sums: RegionSums | None = None
+        self.errors: MeanErrors | None = None  # of the mean, once that is finished
 
     @property
     def n_eff(self) -> float:
@@ -113,6 +116,8 @@ class Draft:
         self.flags = int(np.bitwise_or.reduce(quality[self._used], initial=0))
         self.share = np.array([(quality & np.uint16(flag) != 0).mean() for flag in Quality])
         along, across = self.along[self._used], self.across[self._used]
+        if self._source.errors is not None:
+            self._sums = RegionSums(self._source.errors, along, across)
         self._chosen = chosen_members(along, across, most, seed)
         self.member_place = along[self._chosen], across[self._chosen]
         if self._is_of_line:
@@ -151,6 +156,12 @@ class Draft:
         self.spectra["member_reflectance"][:, bands] = values[self._chosen]
         own = (self._correlated >= bands.start) & (self._correlated < bands.stop)
         self._columns.append(values[:, self._correlated[own] - bands.start])
+        if self._sums is not None:
+            measured = cubes.get("measured", cubes["reflectance"])[self._used]
+            noise = cubes["reflectance_u_random"][self._used]
+            for column, band in enumerate(range(*bands.indices(self._values.size))):
+                self._sums.add(band, measured[:, column], noise[:, column])
+            return
         for name in UNCERTAINTIES:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
                 # the mean square of what is random, until the number of independent pixels is known
@@ -160,11 +171,19 @@ class Draft:
     def finish(self) -> float:
         """Turn means into uncertainties of the mean; return the number of independent pixels."""
         n_eff = self.n_eff
+        self._columns = []
+        if self._sums is not None:
+            self.errors = self._sums.errors(self._source.axis, self._source.filtering)
+            self._sums = None
+            own = (self.errors.u_random, self.errors.u_systematic)
+            missing = self._values == 0
+            for name, values in zip(UNCERTAINTIES, own, strict=True):
+                self.spectra[name] = np.where(missing, np.nan, values)
+            return n_eff
         # a band has as many fewer independent pixels as it has fewer values
         of_band = np.maximum(1.0, n_eff * self._values / max(self.n, 1))
         square = self.spectra["reflectance_u_random"]
         self.spectra["reflectance_u_random"] = np.sqrt(square / of_band)
-        self._columns = []
         return n_eff
 
 
@@ -247,14 +266,16 @@ def paint_library(
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
     library = xr.Dataset()
+    components = _components(drafts, sources)
     for name, row in LIBRARY_VARIABLES.items():
         if name not in values:  # of a correction, which comes after
             continue
         flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
-        attrs = {**flags, **row.attrs, **_uncertainty_attrs(name, sources)}
+        attrs = {**flags, **row.attrs, **components.get(name, {})}
         # text of any length, as stores hold it
         array = np.array(values[name], object if row.dtype == "str" else row.dtype)
         library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
+    library = library.assign(error_variables([draft.errors for draft in drafts]))
     library = library.set_coords(
         [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
     )
@@ -299,11 +320,14 @@ def _padded(values: Array, size: int, fill: float) -> Array:
     return padded
 
 
-def _uncertainty_attrs(name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
-    """Return attributes of an uncertainty that say what entered it."""
-    if name not in UNCERTAINTIES:
-        return {}
-    return {"components": _joined(source.components.get(name, NONE_KNOWN) for source in sources.values())}
+def _components(drafts: Sequence[Draft], sources: Mapping[str, Source]) -> dict[str, dict[str, str]]:
+    """Return attributes of both uncertainties that say what entered them."""
+    attrs = {}
+    for k, name in enumerate(UNCERTAINTIES):
+        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
+        texts += [each.components.get(name, NONE_KNOWN) for each in sources.values() if each.errors is None]
+        attrs[name] = {"components": _joined(texts)}
+    return attrs
 
 
 def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:

@@ -15,23 +15,17 @@ from scipy import sparse
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import LIBRARY_VARIABLES
+from hyperpaint.radiometry.spectral_axis import NominalAxis
 
 from .line_errors import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
-__all__ = ["MeanErrors", "NominalAxis", "RegionSums", "error_variables"]
+__all__ = ["MeanErrors", "RegionSums", "error_variables"]
 
 LEAST_CORRELATION = 0.01
 """Correlation of two bands below which none is stored [1]."""
 MOST_LAGS = 48
 """Bands after a band whose correlation with it is stored at most."""
-
-
-class NominalAxis(NamedTuple):
-    """How spectra of columns are brought to nominal wavelengths."""
-
-    first: Array  #: (band, column) int64: first of the bands that a band is interpolated from
-    weights: Array  #: (band, column, tap): their weights; NaN where a column does not reach the band
 
 
 class MeanErrors(NamedTuple):
