@@ -1,3 +1,7 @@
+from .band_ratios import (
+    band_ratio as band_ratio,
+    covariance as covariance,
+)
 from .colours import paint_colours as paint_colours
 from .mixing import (
     mix_paints as mix_paints,

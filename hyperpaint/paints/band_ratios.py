@@ -1,0 +1,153 @@
+"""How bands of a signature are uncertain together: covariance, and ratios of two bands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.radiometry.spectral_axis import at
+
+__all__ = ["band_ratio", "covariance"]
+
+OTHER_BAND = "other_band"
+_WHOLE_BAND = "band systematic"  # in a form, where all bands share the error
+
+
+def covariance(signatures: xr.Dataset) -> xr.DataArray:
+    r"""Return the covariance of the bands of every signature.
+
+    Parameters
+    ----------
+    signatures
+        A paint library, of any number of paints, or a mean as `hyperpaint.radiometry.mean_uncertainty` makes
+        it.
+
+    Returns
+    -------
+    (..., band, other_band), float64
+        Covariance of the mean reflectance [1].
+
+    Raises
+    ------
+    SchemaError
+        No uncertainty is known.
+
+    Notes
+    -----
+    .. math:: C_{bc} = u_{r,b} u_{r,c} R_{bc} + \sum_k e_{kb} e_{kc}
+
+    with :math:`R` the ``error_correlation`` of what bands do not share as one, and :math:`e_k` the
+    ``reflectance_errors`` of each source that all bands share, signs included: an error of wavelength raises
+    one flank of a peak and lowers the other. Where sources are not told apart, random errors are taken for
+    independent and the systematic one for common. What the coat's correction leaves open is common.
+
+    Examples
+    --------
+    >>> paint = xr.Dataset({
+    ...     "reflectance_u_random": ("band", [0.01, 0.01]),
+    ...     "reflectance_u_systematic": ("band", [0.02, 0.04])})
+    >>> covariance(paint).values.round(4)
+    array([[0.0005, 0.0008],
+           [0.0008, 0.0017]])
+    """
+    prefix = "" if "u_random" in signatures.variables else "reflectance_"
+    names = [f"{prefix}u_{kind}" for kind in ("random", "systematic")]
+    problems = Problems("the covariance of bands cannot be computed", SchemaError)
+    for name in names:
+        if name not in signatures.variables:
+            problems.add(f"{name!r} is missing; extract signatures of reflectance with uncertainty")
+    problems.raise_if_any()
+    random, systematic = (_last(signatures[name]) for name in names)
+    rest = [dim for dim in signatures[names[0]].dims if dim != BAND]
+    lags, shared = np.ones((1, *random.shape)), [np.nan_to_num(systematic)]
+    if "reflectance_errors" in signatures.variables:
+        errors = _last(signatures["reflectance_errors"].transpose("error_source", ...))
+        lags = _last(signatures["error_correlation"].transpose("lag", ...))
+        lags[0] = 1.0
+        is_sum = np.isnan(errors).all(axis=(0, -1))[..., None]  # of a line whose sources are not told apart
+        forms = signatures["error_form"].values
+        shared = [
+            np.nan_to_num(each) for each, form in zip(errors, forms, strict=True) if _WHOLE_BAND in form
+        ]
+        shared.append(np.where(is_sum, np.nan_to_num(systematic), 0.0))
+    if "reflectance_u_coat" in signatures.variables:
+        shared.append(_last(signatures["reflectance_u_coat"]))
+    total = np.zeros((*random.shape, random.shape[-1]))
+    size = random.shape[-1]
+    for lag, correlation in enumerate(np.nan_to_num(lags)):
+        band = np.arange(size - lag)
+        here = correlation[..., : size - lag] * random[..., : size - lag] * random[..., lag:]
+        total[..., band, band + lag] = total[..., band + lag, band] = here
+    for size_of in shared:
+        total += size_of[..., :, None] * size_of[..., None, :]
+    missing = np.isnan(random)
+    total[missing[..., :, None] | missing[..., None, :]] = np.nan
+    attrs = {"units": "1", "long_name": "Covariance of mean reflectance"}
+    coords = {name: c for name, c in signatures.coords.items() if set(c.dims) <= {*rest, BAND}}
+    return xr.DataArray(total, coords, (*rest, BAND, OTHER_BAND), attrs=attrs)
+
+
+@takes_quantities(above="nm", below="nm")
+def band_ratio(signatures: xr.Dataset, above: float, below: float) -> xr.Dataset:
+    """Return the ratio of two bands of every signature, and how sure it is.
+
+    What both bands share as one, such as the level of the irradiance, takes itself out of a ratio.
+
+    Parameters
+    ----------
+    signatures
+        See `covariance`.
+    above, below
+        Wavelengths whose bands are divided: that of ``above`` by that of ``below`` [nm].
+
+    Returns
+    -------
+    Dataset
+        ``ratio`` and ``ratio_u``, its standard uncertainty [1], on the other dims, mostly paint.
+
+    Raises
+    ------
+    SchemaError
+        There is no such band, or no uncertainty is known.
+
+    Examples
+    --------
+    >>> paint = xr.Dataset(
+    ...     {"reflectance": ("band", [0.2, 0.4]), "reflectance_u_random": ("band", [0.0, 0.0]),
+    ...      "reflectance_u_systematic": ("band", [0.02, 0.04])},
+    ...     {"wavelength": ("band", [550.0, 850.0], {"units": "nm"})})
+    >>> ratio = band_ratio(paint, 850.0, 550.0)
+    >>> float(ratio.ratio), round(float(ratio.ratio_u), 12)
+    (2.0, 0.0)
+    """
+    bands = covariance(signatures)
+    places = xr.DataArray(np.arange(bands.sizes[BAND]), dims=BAND)
+    axis = xr.Dataset({"place": places}, {"wavelength": signatures["wavelength"]})
+    p, q = (int(at(axis, nm)["place"]) for nm in (above, below))
+    level = signatures["mean" if "mean" in signatures.variables else "reflectance"]
+    x, y = (level.isel({BAND: place}, drop=True).astype(np.float64) for place in (p, q))
+
+    def of(one: int, other: int) -> Any:
+        return bands.isel({BAND: one, OTHER_BAND: other}, drop=True)
+
+    ratio = x / y
+    variance = of(p, p) - 2.0 * ratio * of(p, q) + ratio**2 * of(q, q)
+    # what cancels may leave less than nothing by rounding
+    u = np.sqrt(variance.clip(min=0.0)) / abs(y)
+    return xr.Dataset(
+        {
+            "ratio": ratio.assign_attrs(units="1", long_name="Ratio of two bands"),
+            "ratio_u": u.assign_attrs(units="1", long_name="Standard uncertainty of the ratio"),
+        }
+    )
+
+
+def _last(array: xr.DataArray) -> Floats:
+    """Return values with the bands last."""
+    return np.asarray(array.transpose(..., BAND).values, np.float64)

@@ -1,0 +1,111 @@
+"""Covariance of the bands of signatures against how signatures of simulated collects scatter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.noisy_collects import WAVELENGTH, noisy_collect, true_reflectance
+
+from hyperpaint import Region, extract_signatures
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.paints import band_ratio, covariance
+from hyperpaint.radiometry import mean_uncertainty, reflectance
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning"
+)
+PAIRS = ((564.0, 526.6), (544.2, 542.0), (568.4, 548.6))
+
+
+def signature(line: xr.Dataset, **options: Any) -> xr.Dataset:
+    last, right = line.sizes["along_track"] - 1, line.sizes["cross_track"] - 1
+    region = Region("paint", [(0, 0), (right, 0), (right, last), (0, last)])
+    return extract_signatures(line, region, **options)
+
+
+def scatter(
+    draws: int, seed: int, size: tuple[int, int, int], truth: np.ndarray, smooth: Any = None, **options: Any
+) -> np.ndarray:
+    """Return true over stated standard deviation of a signature (band,), then of band ratios (pair,)."""
+    errors, stated = [], []
+    for number in range(draws):
+        library = signature(
+            noisy_collect(np.random.default_rng([seed, number]), *size, **options), smooth=smooth
+        )
+        ratios = [band_ratio(library, *pair) for pair in PAIRS]
+        places = [[int(np.abs(WAVELENGTH - nm).argmin()) for nm in pair] for pair in PAIRS]
+        expected = np.concatenate([truth, [truth[p] / truth[q] for p, q in places]])
+        found = np.concatenate([library.reflectance.values[0], [float(each.ratio[0]) for each in ratios]])
+        errors.append(found - expected)
+        own = np.sqrt(np.diagonal(covariance(library).values[0]))
+        stated.append(np.concatenate([own, [float(each.ratio_u[0]) for each in ratios]]))
+    return np.sqrt(np.nanmean(np.square(errors), axis=0) / np.nanmean(np.square(stated), axis=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("common", [False, True])
+def test_signatures_and_ratios_scatter_as_is_stated(common: bool) -> None:
+    ratios = scatter(200, 8000, (100, 20, 10), true_reflectance(WAVELENGTH), common=common)
+    # what bands share is one draw a collect: 200 of them know it to 5 %
+    assert 0.9 < np.sqrt(np.mean(ratios[:24] ** 2)) < 1.1
+    assert 0.9 < np.sqrt(np.mean(ratios[24:] ** 2)) < 1.1
+
+
+@pytest.mark.slow
+def test_smile_and_smoothing_are_in_the_covariance() -> None:
+    truth = true_reflectance(WAVELENGTH)
+    # what smoothing does to a spectrum without errors is no uncertainty
+    weights = np.linalg.pinv(np.vander(np.arange(-3.0, 4.0), 3, increasing=True))[0]
+    truth[3:-3] = np.lib.stride_tricks.sliding_window_view(truth, 7) @ weights
+    smooth = {"method": "savitzky-golay", "window": 7, "order": 2}
+    ratios = scatter(200, 8100, (60, 12, 10), truth, smooth=smooth, smile=1.5)
+    assert 0.92 < np.sqrt(np.mean(ratios[4:20] ** 2)) < 1.08
+    assert 0.85 < np.sqrt(np.mean(ratios[25:] ** 2)) < 1.15
+
+
+def test_what_bands_share_leaves_a_ratio() -> None:
+    library = signature(noisy_collect(np.random.default_rng(1), 30, 8, 10, common=True))
+    ratio = band_ratio(library, 564.0, 562.0)
+    level = library.isel(band=20)
+    total = np.hypot(level.reflectance_u_random, level.reflectance_u_systematic) / level.reflectance
+    assert (ratio.ratio_u < 0.2 * total).all()
+    bands = covariance(library)
+    assert bands.dims == ("paint", "band", "other_band")
+    own = np.sqrt(np.diagonal(bands.values[0]))
+    total = np.hypot(library.reflectance_u_random, library.reflectance_u_systematic).values[0]
+    np.testing.assert_allclose(own, total, rtol=1e-5)
+    np.testing.assert_array_equal(bands.values, bands.values.transpose(0, 2, 1))
+    # correlations are cut at 1 %
+    assert (np.linalg.eigvalsh(bands.values[0]) > -0.02 * own.min() ** 2).all()
+
+
+def test_a_mean_says_the_same_as_a_signature() -> None:
+    line = noisy_collect(np.random.default_rng(2), 20, 6, 10, common=True)
+    mean = mean_uncertainty(reflectance(line, uncertainty=True))
+    np.testing.assert_allclose(covariance(mean).values, covariance(signature(line)).values[0], rtol=1e-4)
+
+
+def test_signs_of_an_error_of_wavelength_are_kept() -> None:
+    library = signature(noisy_collect(np.random.default_rng(3), 20, 6, 10, common=True))
+    row = library.reflectance_errors.values[0, list(library.error_source.values).index("wavelength")]
+    light = 1.0 - 0.002 * (WAVELENGTH - 545.0)
+    expected = 0.1 * np.gradient(true_reflectance(WAVELENGTH) * light, WAVELENGTH) / light
+    np.testing.assert_allclose(row[2:-2], expected[2:-2], rtol=0.1, atol=4e-5)
+
+
+def test_a_library_without_sources_has_a_covariance() -> None:
+    line = reflectance(noisy_collect(np.random.default_rng(4), 10, 6, 10, common=True), uncertainty=True)
+    bare = signature(line.drop_vars("dark_counts"))
+    assert "reflectance_errors" not in bare
+    own = np.sqrt(np.diagonal(covariance(bare).values[0]))
+    total = np.hypot(bare.reflectance_u_random, bare.reflectance_u_systematic).values[0]
+    np.testing.assert_allclose(own, total, rtol=1e-6)
+    both = xr.concat([bare.drop_vars("region"), bare.drop_vars("region")], "paint")
+    assert covariance(both).shape == (2, 24, 24)
+    with pytest.raises(SchemaError, match="reflectance_u_random"):
+        covariance(bare.drop_vars("reflectance_u_random"))
+    with pytest.raises(SchemaError, match="no band at 900 nm"):
+        band_ratio(bare, 900.0, 550.0)
