@@ -24,7 +24,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smoothing_matrix,
     to_nominal,
 )  # fmt: skip
-from hyperpaint.radiometry.uncertainty.line_errors import LineErrors, line_errors
+from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for

@@ -1,7 +1,7 @@
 """How sure counts, reflectance and means over it are.
 
 `photon_transfer` says how noisy the camera is, `propagation` what follows for every reflectance,
-`line_errors` which samples share which error, `mean_errors` and `averages` what is left of each in a mean
+`error_sources` which samples share which error, `mean_errors` and `averages` what is left of each in a mean
 over pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 

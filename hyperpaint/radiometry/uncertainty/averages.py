@@ -13,7 +13,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 
-from .line_errors import line_errors
+from .error_sources import line_errors
 from .mean_errors import MeanErrors, RegionSums, error_variables
 from .propagation import NONE_KNOWN, UNCERTAINTIES
 

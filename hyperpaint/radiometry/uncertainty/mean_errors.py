@@ -17,7 +17,7 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import LIBRARY_VARIABLES
 from hyperpaint.radiometry.spectral_axis import NominalAxis
 
-from .line_errors import COMPONENTS, FORMS, LineErrors, rounding_variance
+from .error_sources import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
 __all__ = ["MeanErrors", "RegionSums", "error_variables"]
