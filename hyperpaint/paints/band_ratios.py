@@ -70,14 +70,12 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
         errors = _last(signatures["reflectance_errors"].transpose("error_source", ...))
         lags = _last(signatures["error_correlation"].transpose("lag", ...))
         lags[0] = 1.0
-        is_sum = np.isnan(errors).all(axis=(0, -1))[..., None]  # of a line whose sources are not told apart
-        forms = signatures["error_form"].values
-        shared = [
-            np.nan_to_num(each) for each, form in zip(errors, forms, strict=True) if _WHOLE_BAND in form
-        ]
-        shared.append(np.where(is_sum, np.nan_to_num(systematic), 0.0))
+        # of a line whose sources are not told apart there is the sum alone
+        is_sum = np.isfinite(errors).sum(axis=(0, -1))[..., None] == 0
+        is_shared = [_WHOLE_BAND in str(form) for form in signatures["error_form"].values]
+        shared = [*np.nan_to_num(errors[is_shared]), np.where(is_sum, np.nan_to_num(systematic), 0.0)]
     if "reflectance_u_coat" in signatures.variables:
-        shared.append(_last(signatures["reflectance_u_coat"]))
+        shared.append(np.nan_to_num(_last(signatures["reflectance_u_coat"])))
     total = np.zeros((*random.shape, random.shape[-1]))
     size = random.shape[-1]
     for lag, correlation in enumerate(np.nan_to_num(lags)):
@@ -150,4 +148,4 @@ def band_ratio(signatures: xr.Dataset, above: float, below: float) -> xr.Dataset
 
 def _last(array: xr.DataArray) -> Floats:
     """Return values with the bands last."""
-    return np.asarray(array.transpose(..., BAND).values, np.float64)
+    return np.array(array.transpose(..., BAND).values, np.float64)
