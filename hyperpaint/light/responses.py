@@ -262,12 +262,15 @@ def _remembered_operator(
     half = imager.reach() + np.ptp(shifts) / 2
     for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
         near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
-        _check_size((2.0 * half[band] + 4.0 * reach.max()) / step, near.size, spectrometer, imager)
-        grid = np.arange(-half[band] - 2 * reach.max(), half[band] + 2 * reach.max() + step, step) + centre
+        # detectors differ in width: only that of the channels around the band counts
+        widest = reach[near].max() if near.size else reach.max()
+        _check_size((2.0 * half[band] + 4.0 * widest) / step, near.size, spectrometer, imager)
+        grid = np.arange(-half[band] - 2 * widest, half[band] + 2 * widest + step, step) + centre
         responses = np.stack([bands.on(grid, band) for bands in moved])
         inside = (grid >= centres[0]) & (grid <= centres[-1])
         coverage[:, band] = responses[:, inside].sum(axis=1) * step
-        if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * spectrometer.fwhm.max()):
+        widths = spectrometer.fwhm[order[near]] if near.size else spectrometer.fwhm
+        if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
             coverage[:, band] = 0.0
         covered = coverage[:, band] >= 0.999
         weights[~covered, band] = np.nan

@@ -148,3 +148,17 @@ def test_widths_that_no_grid_holds_are_refused(narrow: float, wide: float) -> No
     channels = Responses(np.linspace(400.0, 500.0, 50), widths)
     with pytest.raises(SchemaError, match="responses so far apart cannot be matched"):
         matching_operator(channels, Responses(np.array([450.0]), np.array([6.0])))
+
+
+def test_a_wider_detector_elsewhere_changes_nothing() -> None:
+    """A field spectrometer's channels beyond 1000 nm are wider; bands of the visible know nothing of it."""
+    channels = np.arange(500.0, 1400.0)
+    widths = np.where(channels <= 1000.0, 3.0, 10.0)
+    bands = Responses(np.linspace(600.0, 640.0, 8), np.full(8, 6.0))
+    one = matching_operator(Responses(channels, 3.0), bands).weights
+    other = matching_operator(Responses(channels, widths), bands).weights
+    np.testing.assert_array_equal(one, other)
+    # seven channels are missing: more than two of their widths, less than two of those beyond
+    holed = np.abs(channels - 620.0) > 3.5
+    lacking = matching_operator(Responses(channels[holed], widths[holed]), bands).weights
+    assert np.isnan(lacking).any()

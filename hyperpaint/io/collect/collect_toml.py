@@ -69,7 +69,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "utc_offset_h": check.number,
         "clock_offset_s": check.number,
         "stamp": _STAMP,
-        "fwhm_nm": check.positive,
+        "fwhm_nm": check.number_or_pairs,
         "max_gap_s": check.positive,
         "clock_uncertainty_s": check.not_negative,
         "units": check.text,

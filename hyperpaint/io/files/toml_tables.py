@@ -208,6 +208,19 @@ three_numbers = _expect(
     "three numbers",
     lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value)),
 )
+number_or_pairs = _expect(
+    "a positive number, or a list of pairs [wavelength, value]",
+    lambda value: (
+        (_is_number(value) and value > 0)
+        or (
+            isinstance(value, list)
+            and bool(value)
+            and all(
+                isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in value
+            )
+        )
+    ),
+)
 texts = _expect(
     "a text or a list of texts",
     lambda value: all(map(_is_text, value if isinstance(value, list) and value else [value])),

@@ -1,6 +1,7 @@
 import contextlib
 import datetime as dt
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,7 +80,8 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
         series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength")
     )
     np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
-    assert series["irradiance_fwhm"] == 3.0
+    # those of the detector: 3 nm of the first, which a camera up to 1000 nm sees
+    assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(350, 1000)) == 3.0).all()
     assert series["irradiance_max_gap"] == 15.0
     assert series.attrs["irradiance_srf_shape"] == "gaussian"
     assert "assumed" in series.attrs["irradiance_fwhm_source"]
@@ -421,3 +423,30 @@ def test_a_damaged_store_is_named(tmp_path):
         open_irradiance(tmp_path / "sky.zarr")
     with pytest.raises(FormatError, match=r"gone\.zarr: cannot be opened"):
         open_irradiance(tmp_path / "gone.zarr")
+
+
+def test_a_width_may_depend_on_wavelength() -> None:
+    sky = xr.DataArray(
+        np.full((2, 5), 0.8),
+        dims=("time", "wavelength"),
+        coords={
+            "time": np.array(["2024-05-21T12:00", "2024-05-21T12:01"], "datetime64[ns]"),
+            "wavelength": ("wavelength", [400.0, 700.0, 1000.0, 1001.0, 1400.0], {"units": "nm"}),
+        },
+        attrs={"units": "W m-2 nm-1"},
+    )
+    series = open_irradiance(sky, fwhm_nm=[[400, 4.0], [1000, 3.0], [1001, 10.0]])
+    np.testing.assert_allclose(series.irradiance_fwhm, [4.0, 3.5, 3.0, 10.0, 10.0])
+    assert series.irradiance_fwhm.dims == ("irradiance_wavelength",)
+    for wrong in ([[700, 3.0], [400, 3.0]], [[400, -1.0]], [3.0, 4.0], [[400, 3.0], [500]]):
+        with pytest.raises(SchemaError, match="pairs of increasing wavelength"):
+            open_irradiance(sky, fwhm_nm=wrong)
+
+
+@pytest.mark.real_data
+def test_detectors_of_a_real_asd_have_widths_of_their_own(shared_data: Path) -> None:
+    path = shared_data / "asd_ascii" / "asd-e-irrad-sky.tsv"
+    series = open_irradiance(path, "irradiance", utc_offset_h=3.0, max_gap_s=5.0)
+    at = series.irradiance_fwhm.sel(irradiance_wavelength=[700.0, 1000.0, 1001.0, 2100.0])
+    assert at.values.tolist() == [3.0, 3.0, 10.0, 10.0]
+    assert "other detectors" in series.attrs["irradiance_fwhm_source"]
