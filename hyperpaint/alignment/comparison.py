@@ -17,6 +17,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import ALONG_TRACK, BAND
+from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.counts_to_reflectance import radiance
 
@@ -91,7 +92,6 @@ class ComparisonRules:
 
 COMPARISON = ComparisonRules()
 
-_CENTRE_NM, _SPAN_NM = 600.0, 100.0
 _COARSE_STEP_NM = 0.25
 _ITERATIONS = 8
 _CLUSTER_BANDS = 4
@@ -132,7 +132,7 @@ class Comparison(NamedTuple):
 
     def shift_at(self, wavelength: Floats) -> Floats:
         """Return the shift at wavelengths [nm]."""
-        return np.asarray(self.shift + self.tilt * (wavelength - _CENTRE_NM) / _SPAN_NM)
+        return np.asarray(self.shift + self.tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
     def is_significant(self, rules: ComparisonRules = COMPARISON) -> bool:
         """Tell whether camera and record differ by more than chance, and by more than a trifle."""
@@ -354,7 +354,7 @@ def _window_fit(
 
 def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
     """Return the shift (band,) [nm] of shift at the centre, tilt, width."""
-    return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - _CENTRE_NM) / _SPAN_NM)
+    return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
@@ -430,7 +430,7 @@ def _linear(fits: list[_WindowFit], numbers: Floats) -> tuple[list[Floats], list
             fit.departure(at, width + _DERIVATIVE_WIDTH) - fit.departure(at, width - _DERIVATIVE_WIDTH)
         ) / (2 * _DERIVATIVE_WIDTH)
         away.append(fit.departure(at, width))
-        lever = ((fit.wavelength - _CENTRE_NM) / _SPAN_NM)[:, None]
+        lever = ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None]
         slopes.append(np.stack([by_shift, lever * by_shift, by_width]))
     return away, slopes
 

@@ -20,11 +20,17 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.units import convert, takes_quantities
 
-from .responses import Matching, Responses, log_slope, matching_operator
+from .responses import Matching, Responses, log_slope, matching_operator, misfit_through
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
-__all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
+__all__ = [
+    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "Smile", "Tilt", "match_irradiance", "matched_series",
+    "smile_cells",
+]  # fmt: skip
+
+ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
+"""Where the shift between camera and record is stated, and over what its change is [nm]."""
 
 
 NODE_SPACING = 0.5
@@ -270,7 +276,10 @@ def match_irradiance(
         "wavelength": wavelength, "fwhm": fwhm, "srf_shape": srf_shape, "responsivity": responsivity,
         "srf_offset": srf_offset, "srf": srf,
     }  # fmt: skip
-    matching = _operator(channels.values, irradiance_fwhm, irradiance_srf_shape, imager, nodes)
+    matching = matching_operator(
+        *_both(channels.values, irradiance_fwhm, irradiance_srf_shape, imager), nodes
+    )
+    _warn_of(matching, channels.values, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
@@ -294,14 +303,10 @@ def match_irradiance(
     return schema.label(matched, "irradiance")
 
 
-def _operator(
-    channels: Floats,
-    irradiance_fwhm: Any,
-    irradiance_shape: str,
-    imager: Mapping[str, Any],
-    nodes: npt.ArrayLike,
-) -> Matching:
-    """Return the operator between a spectrometer and an imager, with warnings a user can act on."""
+def _both(
+    channels: Floats, irradiance_fwhm: Any, irradiance_shape: str, imager: Mapping[str, Any]
+) -> tuple[Responses, Responses]:
+    """Return the responses of a spectrometer and of an imager."""
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
     responsivity = imager.get("responsivity")
@@ -311,7 +316,12 @@ def _operator(
         wavelength, fwhm, imager["srf_shape"], spacing=imager.get("spacing"), slope=slope,
         offset=imager["srf_offset"], table=imager["srf"],
     )  # fmt: skip
-    matching = matching_operator(spectrometer, bands, nodes)
+    return spectrometer, bands
+
+
+def _warn_of(matching: Matching, channels: Floats, imager: Mapping[str, Any]) -> None:
+    """Warn of bands that the spectrometer does not resolve or cover, in words a user can act on."""
+    wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:
         warnings.warn(
@@ -329,7 +339,6 @@ def _operator(
             PaintWarning,
             stacklevel=3,
         )
-    return matching
 
 
 def _apply(matching: Matching, spectra: Array) -> Floats:
@@ -352,12 +361,21 @@ def matched_series(
     irradiance_shape: str,
     imager: Mapping[str, Any],
     nodes: Floats,
+    as_found: tuple[float, float, float] | None = None,
 ) -> tuple[Floats, Floats]:
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
-    The array side of `match_irradiance`.
+    The array side of `match_irradiance`. ``as_found``: what a comparison in flight found of the record and
+    nobody applied (camera minus record [nm], its change over `ALIGNED_PER_NM` [nm], the width over the declared one): it shows in the misfit.
     """
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
-    matching = _operator(channels[order], width, irradiance_shape, imager, nodes)
-    return _apply(matching, np.asarray(spectra, np.float64)[:, order]), matching.misfit
+    spectrometer, bands = _both(channels[order], width, irradiance_shape, imager)
+    matching = matching_operator(spectrometer, bands, nodes)
+    _warn_of(matching, channels[order], imager)
+    misfit = matching.misfit
+    if as_found is not None:
+        shift, slope, factor = as_found
+        moved = channels[order] - shift - slope * (channels[order] - ALIGNED_AT_NM) / ALIGNED_PER_NM
+        misfit = misfit_through(matching, Responses(moved, width * factor, irradiance_shape), bands, nodes)
+    return _apply(matching, np.asarray(spectra, np.float64)[:, order]), misfit

@@ -19,7 +19,10 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
-__all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator", "mean_responsivity"]
+__all__ = [
+    "Matching", "Responses", "band_spacing", "log_slope", "matching_operator", "mean_responsivity",
+    "misfit_through",
+]  # fmt: skip
 
 
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
@@ -287,6 +290,29 @@ def _remembered_operator(
     for array in (weights, misfit, noise_gain, coverage):
         array.flags.writeable = False
     return Matching(weights, misfit, noise_gain, coverage)
+
+
+def misfit_through(
+    matching: Matching, spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike
+) -> Floats:
+    """Return the misfit (node, band) of an operator whose spectrometer is another than it was made for [1].
+
+    ``spectrometer``: responses of the channels as they are; NaN where the operator is.
+    """
+    reach = spectrometer.reach()
+    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / _FINEST
+    misfit = np.full(matching.misfit.shape, np.nan)
+    for node, shift in enumerate(np.atleast_1d(np.asarray(nodes, np.float64))):
+        moved = imager.shifted(float(shift))
+        for band in np.flatnonzero(np.isfinite(matching.misfit[node])):
+            row = matching.weights[node, band]
+            near = np.flatnonzero(row)
+            half = moved.reach()[band] + 2.0 * reach[near].max()
+            grid = np.arange(-half, half + step, step) + moved.wavelength[band]
+            response = moved.on(grid, int(band))
+            seen = row[near] @ np.stack([spectrometer.on(grid, int(j)) for j in near])
+            misfit[node, band] = np.sqrt(((seen - response) ** 2).sum() / (response**2).sum())
+    return misfit
 
 
 def _check_size(steps: float, channels: int, *responses: Responses) -> None:

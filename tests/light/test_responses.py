@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.responses import Responses, band_spacing, log_slope, matching_operator
+from hyperpaint.light.responses import (
+    Responses,
+    band_spacing,
+    log_slope,
+    matching_operator,
+    misfit_through,
+)
 
 SIGMA = 1 / (2 * np.sqrt(2 * np.log(2)))
 SAMPLES = np.arange(480.0, 621.0)
@@ -162,3 +168,17 @@ def test_a_wider_detector_elsewhere_changes_nothing() -> None:
     holed = np.abs(channels - 620.0) > 3.5
     lacking = matching_operator(Responses(channels[holed], widths[holed]), bands).weights
     assert np.isnan(lacking).any()
+
+
+def test_misfit_of_weights_made_for_another_spectrometer() -> None:
+    channels = np.arange(560.0, 680.0)
+    bands = Responses(np.linspace(600.0, 640.0, 5), np.full(5, 6.0))
+    matching = matching_operator(Responses(channels, 3.0), bands, (0.0, 0.5))
+    same = misfit_through(matching, Responses(channels, 3.0), bands, (0.0, 0.5))
+    np.testing.assert_allclose(same, matching.misfit, rtol=1e-3, atol=1e-6)
+    # weights for 3 nm make of 4 nm a Gaussian of a = sqrt(36 - 9 + 16) nm; its distance from one of b = 6 nm,
+    # both of unit area, is sqrt(1 + b / a - 2 sqrt(2 / (1 + (a / b)^2))) in norms of the latter
+    ratio = 6.0 / np.sqrt(43.0)
+    expected = np.sqrt(1.0 + ratio - 2.0 * np.sqrt(2.0 / (1.0 + 1.0 / ratio**2)))
+    wide = misfit_through(matching, Responses(channels, 4.0), bands, (0.0, 0.5))
+    np.testing.assert_allclose(wide, expected, rtol=0.02)
