@@ -25,8 +25,8 @@ from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
 __all__ = [
-    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "Smile", "Tilt", "match_irradiance", "matched_series",
-    "smile_cells",
+    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "Smile", "Tilt", "departure_of_record", "match_irradiance",
+    "matched_series", "smile_cells",
 ]  # fmt: skip
 
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
@@ -366,7 +366,7 @@ def matched_series(
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
     The array side of `match_irradiance`. ``as_found``: what a comparison in flight found of the record and
-    nobody applied (camera minus record [nm], its change over `ALIGNED_PER_NM` [nm], the width over the declared one): it shows in the misfit.
+    nobody applied (`departure_of_record`): it shows in the misfit.
     """
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
@@ -379,3 +379,16 @@ def matched_series(
         moved = channels[order] - shift - slope * (channels[order] - ALIGNED_AT_NM) / ALIGNED_PER_NM
         misfit = misfit_through(matching, Responses(moved, width * factor, irradiance_shape), bands, nodes)
     return _apply(matching, np.asarray(spectra, np.float64)[:, order]), misfit
+
+
+def departure_of_record(attrs: Mapping[Any, Any]) -> tuple[float, float, float] | None:
+    """Return what was found of a line's record and not applied; None where there is nothing.
+
+    Camera minus record at `ALIGNED_AT_NM` [nm], its change over `ALIGNED_PER_NM` [nm], and the record's width
+    over the declared one [1], from the attributes that `hyperpaint.alignment.align` leaves.
+    """
+    names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
+    if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):
+        return None
+    shift, slope, width = (float(attrs[name]) for name in names)
+    return shift, slope, width

@@ -27,7 +27,7 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.light.illumination import Tilt
+from hyperpaint.light.illumination import Tilt, departure_of_record
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
@@ -407,6 +407,7 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
     values = {name: slabs.small(array) for name, array in arrays.items()}
     values["srf_shape"] = _shape(dataset, "srf_shape")
     values["irradiance_srf_shape"] = _shape(dataset, "irradiance_srf_shape")
+    values["as_found"] = departure_of_record(dataset.attrs)
     return values
 
 

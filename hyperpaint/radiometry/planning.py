@@ -320,8 +320,9 @@ def _illuminate(
         "responsivity": mean_responsivity(cube["radiance_gain"]) if "radiance_gain" in cube else None,
     }
     matched, misfit = matched_series(
-        spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
-    )
+        spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes,
+        light.get("as_found"),
+    )  # fmt: skip
     warn_of_lost_bands(spectra[used], channels, matched, imager["wavelength"])
     if tilt is not None:
         place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))

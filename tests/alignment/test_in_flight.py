@@ -90,6 +90,11 @@ def test_never_says_so_and_changes_nothing(told: xr.Dataset) -> None:
         same = hp.alignment.align(told, apply="never")
     assert same.attrs["alignment_state"] == "not applied"
     xr.testing.assert_identical(same.drop_attrs(), told.drop_attrs())
+    # the response that irradiance was matched to is not the camera's, and the product says how far it is
+    before, after = hp.reflectance(told), hp.reflectance(same)
+    np.testing.assert_array_equal(before.reflectance, after.reflectance)
+    assert float(before.irradiance_misfit.max()) < 0.02
+    assert float(after.irradiance_misfit.min()) > 0.1
 
 
 def test_always_corrects_what_is_not_significant(wide: xr.Dataset) -> None:
