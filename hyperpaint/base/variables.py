@@ -244,6 +244,8 @@ _LINE_TABLE = (
     Variable("masked", (CROSS_TRACK,), "", "bool", "Whether an element sees no light, so that what it counts beyond its dark is the pedestal of a line", alternatives=(_ELEMENT, (BAND,))),
     Variable("linearity_counts", ("linearity_counts",), "count", "float64", "Counts, raw or dark-subtracted, at which linear_counts is known", coordinate=True),
     Variable("linear_counts", ("linearity_counts",), "count", "float64", "Counts proportional to light, as many as measured ones at low light"),
+    Variable("stray_light_u", (), "1", "float32", "Relative standard uncertainty of the light that is subtracted as stray light and smear"),
+    Variable("band_shift_time", (), "s", "float64", "Time in which a frame is shifted by one band under the light"),
     Variable("linearity_u", (), "1", "float32", "Relative standard uncertainty that linearity leaves in linear counts"),
 )
 

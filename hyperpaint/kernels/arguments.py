@@ -13,7 +13,7 @@ __all__ = [
     "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "DetectorModel", "ErrorTerms",
     "FixedFlags",
     "Glinting", "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions",
-    "LineRays", "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "Unmixed",
+    "LineRays", "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "StrayLight", "Unmixed",
 ]  # fmt: skip
 
 
@@ -46,6 +46,23 @@ class Calibration(NamedTuple):
     dark_weight: Array
     gain: Array  #: (band, column) float32: NaN marks a bad element
     detector: DetectorModel
+
+
+class StrayLight(NamedTuple):
+    """What linear counts above dark hold of other bands: ``smear`` of their sum, ``give @ take`` of the rest.
+
+    Charge smears as it was counted. Light strays before it meets an element, whatever that makes of it.
+    """
+
+    give: Array  #: (band, term) float32; the terms are a multiple of four
+    take: Array  #: (term, band) float32; the bands are filled up with zeros to a multiple of four
+    smear: Array  #: (line,) float32: share of the sum of all bands [1]
+    #: (n, 3) int64: column and band of elements whose own counts mean nothing, and the band whose counts are
+    #: taken for theirs; -1 where no light falls on them
+    stands_in: Array
+    #: (band, column) float32: counts of an even detector over those of an element [1]; NaN of bad ones
+    level: Array
+    relative: Any  #: float32: relative standard uncertainty of what is subtracted [1]
 
 
 class LightCells(NamedTuple):

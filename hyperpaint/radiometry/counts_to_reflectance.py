@@ -34,6 +34,7 @@ from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
 from .panels import CLOSURE, Panel, closure_variables, panel_inputs, several_panels
 from .planning import make_plan
+from .stray_light import STRAY_LIGHT, described
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
 __all__ = ["panel_closure", "radiance", "reflectance"]
@@ -375,7 +376,7 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
         needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if from_counts:
-        optional += [name for name in (*TABLE, "masked") if name in dataset.variables]
+        optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # gives the slope of the responsivity
     arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
@@ -447,6 +448,7 @@ def _applied(values: dict[str, Any]) -> dict[str, str | None]:
         notes["linearity_applied"] = linearity.described(TABLE[0] in values)
     if "masked" in values:
         notes["pedestal_applied"] = "mean of the masked elements of each line, beyond their dark"
+    notes["stray_light_applied"] = described(values)
     return notes
 
 

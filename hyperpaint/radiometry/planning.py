@@ -24,6 +24,7 @@ from .panel_judging import RULES as PANEL_RULES, PanelClosure, PanelContext, jud
 from .panel_scale import panel_correction, usable_panels
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
+from .stray_light import check_stray_light, stray_light_of
 from .tilted_light import direct_share, tilt_factors
 from .uncertainty.propagation import error_terms
 
@@ -122,6 +123,7 @@ def make_plan(
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
         detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube))._replace(masked=masked),
+        stray=stray_light_of(cube, exposure, gain, masked) if from_counts else None,
         error_terms=None
         if uncertain is None
         else error_terms(uncertain, cube, light, dtype, bad, len(masked)),
@@ -152,6 +154,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
             f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
         )
     _linearity(cube).check(problems, _highest_count(cube))
+    check_stray_light(cube, shape[1], exposure, problems)
     problems.raise_if_any()
 
 

@@ -29,6 +29,7 @@ from hyperpaint.kernels.arguments import (
     FixedFlags,
     LightCells,
     SlabOutputs,
+    StrayLight,
 )
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
@@ -78,6 +79,7 @@ class Plan:
     cleared_bits: int  #: Mantissa bits that rounding clears; 0 rounds nothing
     starts: Array  #: (slab,): first line of every slab
     detector: DetectorModel  #: What is undone of what the detector does to counts
+    stray: StrayLight | None = None  #: Light of other bands, which is subtracted; None where none is known
     error_terms: ErrorTerms | None = None  #: None where uncertainties were not asked for
     closure: PanelClosure | None = None  #: What panels measure; None without
     panel_weights: Floats | None = None  #: (line, panel) of several panels; None else
@@ -135,10 +137,16 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
     from hyperpaint.kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
+    calibration = Calibration(
+        plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain, plan.detector
+    )
+    light = LightCells(
+        plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
+    )
     calibrate_slab(
         counts,
-        Calibration(plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain, plan.detector),
-        LightCells(plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells),
+        calibration,
+        light,
         CountLimits(
             plan.saturation_limit,
             plan.noise_margin,
@@ -147,9 +155,14 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         ),
         FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA)),
         plan.error_terms or _NO_ERROR_TERMS,
-        np.uint32(plan.cleared_bits),
+        np.uint32(plan.cleared_bits if plan.stray is None else 0),
         out,
     )
+    if plan.stray is not None:
+        from hyperpaint.kernels.stray_light import subtract_stray_light
+
+        stray = plan.stray._replace(smear=plan.stray.smear[here])
+        subtract_stray_light(counts, calibration, light, stray, np.uint32(plan.cleared_bits), out)
 
 
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:

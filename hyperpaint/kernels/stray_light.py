@@ -1,0 +1,184 @@
+"""Light that a band counts of others, taken out of calibrated lines: scattered in the camera, and smear.
+
+Both are sums over all bands of a column, so that a line is made linear once more before anything is summed.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import borrowing_kernel, kernel
+
+from .arguments import Calibration, LightCells, SlabOutputs, StrayLight
+from .linear_counts import LinearRow, signal_row, straighten_row
+from .pedestal import pedestal_of, raise_dark
+from .radiometry import blend, light_row, round_row
+
+__all__ = ["subtract_stray_light"]
+
+_BLOCK = 128
+"""Columns whose sums are made side by side, so that they stay in the nearest cache."""
+_NOTHING = np.float32(0.0)
+_NO_LIMIT = np.float32(np.inf)
+
+
+class StrayWork(NamedTuple):
+    """Memory of `sum_line`."""
+
+    total: Array  #: (column,) float32: smear of a line [count]
+    #: block (band, column), sums (term, column) float32: counts of some columns, and their sums over the
+    #: bands; contiguous, since rows a power of two apart would displace one another from the cache
+    block: Array
+    sums: Array
+
+
+@borrowing_kernel
+def net_line(
+    counts: Array, darks: tuple[Array, Array], calibration: Calibration, work: LinearRow, net: Array
+) -> None:
+    """Write linear counts above dark (band, column), 0 where they are not finite.
+
+    ``darks``: as it is, and made linear. Saturated counts are taken as they are read: the least they can be.
+    """
+    detector, (dark, linear_dark) = calibration.detector, darks
+    curved = detector.polynomial.size + detector.table.size > 0
+    for band in range(counts.shape[0]):
+        row = net[band]
+        if curved:
+            own = linear_dark[band] if detector.on_raw else dark[band]
+            signal_row(counts[band], own, detector, _NO_LIMIT, work, row)
+        else:
+            for x in range(row.size):
+                row[x] = np.float32(counts[band, x]) - dark[band, x]
+        for x in range(row.size):
+            row[x] = row[x] if abs(row[x]) < _NO_LIMIT else _NOTHING
+
+
+@borrowing_kernel
+def replace_bad(net: Array, stands_in: Array) -> None:
+    """Set elements (n, 3) of a line: column, band, and the band whose counts are taken; -1 for no light."""
+    for k in range(stands_in.shape[0]):
+        x, band, other = stands_in[k, 0], stands_in[k, 1], stands_in[k, 2]
+        net[band, x] = net[other, x] if other >= 0 else _NOTHING
+
+
+@borrowing_kernel
+def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
+    """Write what of a line's counts (band, column) is that of other bands [count].
+
+    First the smear, a share of the sum over the bands, then what is left of it through the product of two
+    narrow matrices. Four terms at a time, whose order is that of the bands, whatever the number of columns.
+    """
+    bands, columns = out.shape
+    total, block, sums = work.total, work.block, work.sums
+    total[:] = _NOTHING
+    if smear != _NOTHING:
+        for band in range(bands):
+            for x in range(columns):
+                total[x] += net[band, x]
+        for x in range(columns):
+            total[x] *= smear
+    for first in range(0, columns, _BLOCK):
+        width = min(_BLOCK, columns - first)
+        for band in range(bands):
+            for x in range(width):
+                at = first + x
+                block[band, x] = (net[band, at] - total[at]) * stray.level[band, at]
+        for term in range(stray.take.shape[0]):
+            collect_term(block, stray.take[term], sums[term])
+        for band in range(bands):
+            own = block[band]
+            give_terms(sums, stray.give[band], own)
+            for x in range(width):
+                out[band, first + x] = own[x] / stray.level[band, first + x] + total[first + x]
+
+
+@borrowing_kernel
+def collect_term(net: Array, take: Array, total: Array) -> None:
+    """Write the sum of bands (band, column) times ``take`` (band,), both padded to whole fours."""
+    total[:] = _NOTHING
+    for band in range(0, take.size, 4):
+        a, b, c, d = take[band], take[band + 1], take[band + 2], take[band + 3]
+        for x in range(total.size):
+            total[x] += (a * net[band, x] + b * net[band + 1, x]) + (
+                c * net[band + 2, x] + d * net[band + 3, x]
+            )
+
+
+@borrowing_kernel
+def give_terms(sums: Array, give: Array, out: Array) -> None:
+    """Write the sum of terms (term, column) times ``give`` (term,), padded to whole fours."""
+    out[:] = _NOTHING
+    for term in range(0, give.size, 4):
+        a, b, c, d = give[term], give[term + 1], give[term + 2], give[term + 3]
+        for x in range(out.size):
+            out[x] += (a * sums[term, x] + b * sums[term + 1, x]) + (
+                c * sums[term + 2, x] + d * sums[term + 3, x]
+            )
+
+
+@borrowing_kernel
+def take_off(
+    stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, place: tuple[int, int]
+) -> None:
+    """Subtract stray counts (column,) of a ``place`` (line, band), and add what is unsure of them."""
+    line, band = place
+    values = out.cube[line, band]
+    for x in range(values.size):
+        values[x] -= stray[x] * (gain[x] * inverse[x])
+    if out.u_systematic.shape[0] > 0:
+        u_systematic = out.u_systematic[line, band]
+        for x in range(values.size):
+            unsure = relative * (stray[x] * (gain[x] * inverse[x]))
+            u_systematic[x] = np.sqrt(u_systematic[x] * u_systematic[x] + unsure * unsure)
+
+
+@kernel
+def subtract_stray_light(
+    counts: Array, calibration: Calibration, light: LightCells, stray: StrayLight, cleared_bits: Any,
+    out: SlabOutputs,
+) -> None:  # fmt: skip
+    """Free whole lines, calibrated from counts (line, band, column) but not rounded, of stray light.
+
+    What of ``out`` is not empty is rounded, with ``cleared_bits`` of the mantissas cleared.
+    """
+    n_line, n_band, n_column = counts.shape
+    dark, detector = calibration.dark, calibration.detector
+    has_pedestal = detector.masked.shape[0] > 0
+    own_dark = np.empty((n_band, n_column), np.float32)
+    linear_dark = np.empty((n_band, n_column), np.float32)
+    net = np.empty((n_band, n_column), np.float32)
+    other = np.empty((n_band, n_column), np.float32)
+    # rows of zeros fill up the last four bands
+    memory = StrayWork(
+        np.empty(n_column, np.float32), np.zeros((max(stray.take.shape[1], n_band), _BLOCK), np.float32),
+        np.zeros((stray.take.shape[0], _BLOCK), np.float32),
+    )  # fmt: skip
+    work = LinearRow(np.empty(n_column, np.int32), np.empty(n_column, np.float32))
+    irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
+    bits, u_random_bits = out.cube.view(np.uint32), out.u_random.view(np.uint32)
+    u_systematic_bits = out.u_systematic.view(np.uint32)
+    for line in range(n_line):
+        own_dark[:] = dark[0]
+        if dark.shape[0] > 1:
+            first = calibration.dark_index[line]
+            blend(dark[first], dark[first + 1], calibration.dark_weight[line], own_dark)
+        if has_pedestal:
+            raise_dark(pedestal_of(counts[line], own_dark, detector.masked), own_dark, own_dark)
+        linear_dark[:] = own_dark
+        for band in range(n_band if detector.on_raw else 0):
+            straighten_row(detector, linear_dark[band], work)
+        net_line(counts[line], (own_dark, linear_dark), calibration, work, net)
+        replace_bad(net, stray.stands_in)
+        sum_line(net, stray, stray.smear[line], memory, other)
+        for band in range(n_band):
+            light_row(light, line, band, irradiance, inverse)
+            take_off(other[band], calibration.gain[band], inverse, stray.relative, out, (line, band))
+            if cleared_bits > 0:
+                round_row(bits[line, band], cleared_bits)
+                if out.u_random.shape[0] > 0:
+                    round_row(u_random_bits[line, band], cleared_bits)
+                    round_row(u_systematic_bits[line, band], cleared_bits)

@@ -1,0 +1,174 @@
+"""Light that bands count of others: against plain numpy, over chunks, through a sweep that holds it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
+from hyperpaint.simulation import simulate_line
+from hyperpaint.simulation.optics import stray_light_wings
+
+BANDS = 24
+CAMERA: dict[str, Any] = {"lines": 12, "bands": BANDS, "columns": 150, "noise": False, "quantise": False}
+SECONDS = {"units": "s"}
+
+
+def wings(bands: int, share: float = 0.03) -> np.ndarray:
+    """Return light that strays to bands nearby and, evenly, to all; each source loses ``share``."""
+    apart = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
+    near = np.exp(-apart / 5.0)
+    return share * (0.5 * near / near.sum(axis=0) + 0.5 / bands)
+
+
+def seen_by(line: xr.Dataset, matrix: np.ndarray, shift: float) -> xr.Dataset:
+    """Return the line as a camera counts it that strays before its elements and smears behind them."""
+    counts, dark = (
+        line[name].transpose(..., "band", "cross_track").values for name in ("counts", "dark_counts")
+    )
+    share = shift / float(line.exposure_time)
+    net = counts.astype(np.float64) - dark
+    net = net + np.einsum("bs,lsx->lbx", matrix, net)
+    net = net + share * net.sum(axis=1, keepdims=True)
+    cube = (line.counts.dims, (net + dark).astype(np.float32), line.counts.attrs)
+    return line.assign(counts=cube)
+
+
+def with_knowledge(line: xr.Dataset, matrix: np.ndarray, shift: float, unsure: float = 0.0) -> xr.Dataset:
+    return line.assign(
+        stray_light=(("band", "source_band"), matrix, {"units": "1"}),
+        stray_light_u=((), np.float32(unsure), {"units": "1"}),
+        band_shift_time=((), shift, SECONDS),
+    )
+
+
+@pytest.fixture(scope="module")
+def line() -> xr.Dataset:
+    return simulate_line(**CAMERA, nonuniformity=0.0, glint=0.0)
+
+
+def test_what_strays_and_smears_is_undone(line: xr.Dataset) -> None:
+    matrix, shift = wings(BANDS), 1e-5
+    expected = line.paint.reflectance().reflectance.values
+    seen = seen_by(line, matrix, shift)
+    wrong = seen.paint.reflectance().reflectance.values / expected - 1
+    assert np.nanmedian(wrong) > 0.05
+    mended = with_knowledge(seen, matrix, shift).paint.reflectance().reflectance
+    assert mended.dtype == np.float32
+    assert "smear" in mended.stray_light_applied
+    np.testing.assert_allclose(mended.values, expected, rtol=3e-5)
+
+
+def test_radiance_is_freed_of_it_too(line: xr.Dataset) -> None:
+    matrix = wings(BANDS)
+    expected = line.paint.radiance().radiance.values
+    mended = with_knowledge(seen_by(line, matrix, 0.0), matrix, 0.0).paint.radiance().radiance.values
+    np.testing.assert_allclose(mended, expected, rtol=3e-5)
+
+
+def test_elements_differ_behind_what_strays() -> None:
+    even, uneven = (
+        simulate_line(**CAMERA | {"columns": 600}, nonuniformity=spread, glint=0.0) for spread in (0.0, 0.02)
+    )
+    matrix = wings(BANDS)
+    own = (even.radiance_gain / uneven.radiance_gain).values
+    light = seen_by(even, matrix, 0.0)
+    dark = uneven.dark_counts.values
+    net = (
+        light.counts.transpose("along_track", "band", "cross_track").values - even.dark_counts.values
+    ) * own
+    counts = (light.counts.dims, (net + dark).astype(np.float32), light.counts.attrs)
+    seen = with_knowledge(uneven.assign(counts=counts), matrix, 0.0)
+    expected = even.paint.reflectance().reflectance.values
+    mended, unaware = (
+        each.paint.reflectance().reflectance.values for each in (seen, seen.drop_vars("stray_light"))
+    )
+    # what elements differ in is told from smile by a parabola through 600 of them
+    assert np.abs(mended - expected).max() < 0.01 * np.abs(unaware - expected).max()
+
+
+@pytest.mark.parametrize("keep_bits", [None, 12])
+def test_chunks_change_no_bit(line: xr.Dataset, keep_bits: int | None) -> None:
+    seen = with_knowledge(seen_by(line, wings(BANDS), 1e-5), wings(BANDS), 1e-5, 0.1)
+    whole = seen.paint.reflectance(keep_bits=keep_bits, uncertainty=True).compute()
+    for lines in (1, 2, 5, 7):
+        part = seen.chunk(along_track=lines).paint.reflectance(keep_bits=keep_bits, uncertainty=True)
+        for name in ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "quality"):
+            np.testing.assert_array_equal(part[name].values, whole[name].values)
+
+
+def test_what_is_unsure_of_it_is_systematic(line: xr.Dataset) -> None:
+    matrix = wings(BANDS)
+    seen = seen_by(line, matrix, 0.0)
+    sure, unsure = (
+        with_knowledge(seen, matrix, 0.0, part).paint.reflectance(uncertainty=True) for part in (0.0, 0.2)
+    )
+    subtracted = seen.paint.reflectance().reflectance - sure.reflectance
+    added = np.sqrt(unsure.reflectance_u_systematic**2 - sure.reflectance_u_systematic**2)
+    np.testing.assert_allclose(added, 0.2 * np.abs(subtracted), rtol=0.02, atol=1e-5)
+    assert sure.reflectance_u_random.equals(unsure.reflectance_u_random)
+
+
+def test_bad_elements_stray_as_their_neighbours_and_saturated_ones_as_they_are(line: xr.Dataset) -> None:
+    matrix = wings(BANDS)
+    seen = with_knowledge(seen_by(line, matrix, 0.0), matrix, 0.0)
+    expected = seen.paint.reflectance().reflectance.values
+    gain, counts = seen.radiance_gain.copy(), seen.counts.copy()
+    gain[{"band": 7, "cross_track": 3}] = np.nan
+    counts[{"band": 7, "cross_track": 3}] = 60_000.0
+    counts[{"band": 9, "cross_track": 5, "along_track": 4}] = np.float32(seen.saturation_count)
+    made = seen.assign(radiance_gain=gain, counts=counts).paint.reflectance().reflectance.values
+    assert np.isnan(made[:, 7, 3]).all()
+    assert np.isnan(made[4, 9, 5])
+    others = np.isfinite(made)
+    others[4, :, 5] = False  # light that is not counted
+    np.testing.assert_allclose(made[others], expected[others], rtol=1e-2, atol=2e-4)
+    np.testing.assert_array_equal(np.isfinite(made[:, :, 3]).sum(axis=1), BANDS - 1)
+
+
+def test_masked_elements_see_no_light_of_others() -> None:
+    gain = np.ones((4, 3), np.float32)
+    gain[1, 0] = gain[:, 2] = np.nan
+    masked = np.argwhere(np.broadcast_to(np.arange(3) == 2, gain.shape))
+    stray = stray_light_of({"stray_light": wings(4)}, np.ones(2), gain, masked)
+    assert stray is not None
+    rows = {(int(x), int(band)): int(other) for x, band, other in stray.stands_in}
+    assert rows == {(0, 1): 0} | {(2, band): -1 for band in range(4)}
+
+
+def test_few_terms_stand_for_all() -> None:
+    matrix = stray_light_wings(np.linspace(400.0, 1000.0, 272), 0.03)
+    stray = stray_light_of(
+        {"stray_light": matrix}, np.ones(1), np.ones((272, 2), np.float32), np.empty((0, 2), int)
+    )
+    assert stray is not None
+    rest = (stray.give.astype(float) @ stray.take.astype(float)[:, :272]) - (
+        np.eye(272) - inverse_of(matrix, "stray_light")
+    )
+    assert np.abs(rest).sum(axis=1).max() < 4e-4
+    assert stray.take.shape[0] < 100
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"band_shift_time": ((), 0.1, SECONDS)}, "band_shift_time"),
+        ({"stray_light_u": ((), np.float32(2.0), {"units": "1"})}, "fraction of 1"),
+        ({"stray_light": (("band", "source_band"), -np.eye(BANDS), {"units": "1"})}, "cannot be inverted"),
+    ],
+)
+def test_what_cannot_be_is_refused(line: xr.Dataset, change: dict[str, Any], problem: str) -> None:
+    seen = with_knowledge(line, wings(BANDS), 0.0).assign(change)
+    with pytest.raises(SchemaError, match=problem):
+        seen.paint.reflectance().reflectance.compute()
+
+
+def test_some_bands_are_not_all(line: xr.Dataset) -> None:
+    seen = with_knowledge(line, wings(BANDS), 0.0).isel(band=slice(4, 9))
+    with pytest.raises(SchemaError, match="choose bands of the reflectance"):
+        seen.paint.reflectance().reflectance.compute()
+    assert seen.drop_vars("stray_light").paint.reflectance().reflectance.compute().sizes["band"] == 5
