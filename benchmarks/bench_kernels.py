@@ -87,6 +87,19 @@ class Calibrate:
         self._run(smile=False, quality=self.quality)
         self.plans[False] = plan
 
+    def time_stray_light(self, lines):
+        from hyperpaint.radiometry.stray_light import stray_light_of
+
+        # scattered over bands as a laboratory finds it: half over all, half within some
+        apart = np.abs(np.subtract.outer(np.arange(BANDS), np.arange(BANDS)))
+        near = np.exp(-apart / 27.0)
+        wings = {"stray_light": 0.015 * (near / near.sum(axis=0) + 1.0 / BANDS)}
+        plan, lit = self.plans[False], np.empty((0, 2), np.int64)
+        stray = stray_light_of(wings, np.ones(lines), plan.gain, lit)
+        self.plans[False] = dataclasses.replace(plan, stray=stray)
+        self._run(smile=False, quality=self.quality)
+        self.plans[False] = plan
+
     def time_uncertainty(self, lines):
         self._run(smile=False, quality=self.no_quality, terms=self.terms)
 

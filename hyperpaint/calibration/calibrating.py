@@ -105,8 +105,9 @@ def calibrate(
     xarray.Dataset
         In memory: ``radiance_gain`` (band, cross_track), NaN where it would be extrapolated or the element
         is bad, with its uncertainties; coordinates ``wavelength``, ``fwhm``, ``good`` (band),
-        ``wavelength_shift``; the dark; ``responsivity``; ``stray_light``; and the lines it was made from.
-        Attributes name the choices.
+        ``wavelength_shift``; the dark; ``responsivity``; ``stray_light`` and how
+        sure it is, which `hyperpaint.reflectance` subtracts; and the lines it was made from. Attributes name
+        the choices.
 
     Raises
     ------

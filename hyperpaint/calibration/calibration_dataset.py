@@ -12,7 +12,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
+from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
@@ -21,7 +21,13 @@ from .detector import row_medians
 from .elements import at_steps, line_wavelengths
 from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
-from .out_of_band import common_offset, second_order_share, stray_light_matrix, wing_in_window
+from .out_of_band import (
+    common_offset,
+    second_order_share,
+    stray_light_matrix,
+    wing_in_window,
+    wing_uncertainty,
+)
 from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
@@ -30,6 +36,7 @@ from .wavelength_map import WavelengthMap
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
 _TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
 _DARK_OFF = 1.0  # count
+_WING_U = 0.25  # of what scatters into a line's window, which is told from what scatters beside it
 _ELECTRONS = (0.05, 2000.0)  # a count, of any camera
 
 
@@ -138,7 +145,8 @@ class Result:
             shape_variance(self.fwhm_at_steps, self.shape, spacing),
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
-        nodes = _nodes(self.lines, lab, self.surface) * factor[:, None]
+        # what scatters within the window of a line is counted with it, but is none of its own
+        nodes = _nodes(self.lines, lab, self.surface) * (factor[:, None] * self.wing_removed)
         return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, self._tolerance)
 
     @property
@@ -154,6 +162,7 @@ class Result:
         if self.lab.absolute:
             self._check_plausible(gain)
         self._warn_of_width()
+        self._warn_of_dark()
         gain = _levelled(gain, flat)
         gain[:, self._unlit] = np.nan
         self._warn_of_unlit()
@@ -199,7 +208,7 @@ class Result:
                     self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
-        total = np.sqrt(self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing**2)
+        total = np.sqrt(self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing_u**2)
         random = np.hypot(random, self.differences)
         return {
             "radiance_gain_u_random": np.where(np.isfinite(gain), random, np.nan),
@@ -233,12 +242,9 @@ class Result:
             if window is not None:
                 beam[step] = fit_beam(window.beam)
         used = self.placed.any(axis=1)
-        centre = row_medians(lines.centre, self.placed)
-        width = row_medians(lines.width * self.line_spacing, self.placed)
-        rows, at = self.read.rows[used], self.lab.wavelength[used]
         second = np.full(steps, np.nan)
-        second[used] = second_order_share(rows, at, self.centre_wavelength, width[used])
-        matrix = stray_light_matrix(rows, centre[used], at, self.centre_wavelength, width[used], second[used])
+        second[used] = self.second_order
+        matrix, relative = self.stray_light
         out_of_band = np.where(used, self.read.rows.sum(axis=1), np.nan)
         return {
             "line_band": lines.centre,
@@ -253,7 +259,8 @@ class Result:
             "beam_fwhm": beam[:, 1],
             "out_of_band": out_of_band,
             "second_order": second,
-            "stray_light": matrix,
+            "stray_light": matrix * (1.0 / self.wing_removed),
+            "stray_light_u": relative,
         }
 
     def _check_plausible(self, gain: Floats) -> None:
@@ -299,10 +306,48 @@ class Result:
     def wing(self) -> float:
         """Share of the lines' areas that is light scattered into their windows [1]."""
         used = self.placed.any(axis=1)
-        return wing_in_window(self.read.rows[used], row_medians(self.lines.centre, self.placed)[used])
+        centre = row_medians(self.lines.centre, self.placed)[used]
+        return wing_in_window(self.read.rows[used], self.stray_light[0], centre)
 
-    def _dark_check(self) -> dict[str, float]:
-        """Return what a wrong dark would do to the light off the lines, and how wrong it looks, and warn."""
+    @property
+    def has_stray_light(self) -> bool:
+        """Whether light off the lines is told from none, and so can be taken out of a flight."""
+        return self.stray_light[1] < MAX_STRAY_LIGHT_U
+
+    @property
+    def wing_removed(self) -> float:
+        """What lines count less without the light that is scattered into their windows [1]."""
+        return 1.0 / (1.0 + self.wing) if self.has_stray_light else 1.0
+
+    @property
+    def wing_u(self) -> float:
+        """Relative standard uncertainty of the lines' areas by that light [1]."""
+        return self.wing * (_WING_U if self.has_stray_light else 1.0)
+
+    @cached_property
+    def second_order(self) -> Floats:
+        """Counts at twice the wavelength over those of the line, of the steps in place (step,) [1]."""
+        used = self.placed.any(axis=1)
+        width = row_medians(self.lines.width * self.line_spacing, self.placed)[used]
+        return second_order_share(
+            self.read.rows[used], self.lab.wavelength[used], self.centre_wavelength, width
+        )
+
+    @cached_property
+    def stray_light(self) -> tuple[Floats, float]:
+        """Shares of light in other bands (band, source_band), and their relative standard uncertainty [1]."""
+        used = self.placed.any(axis=1)
+        centre = row_medians(self.lines.centre, self.placed)[used]
+        width = row_medians(self.lines.width * self.line_spacing, self.placed)[used]
+        rows, at = self.read.rows[used], self.lab.wavelength[used]
+        matrix = stray_light_matrix(rows, centre, at, self.centre_wavelength, width, self.second_order)
+        offset = self.dark_check.get("dark_offset_count", 0.0)
+        share = abs(offset) * self.dark_check.get("out_of_band_of_one_count", 0.0)
+        return matrix, wing_uncertainty(rows, matrix, centre, share)
+
+    @cached_property
+    def dark_check(self) -> dict[str, float]:
+        """What a wrong dark would do to the light off the lines, and how wrong it looks."""
         steps = len(self.lab.wavelength)
         level, area, bands = np.full(steps, np.nan), np.full(steps, np.nan), np.zeros(steps)
         for step, window in enumerate(self.read.windows):
@@ -313,18 +358,21 @@ class Result:
         has_level = np.isfinite(level)
         if not has_level.any():
             return {}
-        of_one = float(np.median(bands[has_level] / area[has_level]))
+        checks = {"out_of_band_of_one_count": float(np.median(bands[has_level] / area[has_level]))}
         offset = common_offset(level, area)
+        return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+
+    def _warn_of_dark(self) -> None:
+        offset = self.dark_check.get("dark_offset_count", 0.0)
         if abs(offset) > _DARK_OFF:
             warnings.warn(
                 f"the bands off the lines hold {offset:+.2g} counts whatever the light of the line: the dark "
                 "is off by as much. Areas are freed of it, but out_of_band and stray_light are not, in which "
-                f"one count makes {of_one:.2%}; take the dark beside the sweep",
+                f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark "
+                "beside the sweep",
                 PaintWarning,
                 stacklevel=4,
             )
-        checks = {"out_of_band_of_one_count": of_one}
-        return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
 
     def _warn_of_width(self) -> None:
         own = self.fwhm_at_steps
@@ -375,13 +423,12 @@ class Result:
             "element_differences": self.differences,
             "stray_light_in_lines": self.wing,
             "lit_columns": list(self.surface.lit),
-            **self._dark_check(),
+            **self.dark_check,
             "smile_degree": self.surface.coefficients.shape[1] - 1,
             "linearity": self._linearity_attr(),
             "linearity_on": RAW if self.linearity.on_raw else DARK_SUBTRACTED,
             "noise_source": self.read.noise_source,
             "electrons_per_count_source": self._electrons_source(),
-            "stray_light_applied": "no",
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
         }
 

@@ -19,6 +19,11 @@ from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.stray_light import inverse_of
 
+_FEWEST_OUTSIDE = 4
+"""Bands outside a line, at least, from which what scatters beside it is known."""
+_NEAREST_BINS = 3
+"""Bins of distance beside a line by which what scatters rises towards it, exponentially, by e at the most."""
+
 
 def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
     """Return counts at twice the wavelength over those of the line, a step (step,) [1].
@@ -50,19 +55,25 @@ def common_offset(level: Floats, area: Floats) -> float:
     return float(np.linalg.lstsq(terms, level[usable], rcond=None)[0][0])
 
 
-def wing_in_window(rows: Floats, centre: Floats) -> float:
+def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
     """Return the share of a line's area that is light scattered into its window, beyond the background [1].
 
-    ``rows`` and ``centre`` as in `stray_light_matrix`.
+    ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix`` (band, source band) is the result.
     """
     shares = []
-    for row, middle in zip(rows, centre, strict=True):
+    for row, source in zip(rows, _bands_of(centre, len(matrix)), strict=True):
         outside = row != 0
-        window = int((~outside).sum())
-        near = outside & (np.abs(np.arange(row.size) - middle) <= window)
-        if near.sum() >= 4 and window < row.size / 2:
-            shares.append((row[near].mean() - np.median(row[outside])) * window)
+        if outside.sum() >= _FEWEST_OUTSIDE:
+            # what is taken off a line: the clipped mean of the bands outside
+            middle = np.median(row[outside])
+            spread = 1.4826 * np.median(np.abs(row[outside] - middle))
+            background = row[outside & (np.abs(row - middle) <= 4.0 * spread)].mean()
+            shares.append((matrix[~outside, source] - background).sum())
     return max(float(np.median(shares)), 0.0) if shares else 0.0
+
+
+def _bands_of(centre: Floats, bands: int) -> npt.NDArray[np.int64]:
+    return np.clip(np.round(centre), 0, bands - 1).astype(np.int64)
 
 
 def stray_light_matrix(
@@ -101,13 +112,44 @@ def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
             levels.append(float(np.median(share[inside])))
     if not centres:
         return lambda at: np.zeros(np.shape(at))
-    nearest = float(np.abs(distance).min())
+
+    near = float(np.abs(distance).min())
+    sides = [_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
 
     def wing(at: npt.NDArray[Any]) -> Floats:
-        # within the window of a line its own light hides what scatters: there is none by definition
-        return np.where(np.abs(at) >= nearest, np.maximum(np.interp(at, centres, levels), 0.0), 0.0)
+        # within the window of a line its own light hides what scatters: there it rises as it does beside
+        level = np.interp(at, centres, levels)
+        for sign, (first, rise) in zip((-1.0, 1.0), sides, strict=True):
+            within = np.maximum(near - sign * at, 0.0) * (sign * at >= 0) * rise
+            level = np.where((np.abs(at) < near) & (sign * at >= 0), first * np.exp(within), level)
+        return np.asarray(np.maximum(level, 0.0))
 
     return wing
+
+
+def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
+    """Return the wing where it is nearest to its line on one side, and its rise towards that [band-1]."""
+    order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
+    at, level = distance[order], levels[order]
+    if not ((at > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
+        return float(max(level[0], 0.0)), 0.0
+    rise = -float(np.polyfit(at, np.log(level), 1)[0])
+    return float(level[0]), float(np.clip(rise, 0.0, 1.0 / at[0]))
+
+
+def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float) -> float:
+    """Return the relative standard uncertainty of the light off the lines as a matrix tells it [1].
+
+    By how much its sums differ from those of single steps, and by the ``offset`` of the dark that is in them,
+    relative to a line's area. ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix`` (band,
+    source band) is the result. 1 where there is none.
+    """
+    source = _bands_of(centre, len(matrix))
+    outside = rows != 0
+    modelled = np.where(outside, matrix[:, source].T, 0.0).sum(axis=1)
+    scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
+    level = float(np.median(modelled))
+    return min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0
 
 
 def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, width: float) -> Floats:

@@ -102,6 +102,12 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     without those further than 5 standard deviations from the mean. The attribute ``pedestal_applied`` says
     so. The noise of that mean is in the random uncertainty, though a line's samples share it.
 
+    Where the calibration or the line holds ``stray_light``, the share of each band's light that others see,
+    or ``band_shift_time``, in which a frame is shifted by a band under the light, what bands count of others
+    is subtracted: :math:`c = (1 + D)^{-1} (s - \kappa \sum s)`, where of :math:`n` bands :math:`\kappa =
+    \epsilon / (1 + n \epsilon)`, and :math:`\epsilon` is the shift time over the exposure. The attribute
+    ``stray_light_applied`` says so, ``stray_light_u`` of it is in the systematic uncertainty.
+
     The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's; altitude never
     enters. Several darks are interpolated in time, or to the line's exposure by bias and
     rate, never by scaling the bias.

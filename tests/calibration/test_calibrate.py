@@ -223,7 +223,9 @@ def test_out_of_band_light_is_reported() -> None:
     assert float(np.nanmedian(made.second_order)) == pytest.approx(5e-3, rel=0.05)
     shares = made.stray_light.sum("band").values
     assert 1.2e-3 < np.median(shares[70:]) < 2.2e-3
-    assert (np.diagonal(made.stray_light.values) == 0).all()
+    # what scatters hardly changes within the width of a line: it goes on to the band itself
+    beside = made.stray_light.values[70, [62, 78]]
+    assert beside.max() < made.stray_light.values[70, 70] < 2.0 * beside.max()
 
 
 def test_progress_is_told() -> None:

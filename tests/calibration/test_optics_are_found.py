@@ -15,6 +15,7 @@ import pytest
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.calibration import correct_stray_light
+from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CAMERA: dict[str, Any] = {"bands": 136, "columns": 12}
@@ -39,6 +40,32 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
     }
     assert error["none"] == pytest.approx(share, rel=0.1)
     assert error["swept"] < 0.3 * share
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them(share: float) -> None:
+    """By default, by gain and matrix of one calibration, against a camera without wings."""
+    camera: dict[str, Any] = {"bands": 136, "columns": 24, "nonuniformity": 0.02, "seed": 21}
+    flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **camera, **EXACT}
+
+    def seen(stray: dict[str, float], names: list[str]) -> np.ndarray:
+        calibration = hp.calibrate(simulate_sweep(**camera, **stray))
+        parts = calibration_parts(check_calibration(calibration), is_counts=True)
+        line = simulate_line(**flight, **stray)
+        line = line.assign({name: parts[name] for name in names if name in parts})
+        return np.asarray(line.paint.reflectance().reflectance.values)
+
+    gain, wings = ["radiance_gain"], ["stray_light", "stray_light_u"]
+    expected = seen({}, gain + wings)  # without any, nothing is subtracted
+    np.testing.assert_array_equal(expected, seen({}, gain))
+    inner = slice(4, -4)
+    unaware, mended = (
+        np.nanmedian(np.abs(seen({"stray_light": share}, names) / expected - 1.0)[:, inner], axis=(0, 2))
+        for names in (gain, gain + wings)
+    )
+    assert unaware.max() > share
+    assert mended.max() < 3e-3
+    assert np.median(mended) < 1e-3
 
 
 @pytest.mark.parametrize("pedestal", [-3.0, 2.0, 5.0])

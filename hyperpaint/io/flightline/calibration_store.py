@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.base.schema import (
     BAND,
@@ -60,6 +61,8 @@ _OF_A_SWEEP = (
     "linear_counts",
     "linearity_u",
     "stray_light",
+    "stray_light_u",
+    "band_shift_time",
     "step_wavelength",
     "line_band",
     "line_centre",
@@ -270,12 +273,14 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "saturation_count",
     }
     # the lines of a lab sweep stay with the calibration
-    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength", "linearity_counts"}
+    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength", "linearity_counts", "source_band"}
     names = [
         str(name)
         for name, array in calibration.data_vars.items()
         if name not in left and set(array.dims) <= own
     ]
+    if float(calibration.get("stray_light_u", 0.0)) >= MAX_STRAY_LIGHT_U:
+        names = [name for name in names if not name.startswith("stray_light")]
     if not is_counts:
         names = [name for name in names if name in ("srf", "look_angle")]
     return {name: calibration[name].reset_coords(drop=True) for name in names}
