@@ -13,7 +13,7 @@ import pytest
 from hyperpaint import paper
 from hyperpaint.base.units import conversion_factor, registry
 from hyperpaint.paper import Setup, Variant
-from hyperpaint.radiometry import counts_to_reflectance as radiometry
+from hyperpaint.radiometry.example_pixel import worked_example
 
 RADIANCE, IRRADIANCE = 0.40 * 1.30 / np.pi, 1.30
 EXAMPLE = Setup()
@@ -64,7 +64,7 @@ def test_gaussian_fit_and_line_area_agree() -> None:
 
 
 def test_the_package_itself_uses_the_corrected_chain() -> None:
-    line = radiometry.worked_example()
+    line = worked_example()
     counts = float((line.counts - line.dark_counts)[0, 0, 0])
     assert counts == pytest.approx(EXAMPLE.counts(RADIANCE), rel=1e-6)
     gain = float(line.radiance_gain[0, 0]) / float(line.exposure_time)

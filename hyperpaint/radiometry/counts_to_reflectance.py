@@ -116,9 +116,10 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     --------
     The worked example: 1966.09 counts above the dark in 5 ms.
 
-    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
-    >>> line = radiometry.worked_example()
-    >>> print(f"{float(radiometry.radiance(line).radiance[0, 0, 0]):.6f}")
+    >>> import hyperpaint as hp
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
+    >>> print(f"{float(hp.radiance(line).radiance[0, 0, 0]):.6f}")
     0.165521
     """
     dataset = schema.rename_to_roles(dataset)
@@ -220,9 +221,10 @@ def reflectance(
 
     Examples
     --------
-    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
-    >>> line = radiometry.worked_example()
-    >>> print(f"{float(radiometry.reflectance(line).reflectance[0, 0, 0]):.6f}")
+    >>> import hyperpaint as hp
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
+    >>> print(f"{float(hp.reflectance(line).reflectance[0, 0, 0]):.6f}")
     0.400000
     """
     return _reflectance(
@@ -272,10 +274,10 @@ def panel_closure(
 
     Examples
     --------
-    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
-    >>> line = radiometry.worked_example()
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
     >>> whole = Panel(slice(None), slice(None), 0.4)
-    >>> radiometry.panel_closure(line, whole).panel_factor.values.round(3)
+    >>> panel_closure(line, whole).panel_factor.values.round(3)
     array([[1., 1., 1.]], dtype=float32)
     """
     line = _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)
@@ -474,36 +476,3 @@ def _with(
     texts = {key: text for key, text in notes.items() if text}
     values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **texts)
     return dataset.assign({name: values, "quality": bits})
-
-
-def worked_example() -> xr.Dataset:
-    """Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).
-
-    E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
-    peak response 2e16 counts per joule: 1966.09 counts above the dark.
-    """
-    gaussian_area = np.sqrt(np.pi / (4 * np.log(2)))
-    etendue, exposure, peak, fwhm = 1.8598e-11, 5e-3, 2.0e16, 6.0
-    gain = 1.0 / (etendue * peak * gaussian_area * fwhm)
-    counts = exposure * 0.4 * 1.3 / np.pi / gain
-    time = np.datetime64("2020-06-21T17:00:00", "ns")
-    variables = {
-        "counts": (schema.CUBE, np.full((1, 3, 3), counts + 100.0, np.float32)),
-        "dark_counts": ((BAND, CROSS_TRACK), np.full((3, 3), 100.0, np.float32)),
-        "radiance_gain": ((BAND, CROSS_TRACK), np.full((3, 3), gain, np.float32)),
-        "exposure_time": ((), exposure),
-        "saturation_count": ((), np.float32(4095.0)),
-        "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), np.full((2, 301), 1.3, np.float32)),
-        "irradiance_fwhm": ((), 3.0),
-    }
-    coords = {
-        "time": (ALONG_TRACK, [time + np.timedelta64(1, "s")]),
-        "wavelength": (BAND, [548.0, 550.0, 552.0]),
-        "fwhm": (BAND, np.full(3, fwhm)),
-        IRRADIANCE_TIME: time + np.array([0, 2], "timedelta64[s]"),
-        IRRADIANCE_WAVELENGTH: np.arange(400.0, 701.0),
-    }
-    line = xr.Dataset(variables, coords)
-    for name in line.variables:
-        line[name].attrs = dict(schema.VARIABLES[str(name)].attrs)
-    return line

@@ -16,8 +16,8 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.counts_to_reflectance import (
     radiance,
     reflectance,
-    worked_example,
 )
+from hyperpaint.radiometry.example_pixel import worked_example
 from hyperpaint.radiometry.panels import Panel
 
 # ------------------------------------------------------------------------------------------ the equations
