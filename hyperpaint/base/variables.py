@@ -134,6 +134,7 @@ _LINE_TABLE = (
     Variable("irradiance_fwhm", (), "nm", "float64", "Full width at half maximum of the irradiance spectrometer", alternatives=((IRRADIANCE_WAVELENGTH,),)),
     Variable("irradiance_max_gap", (), "s", "float64", "Longest interval between irradiance samples that is still interpolated"),
     Variable("irradiance_clock_uncertainty", (), "s", "float64", "How far the clocks of camera and spectrometer may disagree"),
+    Variable("irradiance_tilt", (IRRADIANCE_TIME,), "degree", "float32", "Angle of a light sensor on the aircraft from level"),
     Variable("irradiance_misfit", (BAND,), "1", "float32", "Distance of the response that irradiance was matched to from that of the camera, relative"),
     Variable("irradiance_age", _LINE, "s", "float32", "Time to the nearest irradiance sample"),
     Variable("timing_sensitivity", _LINE, "1", "float32", "Largest relative change of irradiance within the clocks' uncertainty"),

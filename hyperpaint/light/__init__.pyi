@@ -1,3 +1,4 @@
+from .aircraft_receiver import level_irradiance as level_irradiance
 from .diffuse_record import diffuse_from_record as diffuse_from_record
 from .illumination import (
     Tilt as Tilt,
