@@ -1,0 +1,121 @@
+"""Light sensors on the aircraft: what they read when they lean, and what a level one would have read."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.leaning_sensors import NM, Leaning, leaning
+
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.light import level_irradiance
+
+
+def errors(flown: Leaning, record: xr.Dataset) -> np.ndarray:
+    """Return departures from a level sensor (sample, interval of 50 nm)."""
+    off = record.irradiance.values / flown.level - 1.0
+    return off[:, :300].reshape(len(off), 12, 25).mean(axis=-1)
+
+
+@pytest.mark.parametrize("aerosol", [0.05, 0.15])
+@pytest.mark.parametrize(("zenith", "as_read"), [(30.0, 0.08), (50.0, 0.15), (60.0, 0.2), (70.0, 0.3)])
+def test_under_a_clear_sky_it_is_as_good_as_level(zenith: float, as_read: float, aerosol: float) -> None:
+    flown = leaning(zenith, seed=61, aerosol=aerosol)
+    level = level_irradiance(flown.record, flown.attitude)
+    assert np.abs(errors(flown, flown.record)).max() > as_read
+    off = np.abs(errors(flown, level))
+    assert np.sqrt((off**2).mean()) < 0.004
+    assert np.quantile(off, 0.95) < 0.01
+    np.testing.assert_allclose(level.irradiance_tilt, flown.tilt, atol=0.01)
+    assert level.attrs["irradiance_mount"] == "aircraft, corrected to level: clear"
+
+
+@pytest.mark.parametrize("zenith", [30.0, 70.0])
+def test_under_a_closed_cloud_nothing_is_corrected(zenith: float) -> None:
+    flown = leaning(zenith, seed=62, kind="overcast")
+    level = level_irradiance(flown.record, flown.attitude)
+    np.testing.assert_array_equal(level.irradiance, flown.record.irradiance)
+    assert "overcast" in level.attrs["irradiance_mount"]
+
+
+def test_a_level_sensor_reads_what_it_reads() -> None:
+    flown = leaning(50.0, seed=63, most=0.0)
+    level = level_irradiance(flown.record, flown.attitude)
+    np.testing.assert_allclose(level.irradiance, flown.record.irradiance, rtol=1e-6)
+
+
+def test_angles_are_what_the_convention_says() -> None:
+    flown = leaning(50.0, seed=64)
+    expected = level_irradiance(flown.record, flown.attitude).irradiance
+    turned = Convention(roll_positive="right_wing_up", pitch_positive="nose_down", angle_unit="radian")
+    attitude = flown.attitude.assign_attrs(turned.to_attrs())
+    attitude["roll"], attitude["pitch"] = -np.radians(attitude["roll"]), -np.radians(attitude["pitch"])
+    attitude["heading"] = np.radians(attitude["heading"])
+    np.testing.assert_allclose(level_irradiance(flown.record, attitude).irradiance, expected, rtol=1e-6)
+
+
+def test_a_sensor_that_is_mounted_askew() -> None:
+    flown = leaning(50.0, seed=65, most=0.0)
+    askew = flown.attitude.assign(roll=flown.attitude["roll"] + 4.0)
+    expected = level_irradiance(flown.record, askew)
+    mounted = level_irradiance(flown.record, flown.attitude, mounting=(4.0, 0.0, 0.0))
+    np.testing.assert_allclose(mounted.irradiance, expected.irradiance, rtol=1e-6)
+    np.testing.assert_allclose(mounted.irradiance_tilt, 4.0, atol=1e-4)
+
+
+def test_the_response_of_a_receptor() -> None:
+    flown = leaning(60.0, seed=66, most=0.0, noise=0.0)
+    incidence = np.arange(0.0, 91.0)
+    response = xr.DataArray(
+        1.0 - 0.1 * (incidence / 90.0) ** 2, dims="incidence", coords={"incidence": incidence}
+    )
+    from hyperpaint.light.clear_sky import ClearSky
+
+    direct, diffuse = ClearSky(60.0, aerosol=0.1).irradiance(NM)
+    beam = 1.0 - 0.1 * (60.0 / 90.0) ** 2
+    of_sky = np.average(response.values, weights=np.sin(np.radians(2.0 * incidence)))
+    share = (beam * direct + of_sky * diffuse) / (direct + diffuse)
+    read = flown.record.assign(irradiance=(flown.record.irradiance * share).assign_attrs(units="W m-2 nm-1"))
+    level = level_irradiance(read, flown.attitude, cosine_response=response)
+    assert np.abs(errors(flown, read)).max() > 0.03
+    assert np.abs(errors(flown, level)).max() < 0.003
+
+
+def test_samples_without_an_attitude_are_unknown() -> None:
+    flown = leaning(50.0, seed=67)
+    attitude = flown.attitude.isel(time=slice(10, 30))
+    with pytest.warns(PaintWarning, match="20 of 40 samples of the light sensor have no attitude"):
+        level = level_irradiance(flown.record, attitude)
+    assert np.isnan(level.irradiance[:10]).all()
+    assert np.isfinite(level.irradiance[10:30]).all()
+    with pytest.raises(SchemaError, match="no sample of the light sensor has an attitude"):
+        level_irradiance(flown.record, attitude.assign(roll=attitude["roll"] * np.nan))
+
+
+def test_a_low_sun_is_left_alone() -> None:
+    flown = leaning(82.0, seed=68)
+    with pytest.warns(PaintWarning, match="beyond 80 degrees"):
+        level = level_irradiance(flown.record, flown.attitude)
+    np.testing.assert_array_equal(level.irradiance, flown.record.irradiance)
+
+
+def test_what_is_missing_is_listed() -> None:
+    flown = leaning(50.0, seed=69, samples=4)
+    with pytest.raises(SchemaError) as error:
+        level_irradiance(
+            flown.record, flown.attitude.drop_vars(["roll", "latitude"]), mounting=(0.0, np.nan, 0.0),
+            ground_reflectance=2.0, cosine_response=xr.DataArray([1.0]),
+        )  # fmt: skip
+    for text in ("no roll, latitude", "mounting=", "ground_reflectance=2.0", "coordinate 'incidence'"):
+        assert text in str(error.value)
+
+
+def test_one_sample_is_enough() -> None:
+    flown = leaning(40.0, seed=70, samples=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        level = level_irradiance(flown.record, flown.attitude)
+    assert np.abs(errors(flown, level)).max() < 0.01
