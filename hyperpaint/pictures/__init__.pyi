@@ -13,6 +13,7 @@ from .plot_flags import (
     adjacency_figure as adjacency_figure,
     flag_overlay as flag_overlay,
 )
+from .plot_panels import panel_figure as panel_figure
 from .plot_renders import chips_and_renders as chips_and_renders
 from .plot_spectra import (
     library_overview as library_overview,

@@ -25,6 +25,7 @@ from hyperpaint.pictures.paint_cards import paint_card
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
+from hyperpaint.pictures.plot_panels import draw_panels
 from hyperpaint.pictures.plot_spectra import find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
@@ -68,6 +69,8 @@ def line_section(
         yield "where flags are from", lambda: page_part("paragraph", text=note)
     if "irradiance" in line.variables:
         yield "irradiance", partial(_irradiance, line)
+    if "panel_factor" in line.variables:
+        yield "panels", partial(_panels, line)
     if "reflectance" in line.variables or "irradiance" in line.variables:
         yield "reflectance", partial(_reflectance, line)
     yield "provenance", lambda: _provenance(line.attrs)
@@ -163,6 +166,16 @@ def _irradiance(line: xr.Dataset) -> Markup:
     draw_irradiance(axes, line)
     caption = "Downwelling irradiance around the line, and when the line was flown."
     return _figure(axes.figure, caption, "Irradiance over time")
+
+
+def _panels(line: xr.Dataset) -> Markup:
+    axes = _new_axes(4.0)
+    draw_panels(axes, line)
+    caption = (
+        "What panels of known reflectance measure over what irradiance lets expect, with twice the combined "
+        "standard uncertainty: shades that miss 1 say that calibration, irradiance or panel are off."
+    )
+    return _figure(axes.figure, caption, "Panels")
 
 
 def _reflectance(line: xr.Dataset) -> Markup:

@@ -1,0 +1,96 @@
+"""What panels measure over what irradiance lets expect, band by band."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry.panel_judging import PANEL_STATES
+from hyperpaint.radiometry.panels import CLOSURE
+
+from .figures import ink_of, legend_below, new_figure, save_figure
+from .plot_spectra import good_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["draw_panels", "noticed_of", "panel_figure"]
+
+MOST_PANELS = 12
+"""Panels of one figure at the most, the first in time."""
+_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
+_DASHES = ("-", "--")
+
+
+def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: float = 9.0) -> Any:
+    """Draw the factor of every panel with its combined uncertainty, and what was noticed of it.
+
+    Eager in what panels measure; reads no cube.
+
+    Parameters
+    ----------
+    closure
+        As of `hyperpaint.radiometry.panel_closure`, or a line that was scaled by panels.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    width
+        Of the figure [inch].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of one axes. Shades are twice the combined standard uncertainty: a factor that closes has 1 in its
+        shade. Of more than 12 panels the first 12 are drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        There are no factors of panels.
+    """
+    if not set(CLOSURE) <= set(closure.variables):
+        raise SchemaError(
+            "no panel was measured: 'panel_factor' is missing",
+            mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
+        )
+    figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
+    draw_panels(figure.add_subplot(), closure)
+    save_figure(figure, path)
+    return figure
+
+
+def noticed_of(state: int) -> str:
+    """Return what the bits of ``panel_state`` say.
+
+    Examples
+    --------
+    >>> noticed_of(0), noticed_of(3)
+    ('as expected', 'saturated, partly other')
+    """
+    words = [name.replace("_", " ") for bit, name in enumerate(PANEL_STATES) if state >> bit & 1]
+    return ", ".join(words) or "as expected"
+
+
+def draw_panels(axes: Any, closure: xr.Dataset) -> None:
+    """Draw factors over wavelength on axes; bands that are not good stay blank."""
+    values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MOST_PANELS)}).compute()
+    nm, is_good = closure["wavelength"].values, good_of(closure)
+    order = np.argsort(nm, kind="stable")
+    axes.axhline(1.0, color=ink_of(axes, 0.7), linewidth=0.8)
+    for number in range(values.sizes[schema.PANEL]):
+        one = values.isel({schema.PANEL: number})
+        factor, u = (np.where(is_good, one[name].values, np.nan)[order] for name in CLOSURE[:2])
+        colour = _COLOURS[number % len(_COLOURS)]
+        label = (
+            f"{np.datetime_as_string(one['panel_time'].values, 's')}: {noticed_of(int(one['panel_state']))}"
+        )
+        dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
+        axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
+        axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
+    axes.set(xlabel="wavelength [nm]", ylabel="panel: measured over expected [1]")
+    legend_below(axes)
