@@ -86,9 +86,8 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
         one = values.isel({schema.PANEL: number})
         factor, u = (np.where(is_good, one[name].values, np.nan)[order] for name in CLOSURE[:2])
         colour = _COLOURS[number % len(_COLOURS)]
-        label = (
-            f"{np.datetime_as_string(one['panel_time'].values, 's')}: {noticed_of(int(one['panel_state']))}"
-        )
+        time = np.datetime_as_string(one["panel_time"].values, "s")
+        label = f"panel {number}, {time}: {noticed_of(int(one['panel_state']))}"
         dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)

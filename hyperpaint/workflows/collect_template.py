@@ -167,6 +167,7 @@ def _irradiance(found: FieldFolder, relative: Callable[[Path], str]) -> Iterator
         yield f'utc_offset_h = "{UNKNOWN}"  # logging PC minus UTC [h], such as -5: no file says it'
     yield _clock_offset(found.clock_offsets_s)
     yield "# fwhm_nm = 3.0  # width of the spectrometer's channels, or [[400, 3.2], [1000, 3.0]]"
+    yield '# mount = "ground"  # or "aircraft", where it leans with the camera and is corrected to level'
     yield ""
     yield "[alignment]  # camera and spectrometer compared in flight by the daylight's lines"
     yield 'apply = "auto"  # correct the record where it is significant; or never, or always'

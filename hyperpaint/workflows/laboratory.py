@@ -126,10 +126,12 @@ def opened_collect(
 ) -> OpenedCollect:
     """Open a collect, as `open_collect` does, and keep what it says."""
     from hyperpaint.io.collect.collect_opening import open_with_settings
+    from hyperpaint.light.aircraft_receiver import level_irradiance
 
     return open_with_settings(
-        collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted
-    )
+        collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted,
+        level=level_irradiance,
+    )  # fmt: skip
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, Findings, PaintWarning, Problems, Unavailable
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import assemble
@@ -61,11 +62,13 @@ def open_with_settings(
     chunks: Any = "auto",
     calibrate: Callable[[Path], xr.Dataset] | None = None,
     mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
+    level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None = None,
 ) -> OpenedCollect:
     """Open everything a ``collect.toml`` names, without reading a cube, and keep what it says.
 
     ``source``: the file, or its settings where it has been read and checked before; ``calibrate``: turns the
-    path of a lab sweep into a calibration; ``mount``: adds to a line what the table ``[geometry]`` says; the
+    path of a lab sweep into a calibration; ``mount``: adds to a line what the table ``[geometry]`` says;
+    ``level``: makes the record of a light sensor on the aircraft, and its attitude, that of level ground; the
     others: see `hyperpaint.open_collect`.
 
     Raises `CollectError`: The file, or anything it names, cannot be used; all problems of all files are
@@ -97,6 +100,13 @@ def open_with_settings(
     for file in collect.nav:
         with findings.step():
             navigation[file] = read_imu_gps(file, collect.clock.correction)
+    if (
+        collect.irradiance is not None
+        and collect.irradiance.on_aircraft
+        and isinstance(irradiance, xr.Dataset)
+    ):
+        with findings.step():
+            irradiance = _levelled(irradiance, tuple(navigation.values()), collect, level)
     lines: dict[str, xr.Dataset] = {}
     for entry in collect.flightlines:
         own, timing = Findings(str(entry.name)), entry.timing
@@ -165,6 +175,32 @@ def _open_irradiance(entry: IrradianceEntry | None) -> xr.Dataset | None:
 
     files: Any = list(entry.files) if len(entry.files) > 1 else entry.files[0]
     return open_irradiance(files, **entry.options)
+
+
+def _levelled(
+    record: xr.Dataset,
+    navigation: tuple[Navigation, ...],
+    collect: Collect,
+    level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None,
+) -> xr.Dataset:
+    """Return the record of a light sensor on the aircraft as that of level ground."""
+    import numpy as np
+    import xarray as xr
+
+    dated = [each for each in navigation if each.utc is not None]
+    if level is None or not dated:
+        raise CollectError(
+            '[irradiance] mount = "aircraft" needs the attitude of the aircraft in UTC',
+            mend="name nav files that hold a date, or level the record by hyperpaint.light.level_irradiance",
+        )
+    columns = {
+        name: ("time", np.concatenate([each.values[name] for each in dated]))
+        for name in ("roll", "pitch", "heading", "latitude", "longitude")
+    }
+    time = np.concatenate([np.asarray(each.utc) for each in dated]).astype("datetime64[ns]")
+    declared = dict(collect.flightlines[0].convention) if collect.flightlines else {}
+    attitude = xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs())
+    return level(record, attitude)
 
 
 def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:

@@ -75,6 +75,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "units": check.text,
         "averaging_s": check.number,
         "calibration": check.table,
+        "mount": check.one_of("ground", "aircraft"),
     },
     "alignment": {"apply": check.one_of("auto", "never", "always")},
     "flightlines": {
@@ -103,6 +104,7 @@ class IrradianceEntry:
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
+    on_aircraft: bool = False  # Whether it leans as the camera does
 
 
 @dataclass(frozen=True)
@@ -220,14 +222,17 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
         if table["?"] and "files" not in table["?"]:
             reader.problems.add("[irradiance] files is missing: the spectrometer's files")
         return None
-    options = {key: value for key, value in table.items() if key not in ("?", "files", "calibration")}
+    options = {
+        key: value for key, value in table.items() if key not in ("?", "files", "calibration", "mount")
+    }
     if "calibration" in table:
         certificates = {
             str(key): reader.path("[irradiance.calibration]", str(key), str(value))
             for key, value in table["calibration"].items()
         }
         options["calibration"] = {key: path for key, path in certificates.items() if path is not None}
-    return IrradianceEntry(reader.files("[irradiance]", "files", table["files"]), options)
+    files = reader.files("[irradiance]", "files", table["files"])
+    return IrradianceEntry(files, options, table.get("mount") == "aircraft")
 
 
 def _cubes(
