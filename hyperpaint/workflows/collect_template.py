@@ -97,6 +97,10 @@ def _text(found: FieldFolder, base: Path) -> Iterator[str]:
     ids = _folder_ids(found.cubes, relative)
     for cube, text in _tables(found.cubes, relative):
         yield from _line(cube, text, ids.get(cube.header.parent), relative)
+    yield ""
+    yield "# [[panels]]  # of known reflectance in the scene: they scale their line, and are judged"
+    yield '# line = "raw_0"  # with along_track = [first, stop], cross_track = [first, stop] and'
+    yield '# reflectance = 0.5  # or certificate = "panel.csv"; uncertainty = 0.02; tilt = [angle, azimuth]'
     for instrument, folder, suffix in found.references:
         yield ""
         yield "[[references]]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, label
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
@@ -128,10 +129,34 @@ def opened_collect(
     from hyperpaint.io.collect.collect_opening import open_with_settings
     from hyperpaint.light.aircraft_receiver import level_irradiance
 
-    return open_with_settings(
+    opened = open_with_settings(
         collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted,
         level=level_irradiance,
     )  # fmt: skip
+    _declare_panels(opened)
+    return opened
+
+
+def _declare_panels(opened: OpenedCollect) -> None:
+    """Note on every flight line the panels that ``[[panels]]`` lays on it, as attribute ``panels``."""
+    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+
+    lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
+    declared: dict[str, list[dict[str, Any]]] = {}
+    for panel in opened.settings.panels:
+        if panel.line not in lines:
+            raise CollectError(
+                f"[[panels]] line = {panel.line!r}, expected one of {', '.join(map(str, lines))}"
+            )
+        known: Any = panel.reflectance
+        if isinstance(known, Path):
+            certificate = read_certificate(known)
+            known = np.stack([certificate["wavelength"].values, certificate.values], axis=-1).tolist()
+        row = {**vars(panel), "reflectance": known}
+        declared.setdefault(panel.line, []).append(row)
+    for name, rows in declared.items():
+        line = lines[name].to_dataset()
+        lines[name].dataset = line.assign_attrs(panels=json.dumps(rows))
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:

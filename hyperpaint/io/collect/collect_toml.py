@@ -91,10 +91,19 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "keep_whole_lines": check.flag,
     },
     "references": {"instrument": check.text, "files": check.texts},
+    "panels": {
+        "line": check.text,
+        "along_track": check.first_and_stop,
+        "cross_track": check.first_and_stop,
+        "reflectance": check.positive,
+        "certificate": check.text,
+        "uncertainty": check.not_negative,
+        "tilt": check.two_numbers,
+    },
 }
 """Check of every key of every table."""
 
-_LISTS = ("flightlines", "references")
+_LISTS = ("flightlines", "references", "panels")
 """Tables that may be there several times."""
 
 
@@ -127,6 +136,18 @@ class ReferenceEntry:
 
 
 @dataclass(frozen=True)
+class PanelEntry:
+    """One ``[[panels]]``: where a panel of known reflectance lies."""
+
+    line: str  # Its flight line
+    along_track: tuple[int, int]
+    cross_track: tuple[int, int]
+    reflectance: float | Path  # Or the file of its certificate
+    uncertainty: float
+    tilt: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
 class Collect:
     """What a ``collect.toml`` says, its paths absolute and found."""
 
@@ -138,6 +159,7 @@ class Collect:
     clock: Timing  # What the camera's table says of the clocks
     nav: tuple[Path, ...]  # Navigation files, each once; the lines of one flight share them
     references: tuple[ReferenceEntry, ...]
+    panels: tuple[PanelEntry, ...]  # Of known reflectance, in the scene
     sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
     # Ground [m above the ellipsoid] or dem (a path), and how the camera sits in the platform
     geometry: Mapping[str, Any]
@@ -392,6 +414,23 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
     return tuple(entries)
 
 
+def _panels(reader: _Reader) -> Iterator[PanelEntry]:
+    needed = ("line", "along_track", "cross_track")
+    for number, table in enumerate(reader.tables["panels"]):
+        place = f"[[panels]] {number + 1}"
+        absent = [key for key in needed if key not in table["?"]]
+        if absent:
+            reader.problems.add(f"{place} {' and '.join(absent)} missing")
+        if len({"reflectance", "certificate"} & table["?"]) != 1:
+            reader.problems.add(f"{place} expected a reflectance, or the file of a certificate")
+        known = reader.path(place, "certificate", table.get("certificate")) or table.get("reflectance")
+        if known is None or not set(needed) <= set(table):
+            continue
+        along, across = (tuple(table[key]) for key in needed[1:])
+        tilt = tuple(table["tilt"]) if "tilt" in table else None
+        yield PanelEntry(table["line"], along, across, known, table.get("uncertainty", 0.0), tilt)
+
+
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
     """Return what of a ``collect.toml`` is valid, so that what it names can be checked as well.
 
@@ -417,6 +456,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         clock=reader.clock,
         nav=tuple(reader.nav),
         references=_references(reader),
+        panels=tuple(_panels(reader)),
         sweep=sweep,
         geometry=_geometry(reader),
         alignment=reader.one("alignment").get("apply", "auto"),

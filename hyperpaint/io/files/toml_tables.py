@@ -221,6 +221,18 @@ number_or_pairs = _expect(
         )
     ),
 )
+two_numbers = _expect(
+    "two numbers",
+    lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+)
+first_and_stop = _expect(
+    "two whole numbers, the first and the one after the last",
+    lambda value: (
+        isinstance(value, list)
+        and [type(each) for each in value] == [int, int]
+        and 0 <= value[0] < value[1] < 2**31
+    ),
+)
 texts = _expect(
     "a text or a list of texts",
     lambda value: all(map(_is_text, value if isinstance(value, list) and value else [value])),
