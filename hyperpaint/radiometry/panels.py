@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ from hyperpaint.base.units import convert, takes_quantities
 from . import slabs
 from .panel_judging import PANEL_STATES
 
-__all__ = ["CLOSURE", "Panel", "closure_variables", "panel_inputs", "several_panels"]
+__all__ = ["CLOSURE", "Panel", "closure_variables", "declared_panels", "panel_inputs", "several_panels"]
 
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
 """Variables that say what panels measure."""
@@ -79,6 +80,37 @@ class Panel:
         nm = convert(factor["wavelength"].astype(np.float64), "nm").values
         order = np.argsort(nm, kind="stable")
         return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
+
+
+def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
+    """Return the panels that a flight line declares (attribute ``panels``), as a ``collect.toml`` names them.
+
+    Raises SchemaError: The attribute is no declaration of panels.
+    """
+    try:
+        rows = json.loads(str(dataset.attrs.get("panels", "[]")))
+        return tuple(
+            Panel(
+                slice(*row["along_track"]),
+                slice(*row["cross_track"]),
+                _known(row["reflectance"]),
+                row["uncertainty"],
+                None if row["tilt"] is None else tuple(row["tilt"]),
+            )
+            for row in rows
+        )
+    except (ValueError, TypeError, KeyError) as error:
+        raise SchemaError(f"attribute 'panels' declares no panels: {error}") from error
+
+
+def _known(reflectance: Any) -> Any:
+    """Return a declared reflectance: a number, or pairs of wavelength [nm] and reflectance."""
+    if not isinstance(reflectance, list):
+        return reflectance
+    nm, values = np.array(reflectance, np.float64).T
+    return xr.DataArray(
+        values, {"wavelength": ("wavelength", nm, {"units": "nm"})}, ("wavelength",), attrs={"units": "1"}
+    )
 
 
 def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:

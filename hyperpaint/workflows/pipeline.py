@@ -398,8 +398,10 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
         return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.pictures.plot import overview
+    from hyperpaint.radiometry.panels import declared_panels
 
-    product = dataset.paint.reflectance(keep_bits=KEPT_BITS)
+    panels = declared_panels(dataset)
+    product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=panels or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
     split = split_of_lines(dataset)
     if split is not None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.base.errors import CollectError
+from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
+from hyperpaint.radiometry.panels import declared_panels
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"  # before and after
@@ -55,3 +56,67 @@ def test_it_needs_an_attitude_in_utc(collect: Path) -> None:
     collect.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(CollectError, match='mount = "aircraft" needs the attitude'):
         hp.open_collect(collect)
+
+
+PANEL = "\n[[panels]]\nline = 'raw_0'\nalong_track = [7, 11]\ncross_track = [44, 48]\n"
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("panels") / "collect"
+    return hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=17)
+
+
+def with_panels(flown: Path, text: str) -> Path:
+    path = flown.with_name("declared.toml")
+    path.write_text(flown.read_text(encoding="utf-8") + text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_a_declared_panel_scales_its_line_and_is_reported(flown: Path, tmp_path: Path) -> None:
+    (flown.parent / "grey.csv").write_text("nm;R\n380;0.5\n1020;0.5\n", encoding="utf-8")
+    panels = PANEL + "reflectance = 0.5\nuncertainty = 0.02\n" + PANEL + "certificate = 'grey.csv'\n"
+    collect = with_panels(flown, panels)
+    store = hp.process(collect, tmp_path / "out.zarr")
+    line = hp.open_store(store, "flightlines/raw_0")
+    assert line.panel_factor.shape == (2, 24)
+    np.testing.assert_array_equal(line.panel_state, 0)
+    np.testing.assert_allclose(line.panel_factor[0], line.panel_factor[1], rtol=1e-6)
+    np.testing.assert_allclose(np.median(line.panel_factor), 1.0, atol=0.01)
+    assert float(line.panel_scale_u.min()) > 0.02
+    seen = line.reflectance.isel(along_track=slice(7, 11), cross_track=slice(44, 48)).mean(
+        ["along_track", "cross_track"]
+    )
+    np.testing.assert_allclose(seen, 0.5, rtol=2e-3)
+    page = hp.report.write_report(store, tmp_path / "page.html", flags=False).path.read_text(encoding="utf-8")
+    assert "What panels of known reflectance measure" in page
+
+
+def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
+    collect = with_panels(flown, "\n[[panels]]\nline = 'raw_0'\nalong_track = [11, 7]\nreflectance = 0.5\n")
+    with pytest.raises(CollectError) as error:
+        hp.open_collect(collect)
+    for text in ("cross_track missing", "along_track = [11, 7], expected two whole numbers"):
+        assert text in str(error.value)
+    collect = with_panels(flown, PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n")
+    with pytest.raises(CollectError, match="expected a reflectance, or the file of a certificate"):
+        hp.open_collect(collect)
+    collect = with_panels(flown, PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n")
+    with pytest.raises(CollectError, match="expected one of raw_0"):
+        hp.open_collect(collect)
+
+
+def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: Path) -> None:
+    # grass and asphalt
+    collect = with_panels(flown, PANEL.replace("[44, 48]", "[0, 40]") + "reflectance = 0.5\n")
+    refused = pytest.raises(CollectError, match="/flightlines/raw_0: the panel is refused")
+    with pytest.warns(PaintWarning, match="show something else"), refused:
+        hp.process(collect, tmp_path / "out.zarr")
+
+
+def test_an_attribute_that_declares_no_panels(flown: Path) -> None:
+    line = next(iter(hp.open_collect(flown)["flightlines"].children.values())).to_dataset()
+    for text in ("[{}]", "7", "{", '[{"along_track": 3}]'):
+        with pytest.raises(SchemaError, match="declares no panels"):
+            declared_panels(line.assign_attrs(panels=text))
