@@ -112,6 +112,7 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         u_random=times(reference.u_random),
         u_systematic=systematic,
         sd=times(reference.sd),
+        covariance=None,  # without what the index adds
         mirror=EXCLUDED,
         quantity=BODY,
         notes=(*reference.notes, note),

@@ -179,7 +179,7 @@ def _mean_of(pair: Pair) -> Measured:
     systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
     return replace(
         named, values=values.mean(axis=0), sd=sd, count=len(values), u_random=None,
-        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic),
+        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic), covariance=None,
     )  # fmt: skip
 
 

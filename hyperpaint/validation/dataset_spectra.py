@@ -16,6 +16,7 @@ from hyperpaint.base.mirrored_light import BODY, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
 from hyperpaint.light.diffuse_record import SKY_STATES
+from hyperpaint.paints.band_ratios import covariance
 
 from .coat_readings import coat_of, light_notes
 from .measured_spectra import Measured, names_of_paint, names_of_spectrum
@@ -208,6 +209,8 @@ def _of_library(
     channels = _Channels.of(
         arrays["wavelength"].values, arrays.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
     )
+    has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
+    between = covariance(dataset).transpose(PAINT, ...).values if has_sources else None
     for number, name in enumerate(arrays[PAINT].values):
         own = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
         yield channels.spectrum(
@@ -221,6 +224,7 @@ def _of_library(
             **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
             mirror=mirror_reflection(dataset) or UNKNOWN,
             absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
+            covariance=None if between is None else between[number][np.ix_(channels.order, channels.order)],
             notes=(*channels.notes, *_light_of(dataset, number)),
             **(coat_of(attrs) | _as_seen(dataset, number, attrs)),
         )

@@ -116,6 +116,8 @@ class Measured:
     quantity: str = ""  # Of a body under a coat or of the coat's outside, see base.mirrored_light
     geometry: str = ""  # Of the instrument, such as d/8
     coat_index: float = 1.5  # Refractive index of the coat
+    # (channel, channel) or None: covariance of both uncertainties together [1], where it is known
+    covariance: Floats | None = None
 
     @property
     def name(self) -> str:
@@ -148,10 +150,18 @@ class Measured:
     def errors(self, rng: np.random.Generator, draws: int) -> Floats:
         """Return what may be wrong with the values (draw, channel), at random.
 
-        Random errors are independent, systematic ones common to all channels. Where neither is known, the
-        standard deviation of the mean is taken for systematic: readings of a surface differ in level more
-        than in shape. NaN where one of them is known of other channels, but not there.
+        Of the covariance where that is known. Elsewhere random errors are independent, systematic ones common
+        to all channels. Where neither is known, the standard deviation of the mean is taken for systematic:
+        readings of a surface differ in level more than in shape. NaN where one of them is known of other
+        channels, but not there.
         """
+        if self.covariance is not None:
+            missing = np.isnan(np.diagonal(self.covariance))
+            # correlations that were cut leave eigenvalues a little below zero
+            sizes, shapes = np.linalg.eigh(np.nan_to_num(self.covariance))
+            root = shapes * np.sqrt(np.maximum(sizes, 0.0))
+            drawn = rng.standard_normal((draws, sizes.size)) @ root.T
+            return np.asarray(np.where(missing, np.nan, drawn))
         errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:
             errors += self.u_random * rng.standard_normal(errors.shape)
@@ -205,6 +215,7 @@ def _scaled(spectrum: Measured, wavelength: Floats, values: Floats) -> Measured:
         u_random=times(spectrum.u_random),
         u_systematic=times(spectrum.u_systematic),
         sd=times(spectrum.sd),
+        covariance=None if spectrum.covariance is None else spectrum.covariance * np.outer(factor, factor),
         absolute=True,
         notes=(*spectrum.notes, "scaled by the panel's certificate"),
     )

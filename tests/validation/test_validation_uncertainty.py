@@ -64,3 +64,21 @@ def test_pixels_that_are_not_independent_do_not_count() -> None:
     assert value_of(hp.validate(paints, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 5, rel=0.1)
     silent = paints.assign(n_eff=("paint", [np.nan], {"units": "1"}))
     assert value_of(hp.validate(silent, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 100, rel=0.1)
+
+
+def test_errors_of_opposite_signs_leave_the_mean_over_bands() -> None:
+    # an error of wavelength on both flanks of a peak: large in every band, nothing in their mean
+    u = np.full(NM.size, 0.01)
+    signs = np.where(np.arange(NM.size) % 2, 1.0, -1.0)[None, None]
+    paints = library(PAINT, reflectance_u_random=1e-5 * u, reflectance_u_systematic=u)
+    alike = hp.validate(paints, field(LEVEL))
+    lags = np.ones((1, 1, NM.size))
+    by_source = paints.assign(
+        reflectance_errors=(("paint", "error_source", "band"), 0.01 * signs, {"units": "1"}),
+        error_correlation=(("paint", "lag", "band"), lags, {"units": "1"}),
+    ).assign_coords(error_source=["wavelength"], error_form=("error_source", ["band systematic"]))
+    apart = hp.validate(by_source, field(LEVEL))
+    for each in (alike, apart):
+        assert float(each.spectra[0]["signature_u"].median()) == pytest.approx(0.01, rel=0.1)
+    assert value_of(alike, "bias_u") == pytest.approx(0.01, rel=0.1)
+    assert value_of(apart, "bias_u") < 0.001
