@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.light.illumination import matched_series
 from hyperpaint.light.responses import mean_responsivity
 
-__all__ = ["INTERPOLATED", "USUAL_SHARE", "MatchedNoise", "at_bands", "matched_noise"]
+__all__ = ["INTERPOLATED", "USUAL_SHARE", "MatchedNoise", "at_bands", "matched_noise", "noise_of_record"]
 
 
 INTERPOLATED = 2.0 / 3.0
@@ -20,6 +21,14 @@ INTERPOLATED = 2.0 / 3.0
 
 USUAL_SHARE = 0.9
 """Share of the samples that must have a channel for a sample without it to be left out."""
+
+
+FEWEST_TRIPLES = 4
+"""Samples between two others from which the noise of a record is estimated."""
+_MOST_TRIPLES = 256
+_WINDOW_CHANNELS = 21
+_LONGEST_INTERVALS = 2.5
+_SIGMA_OF_DEVIATION = 1.4826
 
 
 class MatchedNoise(NamedTuple):
@@ -67,3 +76,35 @@ def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:
     order = np.argsort(channels, kind="stable")
     known = np.broadcast_to(np.asarray(values, np.float64), channels.shape)
     return np.asarray(np.interp(np.asarray(wavelength, np.float64), channels[order], known[order]))
+
+
+def noise_of_record(spectra: Array, times: Array) -> Floats | None:
+    """Return the relative noise of single irradiance samples (channel,) [1]; None of too few samples.
+
+    ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. What a sample departs from the
+    line between its neighbours in time, less what neighbouring channels depart, since light changes smoothly
+    over wavelength; median over samples and 21 channels. Noise that channels share is not seen.
+    """
+    seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9
+    steps = np.diff(seconds)
+    near = steps <= _LONGEST_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
+    middle = np.flatnonzero(near[:-1] & near[1:]) + 1
+    if middle.size < FEWEST_TRIPLES:
+        return None
+    middle = middle[np.linspace(0, middle.size - 1, min(middle.size, _MOST_TRIPLES)).astype(np.intp)]
+    three = np.stack([spectra[middle + step] for step in (-1, 0, 1)]).astype(np.float64)
+    usable = (np.isfinite(three) & (three > 0)).all(axis=(0, 1))
+    if usable.sum() < _WINDOW_CHANNELS:
+        return None
+    before, here, after = np.log(three[:, :, usable])
+    weight = ((seconds[middle] - seconds[middle - 1]) / (seconds[middle + 1] - seconds[middle - 1]))[:, None]
+    away = here - (before + weight * (after - before))
+    away /= np.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
+    others = np.ones((1, _WINDOW_CHANNELS), bool)
+    others[0, _WINDOW_CHANNELS // 2] = False
+    away -= ndimage.median_filter(away, footprint=others)
+    spread = _SIGMA_OF_DEVIATION * np.median(np.abs(away), axis=0)
+    # the median of n neighbours has pi / (2 n) of the variance of one
+    spread = ndimage.median_filter(spread, _WINDOW_CHANNELS) / np.sqrt(1.0 + np.pi / (2.0 * others.sum()))
+    channels = np.arange(usable.size)
+    return np.asarray(np.interp(channels, channels[usable], spread))

@@ -21,7 +21,16 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    STEP,
+)  # fmt: skip
+
+from .irradiance_noise import noise_of_record
 
 __all__ = ["estimate_noise"]
 
@@ -39,6 +48,7 @@ _KEPT = 0.999
 _BLOCK_SIGMAS = 4.0
 _WORST_UNCERTAINTY = 0.1
 _MISFIT = 0.1
+_LEAST_RECORD_NOISE = 1e-5  # relative: what float32 rounds is less
 
 
 @dataclass(frozen=True)
@@ -77,7 +87,9 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
         ``electrons_per_count`` [electron count-1] and ``read_noise`` [count], scalar float32, for
         ``line.assign(...)``; with standard uncertainties ``electrons_per_count_u`` and ``read_noise_u``, and
         the binned ``transfer_variance`` over ``transfer_signal`` [count2, count] to look at. Attribute
-        ``noise_source`` says what was used.
+        ``noise_source`` says what was used. Of a flight line with a record of irradiance that has noise also
+        ``irradiance_u_random`` (irradiance_wavelength) [1]: how far single samples depart from the line
+        between their neighbours in time, as neighbouring channels do not.
 
     Raises
     ------
@@ -122,7 +134,14 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     else:
         dataset = schema.rename_to_roles(dataset)
         points, floor, source = _line_points(dataset, repeated)
-    return _labelled(_fit(points), points, floor, source)
+    estimate = _labelled(_fit(points), points, floor, source)
+    if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
+        record = schema.require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
+        noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
+        if noise is not None and noise.max() > _LEAST_RECORD_NOISE:
+            array = xr.DataArray(noise.astype(np.float32), dims=IRRADIANCE_WAVELENGTH)
+            estimate["irradiance_u_random"] = schema.label(array, "irradiance_u_random")
+    return estimate
 
 
 # --- gathering variances
