@@ -22,17 +22,13 @@ from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIA
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
-from .irradiance_files import is_store, read_irradiance_csv, stored_series
+from .irradiance_files import are_widths, asd_widths, is_store, read_irradiance_csv, stored_series, widths_at
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
 
 __all__ = ["cut_irradiance", "open_irradiance"]
 
 Stamp = Literal["start", "mid", "end"]
 
-ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
-"""Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm]."""
-_ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
-"""Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 _GAP_INTERVALS = 2.5
 _MARGIN = np.timedelta64(60, "s")
 #: Where the sun has light to speak of, and what resolutions spectrometers have [nm].
@@ -194,7 +190,7 @@ def _check_arguments(
         problems.add(f"stamp={stamp!r}: expected one of {', '.join(STAMP_TO_MID_EXPOSURES)}")
     if max_gap_s is not None and not (np.isfinite(max_gap_s) and max_gap_s > 0):
         problems.add(f"max_gap_s={max_gap_s}: expected a positive number")
-    if fwhm_nm is not None and not _are_widths(fwhm_nm):
+    if fwhm_nm is not None and not are_widths(fwhm_nm):
         problems.add(
             f"fwhm_nm={fwhm_nm}: expected a positive number, or pairs of increasing wavelength and width [nm]"
         )
@@ -202,33 +198,6 @@ def _check_arguments(
         if value is not None and not (np.isfinite(value) and value >= 0):
             problems.add(f"{name}={value}: expected seconds, not negative")
     problems.raise_if_any()
-
-
-def _are_widths(value: Any) -> bool:
-    """Tell whether a width is a positive number, or pairs (n, 2) of wavelength and width."""
-    try:
-        widths = np.asarray(value, np.float64)
-    except (TypeError, ValueError):  # pairs of unlike lengths
-        return False
-    if not (np.isfinite(widths).all() and (widths > 0).all()):
-        return False
-    is_pairs = widths.ndim == 2 and widths.shape[1] == 2 and bool((np.diff(widths[:, 0]) > 0).all())
-    return widths.ndim == 0 or is_pairs
-
-
-def _widths_at(wavelength: Floats, widths: Any) -> Any:
-    """Return a number as it is, pairs (n, 2) as a width for every channel [nm]."""
-    pairs = np.asarray(widths, np.float64)
-    return np.interp(wavelength, pairs[:, 0], pairs[:, 1]) if pairs.ndim == 2 else pairs
-
-
-def _asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
-    """Return the widths that are assumed of an ASD instrument [nm], and what says so."""
-    text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
-    if wavelength.max() <= _ASD_VNIR_ENDS_NM:
-        return ASD_FWHM_NM, text
-    beyond = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
-    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + beyond
 
 
 def _from_files(
@@ -250,7 +219,7 @@ def _from_files(
             f"hold irradiance after all. Files: {listed([path.name for path in files])}"
         )
     vendors = VARIABLES["irradiance"].units
-    widths, source = _asd_widths(spectra[0].wavelength)
+    widths, source = asd_widths(spectra[0].wavelength)
     assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
     return _from_spectra(
         spectra, utc_offset_h, units or vendors, fwhm=widths, fwhm_source=source,
@@ -414,7 +383,7 @@ def _dataset(
     series: _Series, times: npt.NDArray[np.datetime64], values: Floats, fwhm_nm: Any,
     max_gap_s: float | None,
 ) -> xr.Dataset:  # fmt: skip
-    fwhm = series.fwhm if fwhm_nm is None else _widths_at(series.wavelength, fwhm_nm)
+    fwhm = series.fwhm if fwhm_nm is None else widths_at(series.wavelength, fwhm_nm)
     if fwhm is None:
         raise SchemaError(f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm=")
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s

@@ -1,4 +1,4 @@
-"""Irradiance series in files: comma-separated values, and Zarr or netCDF stores, those of a collect too."""
+"""Irradiance series in files (comma-separated values, Zarr, netCDF), and widths that files do not state."""
 
 from __future__ import annotations
 
@@ -7,15 +7,25 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, IncompleteStoreError
 from hyperpaint.io.files.reading import load_netcdf, number, numbers, read_limited_text
 
-__all__ = ["is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series"]
+__all__ = [
+    "are_widths", "asd_widths", "is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series",
+    "widths_at",
+]  # fmt: skip
+
+ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
+"""Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm]."""
+_ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
+"""Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
 _LARGEST_FILE = 2**30
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
@@ -159,3 +169,30 @@ def stored_series(path: Path) -> xr.Dataset:
         raise FormatError(
             f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
         ) from error
+
+
+def are_widths(value: Any) -> bool:
+    """Tell whether a width is a positive number, or pairs (n, 2) of wavelength and width."""
+    try:
+        widths = np.asarray(value, np.float64)
+    except (TypeError, ValueError):  # pairs of unlike lengths
+        return False
+    if not (np.isfinite(widths).all() and (widths > 0).all()):
+        return False
+    is_pairs = widths.ndim == 2 and widths.shape[1] == 2 and bool((np.diff(widths[:, 0]) > 0).all())
+    return widths.ndim == 0 or is_pairs
+
+
+def widths_at(wavelength: Floats, widths: Any) -> Any:
+    """Return a number as it is, pairs (n, 2) as a width for every channel [nm]."""
+    pairs = np.asarray(widths, np.float64)
+    return np.interp(wavelength, pairs[:, 0], pairs[:, 1]) if pairs.ndim == 2 else pairs
+
+
+def asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
+    """Return the widths that are assumed of an ASD instrument [nm], and what says so."""
+    text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
+    if wavelength.max() <= _ASD_VNIR_ENDS_NM:
+        return ASD_FWHM_NM, text
+    beyond = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
+    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + beyond
