@@ -120,7 +120,7 @@ def calibrate(
     PaintWarning
         Steps were left out; the monochromator's line is too wide to determine the camera's; the beam's own
         profile is taken for response; columns are not lit; lines look clipped; the dark is off; the noise is
-        not known.
+        not known; lines show a response that is neither model, and no table of it can be made.
 
     Notes
     -----
@@ -128,7 +128,9 @@ def calibrate(
     capture_fraction)`` at the lines, dark-subtracted counts summed over bands, interpolated over wavelength:
     the line-area method, which needs neither the width nor the shape of line and response. Width and shape
     come from fits of offset + area x profile, the profile being the monochromator's line convolved with the
-    camera's.
+    camera's. Where all lines together show another response than the better model, such as a lopsided one,
+    ``srf_shape`` is ``"tabulated"``, ``srf`` (band, srf_offset) the response that they show, and
+    ``wavelength`` is where the better model stands on it.
 
     Examples
     --------
@@ -185,7 +187,7 @@ def calibrate(
     )  # fmt: skip
     result = Result(
         lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, curve, placed, fwhm,
-        differences.relative,
+        differences.relative, srf_shape is None,
     )  # fmt: skip
     return result.dataset(flat)
 

@@ -21,6 +21,7 @@ from .detector import row_medians
 from .elements import at_steps, line_wavelengths
 from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
+from .measured_shape import MeasuredShape, measured_shape
 from .out_of_band import (
     common_offset,
     second_order_share,
@@ -89,6 +90,7 @@ class Result:
     placed: Bools  #: (step, cross_track): good fits where the map says they should be
     fwhm: Floats  #: (band,): width of every band [nm]
     differences: float  #: Relative standard deviation of the elements about the lines
+    is_shape_free: bool  #: Whether the lines may decide what the camera's response is
 
     @cached_property
     def wavelength(self) -> Floats:
@@ -182,6 +184,7 @@ class Result:
             values["flat_field"] = flat
         if self.budget.linearity:
             values["linearity_u"] = self.budget.linearity
+        table = self._table()
         coords = {
             "wavelength": self.centre_wavelength,
             "wavelength_shift": self.wavelength - self.centre_wavelength[:, None],
@@ -190,14 +193,40 @@ class Result:
             "good": good,
             "step_wavelength": self.lab.wavelength,
         }
+        if table is not None:
+            coords["srf_offset"], values["srf"] = table
         if self.linearity.measured is not None:
             coords["linearity_counts"] = self.linearity.measured
             values["linear_counts"] = self.linearity.linear
         return xr.Dataset(
             {name: _labelled(value, name) for name, value in values.items()},
             {name: _labelled(value, name) for name, value in coords.items()},
-            self._attrs(good),
+            self._attrs(good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )
+
+    @cached_property
+    def measured(self) -> MeasuredShape | None:
+        """The response that all lines together show."""
+        return measured_shape(
+            self.lab, self.read, self.lines, self.surface, self.placed, self.fwhm_at_steps, self.shape
+        )
+
+    def _table(self) -> tuple[Floats, Floats] | None:
+        """Return offsets and responses of the bands where lines show them, and are no model; else warn."""
+        measured = self.measured
+        if measured is None or not measured.is_another:
+            return None
+        if self.is_shape_free and measured.is_resolved:
+            return measured.table(self.fwhm)
+        reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
+        warnings.warn(
+            f"the lines show a response that is {measured.misfit:.1%} off the model {self.shape!r}, and no "
+            f"table is made of it, since {reason}: reflectance beside sharp lines of daylight may be wrong "
+            f"by {measured.effect:.1%}",
+            PaintWarning,
+            stacklevel=4,
+        )
+        return None
 
     def _uncertainties(self, gain: Floats, good: Bools) -> dict[str, Floats]:
         random = np.full(gain.shape, np.nan)
@@ -394,6 +423,13 @@ class Result:
             return "photon transfer of the sweep, good to some per cent; see hyperpaint.estimate_noise"
         return "none"
 
+    def _shape_attrs(self) -> dict[str, Any]:
+        """Return how far the response that lines show is from the better model, and what that would do."""
+        if self.measured is None:
+            return {}
+        distance, effect = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
+        return {"srf_model": self.shape, "srf_model_misfit": distance, "srf_model_effect": effect}
+
     def _linearity_attr(self) -> str | list[float]:
         if self.linearity.coefficients:
             return list(self.linearity.coefficients)
@@ -430,6 +466,7 @@ class Result:
             "noise_source": self.read.noise_source,
             "electrons_per_count_source": self._electrons_source(),
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
+            **self._shape_attrs(),
         }
 
 

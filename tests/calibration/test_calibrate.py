@@ -247,7 +247,9 @@ def test_dark_at_any_exposure_once_bias_and_rate_are_known() -> None:
 
 def test_other_line_shapes_can_be_asked_for() -> None:
     sweep = sweep_of(bands=136, **CLEAN)
-    assert hp.calibrate(sweep, srf_shape="slit").srf_shape == "slit"
+    # the lines are Gaussian: a slit leaves a residual that all of them share
+    with pytest.warns(PaintWarning, match="off the model 'slit'"):
+        assert hp.calibrate(sweep, srf_shape="slit").srf_shape == "slit"
     with pytest.raises(hp.SchemaError, match="expected a Dataset"):
         hp.calibrate("sweep.zarr")  # type: ignore[arg-type]
     with pytest.raises(hp.SchemaError, match="srf_shape 'box'"):
