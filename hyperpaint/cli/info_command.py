@@ -43,6 +43,7 @@ _EXPECTED = (
 )
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
 _MOST_NAMED = 5
+_DAY_NS = 86_400 * 10**9
 _HEAD = 4096
 
 
@@ -293,6 +294,7 @@ def _navigation(path: Path) -> Facts:
 
 def _is_pose_table(path: Path) -> bool:
     from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
+    from hyperpaint.io.navigation.nmea import is_nmea
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
@@ -303,17 +305,19 @@ def _is_pose_table(path: Path) -> bool:
         return False
     if path.suffix.lower() == ".out":
         return b"\0" in head
-    return path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head)
+    return is_nmea(head) or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))
 
 
 def _poses(path: Path) -> Facts:
     from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
+    from hyperpaint.io.navigation.nmea import read_nmea
 
     kind = navigation_format(path)
     if kind == "imu_gps":
         yield from _navigation(path)
         return
-    record = read_record(path, kind)
+    # a log of sentences without a date is shown as one of the first day of all
+    record = read_nmea(path, 0) if kind == "nmea" else read_record(path, kind)
     meant = record.convention
     yield "is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"
     if record.counts_from == "week":
@@ -321,6 +325,8 @@ def _poses(path: Path) -> Facts:
         yield "times", f"{range_of(record.stamp / 1e9, 's')} of {week}"
     else:
         clock = " (clock of GPS)" if record.time_scale == "gps" else ""
+        if kind == "nmea" and record.stamp[0] < _DAY_NS:
+            clock = " (of a day that no sentence names: give date=)"
         yield "times", times_of(record.stamp.astype("datetime64[ns]")) + clock
     for name, values in record.values.items():
         place = {"latitude": "degree", "longitude": "degree", "altitude": "m"}

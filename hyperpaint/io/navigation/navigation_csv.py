@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -71,7 +71,7 @@ def is_navigation_csv(head: bytes) -> bool:
     return {"latitude", "longitude", "roll", "pitch"} <= names
 
 
-def read_navigation_csv(path: str | Path) -> PoseRecord:
+def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) -> PoseRecord:
     r"""Read navigation from a table of text.
 
     The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or ``lat``,
@@ -82,12 +82,14 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
     ``leap_seconds`` and ``time_scale``.
 
+    names: Headings of a table that has none, with units, in the order of its columns; those of columns that
+        are not wanted may be anything else. Its cells may be parted by blanks, too.
     Returns PoseRecord: Angles in radian where all three are, else in degree.
     Raises FormatError: Columns or units are missing, or cells are not what the header says; all are listed.
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    comments, header, table = _split(path)
+    comments, header, table = _split(path, names)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     convention, assumed, said = _declared(comments, problems)
     columns = _columns(header, problems)
@@ -120,7 +122,7 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
 # --- text --------------------------------------------------------------------------------------------------
 
 
-def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
+def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
     """Return comments, header and cells; cells of columns that nobody asks for are dropped."""
     lines = read_text(path, _LARGEST).split("\n")
     comments: dict[str, str] = {}
@@ -134,18 +136,22 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
         if len(comments) < _MOST_COMMENTS:
             comments[_plain(key).replace(" ", "_")] = value.strip()
     head = lines[start] if start < len(lines) else ""
-    separator = next((mark for mark in ("\t", ";", ",") if mark in head), ",")
-    cells = head.split(separator, _MOST_COLUMNS)
+    separator = next((mark for mark in ("\t", ";", ",") if mark in head), "," if names is None else None)
+    cells = head.split(separator, _MOST_COLUMNS) if names is None else list(names)
     header = [_column(cell) for cell in cells]
     if len(cells) > _MOST_COLUMNS or not any(column.key in _ALIASES for column in header):
+        shown = head.strip()[:80] if names is None else ", ".join(cells)[:80]
         raise FormatError(
-            f"{path}: expected a header that names {', '.join(POSE)} and a time, found {head.strip()[:80]!r}"
+            f"{path}: expected a header that names {', '.join(POSE)} and a time, found {shown!r}; "
+            "those of a table without one are given as columns="
         )
+    first = start + (names is None)
     rows = [
-        (number, line.split(separator, len(header)))
-        for number, line in enumerate(lines[start + 1 :], start=start + 2)
+        (number, line.strip().split(separator, len(header)) if separator is None else
+         line.split(separator, len(header)))
+        for number, line in enumerate(lines[first:], start=first + 1)
         if line.strip() and not line.lstrip().startswith("#")
-    ]
+    ]  # fmt: skip
     return comments, header, table_of(path, [column.shown for column in header], rows)
 
 

@@ -19,6 +19,7 @@ from hyperpaint.base.units import takes_quantities
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
+from .nmea import is_nmea, read_nmea
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["navigation_format", "open_navigation", "read_record"]
 
 NAVIGATION_TIME = "navigation_time"
-NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv"]
+NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 _HEAD = 4096
@@ -60,6 +61,7 @@ def open_navigation(
     time_scale: Literal["gps", "utc"] | None = None,
     clock_offset_s: float | None = None,
     gps_time: str | os.PathLike[str] | None = None,
+    columns: Sequence[str] | None = None,
 ) -> xr.Dataset:
     """Read a navigation record: where the platform was, how it was turned, and when.
 
@@ -68,7 +70,9 @@ def open_navigation(
     ``sbet``            Applanix SBET (POSPac); radian; seconds of the GPS week
     ``lcf``             Resonon ``.lcf``; radian, roll positive with the right wing UP; GPS time
     ``eph_att``         AVIRIS-NG ``*_eph_att`` with its ENVI header; degree; seconds of the GPS week
-    ``csv``             a table with a header that names columns and units, see `read_navigation_csv`
+    ``csv``             a table with a header that names columns and units, see `read_navigation_csv`; without
+                        one, with ``columns``
+    ``nmea``            a log of NMEA 0183 sentences: GGA with RMC or ZDA, and PASHR, HDT or THS; degree; UTC
     ==================  ===================================================================================
 
     Each reader declares what its format is known to mean. What nothing published states is listed in the
@@ -96,6 +100,10 @@ def open_navigation(
         day of the recording computer alone.
     gps_time
         ``gps_time.txt`` beside such a file, in its place.
+    columns
+        Names and units of the columns of a table without a header, in their order:
+        ``["time_of_week [s]", "latitude [degree]", ..., "heading [degree]"]``, and anything else for those
+        that are not wanted.
 
     Returns
     -------
@@ -149,18 +157,25 @@ def open_navigation(
         )
     parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
+    if columns is not None and format not in (None, "csv"):
+        raise SchemaError(f"columns= name those of a table without a header, found format {format!r}")
     for path in files:
         with findings.step():
-            kind = format or navigation_format(path)
+            kind = format or ("csv" if columns is not None else navigation_format(path))
             own_clock = None if gps_time is None else Path(gps_time)
-            record = _headwall(path, source, own_clock) if kind == "imu_gps" else read_record(path, kind)
+            if kind == "imu_gps":
+                record = _headwall(path, source, own_clock)
+            elif kind == "nmea":
+                record = read_nmea(path, source.midnight)
+            else:
+                record = read_record(path, kind, columns)
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
     _refuse_mixtures(parts)
     meant = _convention(parts[0][0], convention)
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
-    columns = {
+    variables = {
         name: (
             NAVIGATION_TIME,
             np.concatenate([record.values[name] for record, _, _ in parts]),
@@ -170,10 +185,10 @@ def open_navigation(
     }
     for name, (_, about) in parts[0][0].others.items():
         values = np.concatenate([record.others[name][0] for record, _, _ in parts])
-        columns[name] = (NAVIGATION_TIME, values, dict(about))
+        variables[name] = (NAVIGATION_TIME, values, dict(about))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
     return xr.Dataset(
-        columns,
+        variables,
         {NAVIGATION_TIME: (NAVIGATION_TIME, time, {"long_name": "UTC of the navigation record"})},
         _attributes(parts, meant, convention),
     )
@@ -200,6 +215,8 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     first = head.partition(b"\n")[0].lower()
     if b"\0" not in head and {b"roll", b"pitch", b"yaw", b"lat", b"lon", b"alt"} <= set(first.split()):
         return "imu_gps"
+    if is_nmea(head):
+        return "nmea"
     if b"\0" not in head and suffix in (".csv", ".tsv", ".txt", ".asc", ".dat"):
         return "csv"
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
@@ -210,8 +227,8 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 # --- one file ----------------------------------------------------------------------------------------------
 
 
-def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
-    """Read a file of any format but ``imu_gps``, its stamps as they are.
+def read_record(path: Path, format: NavigationFormat, columns: Sequence[str] | None = None) -> PoseRecord:
+    """Read a file of any format but ``imu_gps``, its stamps as they are; ``columns`` as of `open_navigation`.
 
     Raises FormatError, TimeError: As the reader of the format.
     """
@@ -219,7 +236,8 @@ def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
     from .navigation_formats import read_eph_att, read_lcf, read_sbet
 
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
-        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att, "csv": read_navigation_csv,
+        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att, "nmea": read_nmea,
+        "csv": lambda path: read_navigation_csv(path, columns),
     }  # fmt: skip
     return readers[format](path)
 

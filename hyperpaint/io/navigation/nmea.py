@@ -1,0 +1,201 @@
+"""Navigation as a receiver talks it: NMEA 0183 sentences in a log, with whatever else stands in its lines."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterator
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
+from hyperpaint.io.flightline.headwall import read_text
+
+from .clocks import NS_PER_S, refuse_backwards
+from .navigation_records import POSE, PoseRecord, check_poses
+
+__all__ = ["is_nmea", "read_nmea"]
+
+_MAX_BYTES = 2**30
+_SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
+_CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
+_ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
+_NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
+_DAY_S = 86_400
+_HALF_DAY_S = 43_200.0
+_MOST_DAMAGED = 0.5
+"""Share of sentences with a wrong checksum, from which on a log is none [1]."""
+
+
+def is_nmea(head: bytes) -> bool:
+    """Tell from its first bytes whether a file holds positions in NMEA sentences."""
+    return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
+
+
+def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
+    """Read a log of NMEA 0183 sentences.
+
+    A row is a GGA sentence with a fix: its time of day in UTC, position, and height above the ellipsoid, the
+    sum of its height above mean sea level and the geoid's; above the geoid where a sentence lacks the latter.
+    The date is that of RMC or ZDA. Roll, pitch and heading are those of PASHR of the same time, heading else
+    that of HDT or THS that follows; the course over ground is no heading, and is not read. Other text in a
+    line, before a sentence or instead of one, is passed over, and so are sentences with a wrong checksum,
+    which are counted.
+
+    path: The log.
+    midnight: 0 h UTC of the first row's day [ns since 1970-01-01], where no sentence says the date.
+    Returns PoseRecord: Angles [degree], NaN where none is known. What a receiver calls roll and pitch is not
+        in the standard: their signs are assumed.
+    Raises FormatError: No position with a fix, damaged sentences, or values that are no positions and angles.
+    Raises TimeError: No date, or time runs backwards.
+    Warns PaintWarning: Damaged sentences; no attitude in the whole log.
+    """
+    path = Path(path)
+    text = read_text(path, _MAX_BYTES)
+    log = _Log(path)
+    for fields in _sound_sentences(path, text):
+        log.take(fields)
+    log.problems.raise_if_any()
+    if not log.rows:
+        raise FormatError(f"{path}: no position with a fix, expected GGA sentences of NMEA 0183")
+    day = log.first_day if log.first_day is not None else midnight
+    if day is None:
+        raise TimeError(f"{path.name} holds no date (RMC or ZDA); give date='YYYY-MM-DD' of its first row")
+    seconds = np.array(list(log.rows))
+    stamp = np.rint(seconds * NS_PER_S).astype(np.int64) + day
+    names = (*POSE, "separation")
+    values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
+    separation = values.pop("separation")
+    height: Literal["ellipsoid", "geoid"] = "geoid" if np.isnan(separation).any() else "ellipsoid"
+    if height == "ellipsoid":
+        values["altitude"] += separation
+    check_poses(values, "degree", log.problems, "position")
+    log.problems.raise_if_any()
+    refuse_backwards(path.name, stamp, row="position")
+    if all(np.isnan(values[name]).all() for name in ("roll", "pitch", "heading")):
+        text = f"{path.name} holds positions alone: no roll, pitch or heading (PASHR, HDT or THS)"
+        warnings.warn(text, PaintWarning, stacklevel=3)
+    return PoseRecord(
+        path.name, "NMEA 0183", stamp, "1970", values, Convention(height_reference=height),
+        assumed=("roll_positive", "pitch_positive", "euler_order"), time_scale="utc",
+    )  # fmt: skip
+
+
+def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
+    """Yield the fields of sentences whose checksum is right."""
+    damaged = total = 0
+    for match in _SENTENCE.finditer(text):
+        total += 1
+        if reduce(xor, match[1].encode("latin-1")) == int(match[2], 16):
+            yield match[1].split(",")
+        else:
+            damaged += 1
+    if damaged > _MOST_DAMAGED * total:
+        raise FormatError(f"{path}: {damaged} of {total} sentences have a wrong checksum; copy it again")
+    if damaged:
+        message = f"{path.name}: {damaged} of {total} sentences have a wrong checksum, and are left out"
+        warnings.warn(message, PaintWarning, stacklevel=4)
+
+
+class _Log:
+    """What a log says so far."""
+
+    def __init__(self, path: Path) -> None:
+        self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
+        self.first_day: int | None = None  # [ns since 1970-01-01]
+        self.problems = Problems(f"{path} cannot be used as a log of NMEA sentences", FormatError)
+        self._days, self._last = 0, -1.0
+        self._readers: dict[str, Callable[[list[str]], None]] = {
+            "GGA": self._take_gga, "RMC": self._take_rmc, "ZDA": self._take_zda, "PASHR": self._take_pashr,
+            "HDT": self._take_hdt, "THS": self._take_ths,
+        }  # fmt: skip
+        self._turned: dict[float, dict[str, float]] = {}  # attitudes whose position is still to come
+
+    def take(self, fields: list[str]) -> None:
+        """Take one sentence."""
+        kind = fields[0][-3:] if fields[0] != "PASHR" else "PASHR"
+        try:
+            self._readers[kind](fields)
+        except (ValueError, LookupError):
+            if len(self.problems) < 5:  # a few tell what is wrong
+                self.problems.add(f"sentence {','.join(fields)[:60]!r} is not as the standard has it")
+
+    def _take_gga(self, fields: list[str]) -> None:
+        if int(fields[6] or 0) == 0 or not fields[2]:
+            return  # no fix
+        seconds = self._seconds(fields[1])
+        if seconds in self.rows:
+            return
+        row = self.rows[seconds] = {
+            "latitude": _angle(fields[2]) * {"N": 1.0, "S": -1.0}[fields[3]],
+            "longitude": _angle(fields[4]) * {"E": 1.0, "W": -1.0}[fields[5]],
+            "altitude": _number(fields[9]),
+            "separation": _number(fields[11]),
+        }
+        row.update(self._turned.pop(seconds, {}))
+        self._turned.clear()
+
+    def _take_rmc(self, fields: list[str]) -> None:
+        if fields[2] == "A":
+            day, month, year = (int(fields[9][at : at + 2]) for at in (0, 2, 4))
+            self._date(fields[1], f"{2000 + year if year < 80 else 1900 + year}-{month:02}-{day:02}")
+
+    def _take_zda(self, fields: list[str]) -> None:
+        if fields[2]:
+            self._date(fields[1], f"{int(fields[4]):04}-{int(fields[3]):02}-{int(fields[2]):02}")
+
+    def _take_pashr(self, fields: list[str]) -> None:
+        if len(fields) < 6 or not _CLOCK.fullmatch(fields[1]):
+            return  # another of its maker's sentences
+        seconds = self._seconds(fields[1])
+        pose = {"heading": _number(fields[2]), "roll": _number(fields[4]), "pitch": _number(fields[5])}
+        if seconds in self.rows:
+            self.rows[seconds].update(pose)
+        else:
+            self._turned[seconds] = pose
+
+    def _take_hdt(self, fields: list[str]) -> None:
+        if self.rows and fields[1]:
+            self.rows[next(reversed(self.rows))].setdefault("heading", _number(fields[1]))
+
+    def _take_ths(self, fields: list[str]) -> None:
+        if fields[2] == "A":
+            self._take_hdt(fields)
+
+    def _seconds(self, clock: str) -> float:
+        """Return seconds from 0 h of the first row's day."""
+        match = _CLOCK.fullmatch(clock)
+        if match is None:
+            raise ValueError(clock)
+        of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
+        if self._last - of_day > _HALF_DAY_S:
+            self._days += 1
+        self._last = of_day
+        return of_day + self._days * _DAY_S
+
+    def _date(self, clock: str, date: str) -> None:
+        self._seconds(clock)
+        day = int(np.datetime64(date, "ns").astype(np.int64)) - self._days * _DAY_S * NS_PER_S
+        if self.first_day is None:
+            self.first_day = day
+
+
+def _angle(text: str) -> float:
+    """Return degrees of ``dddmm.mmmm``."""
+    match = _ANGLE.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    return int(match[1]) + float(match[2]) / 60.0
+
+
+def _number(text: str) -> float:
+    if not text:
+        return np.nan
+    if not _NUMBER.fullmatch(text):
+        raise ValueError(text)
+    return float(text)
