@@ -7,5 +7,6 @@ from .skies.sixs import read_sixs as read_sixs
 from .skies.sky_table import read_sky_csv as read_sky_csv
 from .skies.tape7 import read_tape7 as read_tape7
 from .skies.uvspec import read_uvspec as read_uvspec
+from .spectrometers.radcal import read_radcal as read_radcal
 from .spectrometers.spectrum_csv import read_certificate as read_certificate
 from .store import encoding as encoding

@@ -78,7 +78,8 @@ def open_irradiance(
     paths
         A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, or
         csv series (see `read_irradiance_csv`); or a Zarr or netCDF store, or an xarray object, with
-        ``irradiance`` on a time and a wavelength dim (of a collect's store, the group ``irradiance``).
+        ``irradiance`` on a time and a wavelength dim (of a collect's store, the group ``irradiance``); or a
+        netCDF product of HYPERNETS, L1A to L1C.
     quantity
         ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
         with a warning. Binary files become irradiance through their calibration.

@@ -28,6 +28,7 @@ _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
 """Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
 _LARGEST_FILE = 2**30
+_LATEST_S = 7.2e9  # to the year 2198
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
 
 
@@ -153,7 +154,7 @@ def stored_series(path: Path) -> xr.Dataset:
     group, ours = None, False
     try:
         if not path.is_dir():
-            return load_netcdf(path)
+            return _of_hypernets(load_netcdf(path))
         location = Location.of(path)
         inner, node = location.metadata("irradiance") or {}, location.metadata("") or {}
         if inner.get("node_type") == "group":
@@ -169,6 +170,28 @@ def stored_series(path: Path) -> xr.Dataset:
         raise FormatError(
             f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
         ) from error
+
+
+def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
+    """Return a product of HYPERNETS (L1A to L1C, irradiance) with the names of a series; others as they are.
+
+    Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
+    1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
+    format).
+    """
+    dim = next((name for name in ("series", "scan") if name in data.dims), None)
+    if dim is None or not {"irradiance", "acquisition_time", "wavelength"} <= set(data.variables):
+        return data
+    seconds = data["acquisition_time"]
+    count = seconds / np.timedelta64(1, "s") if seconds.dtype.kind == "m" else seconds.astype(np.float64)
+    if not (np.isfinite(count).all() and (np.abs(count) < _LATEST_S).all()):
+        raise FormatError("'acquisition_time' holds values that are no seconds from 1970")
+    time = (count * 1e9).round().astype(np.int64).values.astype("datetime64[ns]")
+    series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
+    series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
+    if "bandwidth" in data.variables:
+        series["irradiance_fwhm"] = data["bandwidth"].reset_coords(drop=True).assign_attrs(units="nm")
+    return series.sortby("time")
 
 
 def are_widths(value: Any) -> bool:
