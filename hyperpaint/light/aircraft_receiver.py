@@ -249,8 +249,8 @@ def _factor(
                 is_bright = np.isin(state[asked], (_CLEAR, _HAZY)).mean() > 0.5
                 by_lean[here] = diffuse[here] * gain[here] if is_bright else 0.0
             rows = usable[part[usable] == each]
-            level = spectra[rows] / sensor.factor(diffuse, by_lean)[rows]
-            first, second = _left_by_lean(level, sensor.lean[rows], seconds[rows], channels)
+            assumed = sensor.factor(diffuse, by_lean)[rows]
+            first, second = _left_by_lean(spectra[rows], assumed, sensor.lean[rows], seconds[rows], channels)
             by_lean[here] += first + second * sensor.lean[here][:, None]
         factor = sensor.factor(diffuse, by_lean)
     unknown = (state == _CONTRADICTORY).mean()
@@ -260,23 +260,26 @@ def _factor(
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 
-def _left_by_lean(level: Floats, lean: Floats, seconds: Floats, channels: Floats) -> tuple[Floats, Floats]:
-    """Return what of levelled spectra (sample, channel) still goes with the lean, and its square (channel,).
+def _left_by_lean(
+    spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
+) -> tuple[Floats, Floats]:
+    """Return what the ``factor`` of spectra (sample, channel) lacks for a unit of lean, and of its square.
 
-    From sample to sample, where light itself changes little: the slopes of its logarithm, with none as prior.
-    Intervals of wavelength that have no light get none.
+    Each (channel,). From sample to sample, where light itself changes little: the slopes of the logarithm of
+    spectra over factors, with none as prior. Intervals of wavelength that have no light get none.
     """
     change = np.diff(seconds)
     near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
-    steps = np.stack([np.diff(lean), np.diff(lean**2)], axis=1)
+    powers = np.stack([lean, lean**2], axis=1)
     nodes = np.arange(channels.min(), channels.max() + LEARNT_NM, LEARNT_NM)
     slopes = np.zeros((nodes.size, 2))
     for place, node in enumerate(nodes):
         inside = np.abs(channels - node) <= LEARNT_NM / 2.0
-        lit = (level[:, inside] > 0.0).any(axis=1)
-        if near.sum() < LEARNT_FROM or not inside.any() or not lit.all():
+        light, own = np.nan_to_num(spectra[:, inside]).sum(axis=1), factor[:, inside]
+        if near.sum() < LEARNT_FROM or not inside.any() or not (light > 0.0).all():
             continue
-        rise = np.diff(np.log(np.where(level > 0.0, level, 0.0)[:, inside].mean(axis=1)))
+        mean = own.mean(axis=1)
+        rise, steps = np.diff(np.log(light / mean)), np.diff(powers / mean[:, None], axis=0)
         fit = slopes[place]
         for _ in range(10):
             rest = rise - steps @ fit
