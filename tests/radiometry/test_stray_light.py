@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.optics import stray_light_wings
@@ -172,3 +173,17 @@ def test_some_bands_are_not_all(line: xr.Dataset) -> None:
     with pytest.raises(SchemaError, match="choose bands of the reflectance"):
         seen.paint.reflectance().reflectance.compute()
     assert seen.drop_vars("stray_light").paint.reflectance().reflectance.compute().sizes["band"] == 5
+
+
+def test_what_is_unsure_of_it_stays_in_a_mean(line: xr.Dataset) -> None:
+    matrix = wings(BANDS)
+    seen = with_knowledge(seen_by(line, matrix, 1e-6), matrix, 1e-6, 0.1)
+    made = seen.paint.reflectance(uncertainty=True).isel(cross_track=slice(20, 60)).compute()
+    mean = mean_uncertainty(made)
+    assert mean.u_systematic.attrs["components"] == "stray_light_u"
+    own = np.abs(made.reflectance_u_systematic.mean(["along_track", "cross_track"]))
+    np.testing.assert_allclose(mean.u_systematic[1:21], own[1:21], rtol=0.05)
+    # at the dim ends of the spectrum what the product of matrices leaves out is a tenth of what strays
+    np.testing.assert_allclose(mean.u_systematic, own, rtol=0.15)
+    # of some bands it is not known from where light strays into them
+    assert "reflectance_errors" not in mean_uncertainty(made.isel(band=slice(2, 8)))

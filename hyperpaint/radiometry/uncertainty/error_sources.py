@@ -20,6 +20,7 @@ from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.light.synchrony import line_light
+from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
 from .irradiance_noise import USUAL_SHARE, at_bands, matched_noise
 from .propagation import (
@@ -59,6 +60,7 @@ FORMS = {
     "panel": Form("systematic", "systematic", "systematic"),
     "dark": Form("systematic", "systematic", "systematic"),
     "wavelength": Form("systematic", "systematic", "systematic"),
+    "stray light": Form("systematic", "systematic", "systematic"),
 }
 """Sources of error of a sample. Smile and smoothing make neighbouring bands share what is random."""
 
@@ -74,6 +76,7 @@ COMPONENTS = {
     "panel": ("panel",),
     "dark": ("dark_counts_u_systematic",),
     "wavelength": ("wavelength_u",),
+    "stray light": ("stray_light_u",),
 }
 """Variables that each source follows from."""
 
@@ -112,6 +115,9 @@ class LineErrors:
     wavelength_u: Floats  #: (band,) [nm]
     wavelength: Floats  #: (band,) [nm]
     light: LightErrors | None  #: None where neither its noise nor errors of wavelength are known
+    #: (band, band): what is not known of the light that each band gets from each, counts per count; None
+    #: without
+    stray_light: Floats | None
 
 
 def line_errors(line: xr.Dataset) -> LineErrors | None:
@@ -133,8 +139,8 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
         found = schema.require(line, needed, "errors of a region")
         values = dict(zip(found, dask.compute(*(array.values for array in found.values())), strict=True))
         return _line_errors(line, values)
-    except SchemaError:
-        # bands or a record that were cut since
+    except (SchemaError, ValueError):
+        # bands or a record that were cut since, and fit their matrices no more
         return None
 
 
@@ -153,7 +159,9 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         channels = line[schema.IRRADIANCE_WAVELENGTH].values
         at = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
         sources["irradiance"] = np.broadcast_to(at[:, None], shape)
-    if PANEL_U in attrs:
+    if "panel_scale_u" in line.variables:
+        sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
+    elif PANEL_U in attrs:
         sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
     wavelength = line["wavelength"].values.astype(np.float64)
     wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
@@ -174,6 +182,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         wavelength_u=wavelength_u,
         wavelength=wavelength,
         light=_light_errors(line) if needs_light else None,
+        stray_light=_stray_light_errors(line),
     )
 
 
@@ -196,6 +205,20 @@ def _dark_weights(line: xr.Dataset) -> Floats:
     later = np.minimum(index + 1, len(ends) - 1)
     shares = ends[index, :, 0] + weight[:, None] * (ends[later, :, 0] - ends[index, :, 0])
     return np.asarray(shares, np.float64)
+
+
+def _stray_light_errors(line: xr.Dataset) -> Floats | None:
+    names = [name for name in STRAY_LIGHT if name in line.variables]
+    if STRAY_U not in names or len(names) < 2:
+        return None
+    arrays = schema.require(line, [*names, "exposure_time"], "errors of stray light")
+    bands = line.sizes[BAND]
+    shares = np.zeros((bands, bands))
+    if STRAY in arrays:
+        shares += arrays[STRAY].values
+    if SHIFT_TIME in arrays:
+        shares += float(arrays[SHIFT_TIME]) / float(np.mean(arrays["exposure_time"].values))
+    return np.asarray(float(arrays[STRAY_U]) * shares)
 
 
 def _light_errors(line: xr.Dataset) -> LightErrors:

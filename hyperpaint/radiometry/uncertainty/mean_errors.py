@@ -179,6 +179,9 @@ class RegionSums:
             shared["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
             shared["wavelength"] = _moved(line, level)
+        if line.stray_light is not None:
+            counts = np.divide(self._level, per_count, out=np.zeros_like(per_count), where=per_count > 0)
+            shared["stray light"] = mean(per_count * (line.stray_light @ counts))
         if smoothing is not None:
             filled = np.nan_to_num(smoothing)
             between = {name: filled @ np.nan_to_num(square) @ filled.T for name, square in between.items()}
