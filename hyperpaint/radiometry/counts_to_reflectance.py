@@ -200,18 +200,19 @@ def reflectance(
 
     Uncertainties are absolute, so that they hold at and below zero:
 
-    .. math:: u_r &= \frac{\pi g}{t E} \sqrt{\max(C - D, 0) / k + \sigma_r^2 + 1/12 + u_D^2} \\
+    .. math:: u_r &= \frac{\pi g}{t E} \sqrt{\max(C - D, 0) / k + \sigma_r^2 + 1/12} \\
               u_s^2 &= \rho^2 (u_g^2 + u_E^2)
               + \left(\frac{\pi}{E} \frac{\partial L}{\partial \lambda} u_\lambda\right)^2
-              + \left(\frac{\pi g}{t E} u_{D,s}\right)^2
+              + \left(\frac{\pi g}{t E}\right)^2 (u_D^2 + u_{D,s}^2)
 
     with :math:`k` electrons a count, :math:`\sigma_r` the read noise, 1/12 for whole counts, :math:`u_D` of
     the mean dark, and the ``radiance_gain_u_*``, ``irradiance_u_systematic``, ``wavelength_u`` and
     ``dark_counts_u_systematic`` of the dataset; what is missing counts as zero. Wavelength acts on radiance,
     since the irradiance is matched to the wavelengths that are assumed: where the light is flat, it is
     :math:`\partial\rho / \partial\lambda`, beside an absorption band of the air mostly the slope of
-    the light. With a panel, its own uncertainty takes the place of what all elements share. In a mean only
-    :math:`u_r` shrinks; see `hyperpaint.mean_uncertainty`. Where counts are made linear, :math:`u_r` grows by
+    the light. With a panel, its own uncertainty takes the place of what all elements share. In a mean each
+    shrinks as far as samples do not share it; see `hyperpaint.radiometry.mean_uncertainty`. Where counts are
+    made linear, :math:`u_r` grows by
     the slope :math:`\ell'` of that curve, and ``linearity_u`` stands beside the gain's.
 
     References
