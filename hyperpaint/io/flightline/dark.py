@@ -220,6 +220,8 @@ def _combine(references: list[_Reference]) -> Dark:
         weights = np.array([frames.lines - 1 for frames in noisy], np.float64)
         variance = sum(w * frames.variance for w, frames in zip(weights, noisy, strict=True)) / weights.sum()
         noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
+    else:
+        variance = _variance_of_few([ref.frames for ref in references])
     source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):
@@ -244,6 +246,20 @@ def _combine(references: list[_Reference]) -> Dark:
         source += "; averaged, their times being unknown"
     spread = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
     return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, spread)
+
+
+def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
+    """Return the variance of a dark count (band, cross_track) from few lines; None of one line each.
+
+    That of an element is leant on the mean of all, with as many lines as would make it a measure by itself.
+    """
+    several = [frames for frames in references if frames.lines > 1]
+    if not several:
+        return None
+    freedom = np.array([frames.lines - 1 for frames in several], np.float64)
+    own = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
+    pooled = float(np.sum(own)) / (freedom.sum() * own.size)
+    return np.asarray((own + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:

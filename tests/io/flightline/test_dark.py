@@ -56,11 +56,20 @@ def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
     }
 
 
-def test_few_lines_measure_no_noise() -> None:
-    dark = open_dark(cube(frames(15)), Timing(), None, LINE)
+def test_few_lines_measure_no_noise_of_elements() -> None:
+    counts = frames(15)
+    dark = open_dark(cube(counts), Timing(), None, LINE)
     assert dark is not None
     assert dark.read_noise is None
-    assert set(dark.variables(needs_noise=True)) == {"dark_counts"}
+    # their mean is less sure than that of many, which must not be unsaid
+    assert set(dark.variables(needs_noise=True)) == {"dark_counts", "dark_counts_u_random"}
+    assert dark.uncertainty is not None
+    own = counts.var(axis=0, ddof=1, dtype="f8")
+    leant = (14 * own + 16 * own.mean()) / 30
+    np.testing.assert_allclose(dark.uncertainty, np.sqrt(leant / 15), rtol=1e-6)
+    single = open_dark(cube(frames(1)), Timing(), None, LINE)
+    assert single is not None
+    assert set(single.variables(needs_noise=True)) == {"dark_counts"}
 
 
 def test_cubes_of_known_times_stay_apart_in_order() -> None:
