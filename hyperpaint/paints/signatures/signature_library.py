@@ -161,6 +161,9 @@ class Draft:
             noise = cubes["reflectance_u_random"][self._used]
             for column, band in enumerate(range(*bands.indices(self._values.size))):
                 self._sums.add(band, measured[:, column], noise[:, column])
+            if bands.stop >= self._values.size:
+                self.errors = self._sums.errors(self._source.axis, self._source.filtering)
+                self._sums = None  # sums of all columns; few numbers are left of them
             return
         for name in UNCERTAINTIES:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
@@ -172,9 +175,7 @@ class Draft:
         """Turn means into uncertainties of the mean; return the number of independent pixels."""
         n_eff = self.n_eff
         self._columns = []
-        if self._sums is not None:
-            self.errors = self._sums.errors(self._source.axis, self._source.filtering)
-            self._sums = None
+        if self.errors is not None:
             own = (self.errors.u_random, self.errors.u_systematic)
             missing = self._values == 0
             for name, values in zip(UNCERTAINTIES, own, strict=True):

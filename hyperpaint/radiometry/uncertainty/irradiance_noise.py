@@ -26,6 +26,7 @@ USUAL_SHARE = 0.9
 FEWEST_TRIPLES = 4
 """Samples between two others from which the noise of a record is estimated."""
 _MOST_TRIPLES = 256
+_MOST_SPECTRA = 64
 _WINDOW_CHANNELS = 21
 _LONGEST_INTERVALS = 2.5
 _SIGMA_OF_DEVIATION = 1.4826
@@ -43,7 +44,9 @@ def matched_noise(arrays: Mapping[str, Any]) -> MatchedNoise:
 
     Without ``irradiance_u_random`` there is none.
     """
-    spectra = np.asarray(arrays["irradiance"], np.float64)
+    record = arrays["irradiance"]
+    some = np.linspace(0, len(record) - 1, min(len(record), _MOST_SPECTRA)).astype(np.intp)
+    spectra = np.asarray(record[some], np.float64)
     known = np.isfinite(spectra)
     mean = np.where(known, spectra, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     gain = arrays.get("radiance_gain")

@@ -34,7 +34,9 @@ class MeanErrors(NamedTuple):
     sources: tuple[str, ...]  #: Those of `FORMS` that are known
     #: (source, band) float64: standard uncertainty by each; of what bands share, with its sign
     sizes: Floats
-    covariance: Floats  #: (band, band) float64: of all that bands do not share as one
+    u_random: Floats  #: (band,) float64: uncertainty by what bands do not share as one
+    #: (lag, band) float32: correlation of that with the same of a band so many after; NaN where there is none
+    correlation: Array
 
     @property
     def components(self) -> tuple[str, str]:
@@ -50,11 +52,6 @@ class MeanErrors(NamedTuple):
         return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
 
     @property
-    def u_random(self) -> Floats:
-        """Uncertainty by what bands do not share as one (band,)."""
-        return np.sqrt(np.diagonal(self.covariance))
-
-    @property
     def u_systematic(self) -> Floats:
         """Uncertainty by what is one error of all bands (band,); NaN where none is known."""
         if not self.systematic.any():
@@ -63,32 +60,26 @@ class MeanErrors(NamedTuple):
 
 
 def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
-    """Return the errors of several means of the same bands, as a library holds them; {} where none has any.
-
-    Correlations beyond the last lag are below `LEAST_CORRELATION`, or left out from `MOST_LAGS` on.
-    """
+    """Return the errors of several means of the same bands as a library holds them; {} where none has any."""
     present = [each for each in errors if each is not None]
     if not present:
         return {}
     sources = [name for name in FORMS if any(name in each.sources for each in present)]
     bands = present[0].sizes.shape[1]
     sizes = np.full((len(errors), len(sources), bands), np.nan)
-    lags = np.full((len(errors), min(MOST_LAGS, bands), bands), np.nan)
+    lags = np.zeros((len(errors), max(len(each.correlation) for each in present), bands), np.float32)
     for number, each in enumerate(errors):
         if each is None:
+            lags[number] = np.nan
             continue
         sizes[number] = 0.0
         sizes[number, [sources.index(name) for name in each.sources]] = each.sizes
-        with np.errstate(invalid="ignore", divide="ignore"):
-            correlation = each.covariance / (each.u_random * each.u_random[:, None])
-        for lag in range(lags.shape[1]):
-            lags[number, lag, : bands - lag] = np.diagonal(correlation, lag)
-    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > LEAST_CORRELATION).any(axis=(0, 2)))
+        lags[number, : len(each.correlation)] = each.correlation
     values = {
         "error_source": np.array(sources, object),
         "error_form": np.array([str(FORMS[name]) for name in sources], object),
         "reflectance_errors": sizes.astype(np.float32),
-        "error_correlation": lags[:, : notable.max(initial=0) + 1].astype(np.float32),
+        "error_correlation": lags,
     }
     rows = {name: LIBRARY_VARIABLES[name] for name in values}
     return {name: xr.DataArray(values[name], dims=row.dims, attrs=row.attrs) for name, row in rows.items()}
@@ -106,10 +97,12 @@ class RegionSums:
         shape = (bands, self._columns.size)
         self._count, self._noise, self._level = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._per_count = np.zeros((darks, *shape))
-        self._rounding = np.zeros(shape)
         self._lines = np.zeros(bands)
-        light = line.light
-        self._samples = np.zeros((0 if light is None else int(light.after.max()) + 1, bands))
+        self._lit_by: Array = np.zeros((2, 0), np.int64)
+        if line.light is not None and line.light.covariance.any():
+            around = np.stack([line.light.before[self._rows], line.light.after[self._rows]])
+            self._lit_by = np.unique(around, return_inverse=True)[1].reshape(around.shape)
+        self._samples = np.zeros((int(self._lit_by.max(initial=-1)) + 1, bands))
 
     def add(self, band: int, reflectance: Array, u_random: Array) -> None:
         """Add a band of all pixels (pixel,): reflectance as it was measured, and its noise."""
@@ -135,11 +128,11 @@ class RegionSums:
             self._per_count[dark, band] = of_columns(per_count * share[self._row])
         if line.pedestal_variance:
             self._lines[band] = (np.bincount(self._row, per_count) ** 2).sum()
-        if line.light is not None:
+        if len(self._samples) and line.light is not None:
             of_lines = np.bincount(self._row, value, self._rows.size)
             weight = line.light.weight[self._rows]
-            np.add.at(self._samples[:, band], line.light.before[self._rows], (1.0 - weight) * of_lines)
-            np.add.at(self._samples[:, band], line.light.after[self._rows], weight * of_lines)
+            for lit_by, share in zip(self._lit_by, (1.0 - weight, weight), strict=True):
+                np.add.at(self._samples[:, band], lit_by, share * of_lines)
 
     def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
         """Return the errors of the mean, brought to nominal wavelengths and smoothed as its pixels were.
@@ -168,7 +161,7 @@ class RegionSums:
             between["mean dark"] = independent(dark_variance)
         if line.gain_of_elements.any():
             between["gain of elements"] = independent((self._level * line.gain_of_elements[:, columns]) ** 2)
-        if line.light is not None and line.light.covariance.any():
+        if len(self._samples) and line.light is not None:
             with np.errstate(invalid="ignore", divide="ignore"):  # part of the mean that each sample lights
                 samples = np.nan_to_num(self._samples / self._level.sum(axis=1) * level)
             between["irradiance noise"] = (samples.T @ samples) * line.light.covariance
@@ -188,9 +181,8 @@ class RegionSums:
             shared = {name: filled @ np.nan_to_num(size) for name, size in shared.items()}
         sizes = {name: np.sqrt(np.diagonal(square)) for name, square in between.items()} | shared
         names = tuple(name for name in FORMS if name in sizes)
-        return MeanErrors(
-            names, np.array([sizes[name] for name in names]), np.sum(list(between.values()), axis=0)
-        )
+        total = np.sum(list(between.values()), axis=0)
+        return MeanErrors(names, np.array([sizes[name] for name in names]), *_correlated(total))
 
     def _rounded(self, per_count: Floats) -> Floats:
         """Return the variance that rounding leaves in sums over the lines of a column (band, column)."""
@@ -217,6 +209,18 @@ def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_ar
     source = place[taps, np.arange(columns.size)[None, :, None]]
     rows = np.broadcast_to(band[..., None], weights.shape)
     return sparse.csr_array((weights.ravel(), (rows.ravel(), source.ravel())), (bands, place.size))
+
+
+def _correlated(covariance: Floats) -> tuple[Floats, Array]:
+    """Return standard deviations (band,) and correlations (lag, band) up to the last that is notable."""
+    own = np.sqrt(np.diagonal(covariance))
+    bands = own.size
+    lags = np.full((min(MOST_LAGS, bands), bands), np.nan, np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for lag in range(len(lags)):
+            lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (own[: bands - lag] * own[lag:])
+    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > LEAST_CORRELATION).any(axis=1))
+    return own, lags[: notable.max(initial=0) + 1]
 
 
 def _moved(line: LineErrors, level: Floats) -> Floats:
