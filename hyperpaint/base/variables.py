@@ -277,6 +277,7 @@ _LIBRARY_TABLE = (
     Variable("reflectance_errors", (PAINT, ERROR_SOURCE, BAND), "1", "float32", "Standard uncertainty of the mean reflectance by each source of error; with its sign where all bands share the error"),
     Variable("error_correlation", (PAINT, LAG, BAND), "1", "float32", "Correlation of what bands do not share as one, of a band with that so many after it"),
     Variable(ERROR_SOURCE, (ERROR_SOURCE,), "", "str", "Source of an error", coordinate=True),
+    Variable(LAG, (LAG,), "1", "int64", "Bands from a band to one after it", coordinate=True),
     Variable("error_form", (ERROR_SOURCE,), "", "str", "How samples share the error, dim by dim, in the words of FIDUCEO and obsarray", coordinate=True),
     Variable("member_reflectance", (PAINT, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
     Variable("member_along_track", (PAINT, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),

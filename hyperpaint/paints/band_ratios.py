@@ -12,11 +12,11 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.spectral_axis import at
+from hyperpaint.radiometry.uncertainty.error_sources import FORMS
 
 __all__ = ["band_ratio", "covariance"]
 
 OTHER_BAND = "other_band"
-_WHOLE_BAND = "band systematic"  # in a form, where all bands share the error
 
 
 def covariance(signatures: xr.Dataset) -> xr.DataArray:
@@ -45,7 +45,8 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     with :math:`R` the ``error_correlation`` of what bands do not share as one, and :math:`e_k` the
     ``reflectance_errors`` of each source that all bands share, signs included: an error of wavelength raises
     one flank of a peak and lowers the other. Where sources are not told apart, random errors are taken for
-    independent and the systematic one for common. What the coat's correction leaves open is common.
+    independent and the systematic one for common; random errors also where bands were picked since, so that
+    neighbours are not known. What the coat's correction leaves open is common.
 
     Examples
     --------
@@ -70,9 +71,12 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
         errors = _last(signatures["reflectance_errors"].transpose("error_source", ...))
         lags = _last(signatures["error_correlation"].transpose("lag", ...))
         lags[0] = 1.0
+        if signatures["error_correlation"].attrs.get("bands", random.shape[-1]) != random.shape[-1]:
+            lags = lags[:1]  # bands were picked: which were neighbours is not known
         # of a line whose sources are not told apart there is the sum alone
         is_sum = np.isfinite(errors).sum(axis=(0, -1))[..., None] == 0
-        is_shared = [_WHOLE_BAND in str(form) for form in signatures["error_form"].values]
+        sources = [str(name) for name in signatures["error_source"].values]
+        is_shared = [name not in FORMS or FORMS[name].band == "systematic" for name in sources]
         shared = [*np.nan_to_num(errors[is_shared]), np.where(is_sum, np.nan_to_num(systematic), 0.0)]
     if "reflectance_u_coat" in signatures.variables:
         shared.append(np.nan_to_num(_last(signatures["reflectance_u_coat"])))

@@ -109,3 +109,21 @@ def test_a_library_without_sources_has_a_covariance() -> None:
         covariance(bare.drop_vars("reflectance_u_random"))
     with pytest.raises(SchemaError, match="no band at 900 nm"):
         band_ratio(bare, 900.0, 550.0)
+
+
+def test_bands_that_were_picked_are_not_taken_for_neighbours() -> None:
+    library = signature(noisy_collect(np.random.default_rng(7), 10, 6, 10))
+    whole, picked = (covariance(each).values[0] for each in (library, library.isel(band=[3, 4, 20])))
+    np.testing.assert_allclose(np.diagonal(picked), np.diagonal(whole)[[3, 4, 20]], rtol=1e-6)
+    assert whole[3, 4] > 0.0
+    assert picked[0, 1] == picked[1, 2] == 0.0
+
+
+def test_libraries_of_other_sources_can_be_joined() -> None:
+    one = signature(noisy_collect(np.random.default_rng(5), 10, 6, 10, common=True))
+    other = signature(noisy_collect(np.random.default_rng(6), 10, 6, 10, irradiance_u=0.0, smile=1.0))
+    assert one.sizes["error_source"] > other.sizes["error_source"]
+    how: Any = {"join": "outer", "coords": "different", "compat": "equals", "data_vars": "all"}
+    joined = xr.concat([one, other], "paint", **how)
+    for number, each in enumerate((one, other)):
+        np.testing.assert_allclose(covariance(joined).values[number], covariance(each).values[0], rtol=1e-6)

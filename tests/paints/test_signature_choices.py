@@ -214,7 +214,7 @@ def test_a_region_of_another_line_is_never_taken_for_this_one() -> None:
 def test_the_library_is_that_of_the_table() -> None:
     library = extract_signatures(made(), TWO)
     # those of a coat come with its correction, errors by source where their sources are known
-    by_source = ("reflectance_errors", "error_correlation", "error_source", "error_form")
+    by_source = ("reflectance_errors", "error_correlation", "error_source", "error_form", "lag")
     for name, row in LIBRARY_VARIABLES.items():
         if name in ("coat_transmission", "coat_transmission_u", "reflectance_u_coat", *by_source):
             assert name not in library

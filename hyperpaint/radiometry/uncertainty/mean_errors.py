@@ -80,9 +80,14 @@ def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArr
         "error_form": np.array([str(FORMS[name]) for name in sources], object),
         "reflectance_errors": sizes.astype(np.float32),
         "error_correlation": lags,
+        "lag": np.arange(lags.shape[1]),
     }
     rows = {name: LIBRARY_VARIABLES[name] for name in values}
-    return {name: xr.DataArray(values[name], dims=row.dims, attrs=row.attrs) for name, row in rows.items()}
+    variables = {
+        name: xr.DataArray(values[name], dims=row.dims, attrs=row.attrs) for name, row in rows.items()
+    }
+    variables["error_correlation"].attrs["bands"] = bands
+    return variables
 
 
 class RegionSums:
