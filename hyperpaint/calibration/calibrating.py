@@ -120,7 +120,8 @@ def calibrate(
     PaintWarning
         Steps were left out; the monochromator's line is too wide to determine the camera's; the beam's own
         profile is taken for response; columns are not lit; lines look clipped; the dark is off; the noise is
-        not known; lines show a response that is neither model, and no table of it can be made.
+        not known; lines show a response that is neither model, and no table of it can be made; steps do not
+        follow the responsivity, as of fringes.
 
     Notes
     -----

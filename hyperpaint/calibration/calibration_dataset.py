@@ -19,6 +19,7 @@ from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
 
 from .detector import row_medians
 from .elements import at_steps, line_wavelengths
+from .fringes import FRINGES, Between, error_between_lines, level_scatter
 from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
 from .measured_shape import MeasuredShape, measured_shape
@@ -165,6 +166,7 @@ class Result:
             self._check_plausible(gain)
         self._warn_of_width()
         self._warn_of_dark()
+        self._warn_of_fringes()
         gain = _levelled(gain, flat)
         gain[:, self._unlit] = np.nan
         self._warn_of_unlit()
@@ -211,6 +213,39 @@ class Result:
             self.lab, self.read, self.lines, self.surface, self.placed, self.fwhm_at_steps, self.shape
         )
 
+    @cached_property
+    def between(self) -> Between | None:
+        """How wrong the gain may be between the lines."""
+        lab = self.lab
+        return error_between_lines(
+            lab.wavelength,
+            line_level(self.lines, lab, self.surface, self.used),
+            row_medians(self.line_wavelength - lab.wavelength[:, None], self.placed) + self.pull,
+            shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
+        )
+
+    @cached_property
+    def _missed(self) -> float:
+        """Error of the gain between lines [1]; 0 where it is a trifle, or what columns differ in."""
+        shape_is_off = self.measured is not None and self.measured.is_another and not self.is_shape_free
+        if self.between is None or shape_is_off:
+            return 0.0
+        nodes = np.where(self.used, _nodes(self.lines, self.lab, self.surface), np.nan)
+        least = max(FRINGES.least_error, FRINGES.scatters * level_scatter(nodes))
+        return self.between.error if self.between.error > least else 0.0
+
+    def _warn_of_fringes(self) -> None:
+        if self.between is not None and self._missed:
+            step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
+            warnings.warn(
+                f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
+                "nm, as of fringes, an etalon, or a power meter that scatters: between lines the gain, and "
+                f"reflectance, may be wrong by {self.between.error:.1%}; sweep there in steps of "
+                f"{step / 4:.2g} nm",
+                PaintWarning,
+                stacklevel=4,
+            )
+
     def _table(self) -> tuple[Floats, Floats] | None:
         """Return offsets and responses of the bands where lines show them, and are no model; else warn."""
         measured = self.measured
@@ -237,7 +272,10 @@ class Result:
                     self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
-        total = np.sqrt(self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing_u**2)
+        missed = self._missed
+        total = np.sqrt(
+            self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing_u**2 + missed**2
+        )
         random = np.hypot(random, self.differences)
         return {
             "radiance_gain_u_random": np.where(np.isfinite(gain), random, np.nan),
@@ -467,6 +505,7 @@ class Result:
             "electrons_per_count_source": self._electrons_source(),
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
             **self._shape_attrs(),
+            **({} if self.between is None else {"gain_between_lines": float(f"{self.between.error:.3g}")}),
         }
 
 
