@@ -27,7 +27,7 @@ from .lamp import (
     responses_table,
     shares_of_samples,
     variance_of_responses,
-)
+)  # fmt: skip
 from .oxygen import mean_over_lines
 from .sunlines import RecordAgainstSun, record_against_sun
 
@@ -56,6 +56,9 @@ class ComparisonRules:
         How far to look; a field spectrometer is sold as good to 0.5 nm.
     widths
         Least and most width over the declared one.
+    airy, path_prior
+        Where lines are the air's, no more the sun's [nm], and the standard deviation of the part of it that
+        lies below the camera [1]: 100 m are 0.9 % under a sun at 45 degrees, half that in saturated lines.
     shift_prior_nm, tilt_prior, width_prior
         Standard deviations of what is believed before: of the shift [nm], its change over 100 nm [nm], and
         the width over the declared one [1]. Wide: they decide only where the light has no lines.
@@ -81,6 +84,8 @@ class ComparisonRules:
     least_groups: int = 2
     max_shift_nm: float = 1.5
     widths: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4, 1.6)
+    airy: float = 680.0
+    path_prior: float = 0.01
     shift_prior_nm: float = 1.0
     tilt_prior: float = 0.05
     width_prior: float = 0.5
@@ -173,6 +178,11 @@ class _WindowFit:
         )
         band = np.arange(shift.shape[0])[:, None]
         return np.asarray(sum(w * at_width[low + k - 1, band] for k, w in enumerate(weights)))
+
+    def lines(self, shift: Floats, width: float) -> Floats:
+        """Return the logarithm of the light (band, group) without what is smooth: its lines."""
+        light = self.light_at(self.shift + shift[:, None], width)
+        return np.asarray(light - self.basis @ (self.basis.T @ light))
 
     def departure(self, shift: Floats, width: float) -> Floats:
         """Return radiance over light (band, group), as logarithms, without what is smooth.
@@ -301,11 +311,8 @@ def _window_fit(
     record: tuple[Floats, Floats],
     rules: ComparisonRules,
 ) -> _WindowFit | None:
-    """Return a window ready for the fit; None where record or pixels cover too little of it.
-
-    ``record`` (channel,): mean of the light, and its noise.
-    """
-    light, noise = record
+    """Return a window ready for the fit; None where record or pixels cover too little of it."""
+    light, noise = record  # (channel,): mean of the light, and its noise
     spectrum, own = _group_means(declared, chosen, blocks, rules)
     there = np.asarray(np.isfinite(spectrum).all(axis=0))
     if there.sum() < rules.least_groups:
@@ -358,20 +365,23 @@ def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
 
 
 def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
-    """Return the numbers at which all windows of all groups are smoothest."""
-    prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior]) ** 2
-    numbers = _coarse(fits, rules)
-    limits = np.array([rules.max_shift_nm, 0.3, np.inf])
+    """Return shift, tilt and width at which all windows of all groups are smoothest.
+
+    A fourth number is the air below the camera, which deepens the air's lines in radiance alone.
+    """
+    prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
+    numbers = np.append(_coarse(fits, rules), 0.0)
+    limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
     for _ in range(_ITERATIONS):
-        away, slopes = _linear(fits, numbers)
+        away, slopes = _linear(fits, numbers, rules)
         weights = _weights(fits, away)
-        normal, right = np.diag(prior), -prior * (numbers - [0.0, 0.0, 1.0])
+        normal, right = np.diag(prior), -prior * (numbers - [0.0, 0.0, 1.0, 0.0])
         for r, j, w in zip(away, slopes, weights, strict=True):
             normal = normal + np.einsum("ibg,jbg,bg->ij", j, j, w)
             right = right - np.einsum("ibg,bg,bg->i", j, r, w)
         numbers = np.clip(numbers + np.linalg.solve(normal, right), -limits, limits)
         numbers[2] = np.clip(numbers[2], rules.widths[0], rules.widths[-1])
-    away, slopes = _linear(fits, numbers)
+    away, slopes = _linear(fits, numbers, rules)
     covariance = _covariance(fits, away, slopes, np.diag(prior), rules)
     before = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
     effects = [
@@ -418,7 +428,9 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
     return numbers
 
 
-def _linear(fits: list[_WindowFit], numbers: Floats) -> tuple[list[Floats], list[Floats]]:
+def _linear(
+    fits: list[_WindowFit], numbers: Floats, rules: ComparisonRules
+) -> tuple[list[Floats], list[Floats]]:
     """Return departures (band, group) and their derivatives (number, band, group) of every window."""
     away, slopes = [], []
     for fit in fits:
@@ -429,17 +441,15 @@ def _linear(fits: list[_WindowFit], numbers: Floats) -> tuple[list[Floats], list
         by_width = (
             fit.departure(at, width + _DERIVATIVE_WIDTH) - fit.departure(at, width - _DERIVATIVE_WIDTH)
         ) / (2 * _DERIVATIVE_WIDTH)
-        away.append(fit.departure(at, width))
+        path = fit.lines(at, width) * (fit.wavelength[-1] > rules.airy)
+        away.append(fit.departure(at, width) - numbers[3] * path)
         lever = ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None]
-        slopes.append(np.stack([by_shift, lever * by_shift, by_width]))
+        slopes.append(np.stack([by_shift, lever * by_shift, by_width, -path]))
     return away, slopes
 
 
 def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
-    """Return the inverse variance (band, group) of every window: that of its own departures.
-
-    A group's share is half its own and half the window's: a surface with an edge counts less in its window.
-    """
+    """Return inverse variances (band, group): half of a group's own departures, half of its window's."""
     weights = []
     for fit, r in zip(fits, away, strict=True):
         own = (r**2).mean(axis=0)
@@ -451,7 +461,7 @@ def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
 def _covariance(
     fits: list[_WindowFit], away: list[Floats], slopes: list[Floats], prior: Floats, rules: ComparisonRules
 ) -> Floats:
-    """Return the covariance (3, 3): scatter between groups, which surfaces make, and between bands.
+    """Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
 
     What all groups share (noise of the record, gains) shows between bands alone; what a surface does, between
     groups. Both are sandwiches of the normal matrix with sums over clusters, and are added. Noise of a
@@ -460,9 +470,9 @@ def _covariance(
     weights = _weights(fits, away)
     groups = away[0].shape[1]
     normal = prior.copy()
-    by_group = np.zeros((groups, 3))
+    by_group = np.zeros((groups, 4))
     by_band = []
-    by_channel = np.zeros((fits[0].noise.shape[0], 3))
+    by_channel = np.zeros((fits[0].noise.shape[0], 4))
     for fit, r, j, w in zip(fits, away, slopes, weights, strict=True):
         normal += np.einsum("ibg,jbg,bg->ij", j, j, w)
         score = j * (r * w)
@@ -478,7 +488,7 @@ def _covariance(
     meat += by_channel.T @ by_channel
     inverse = np.linalg.inv(normal)
     floor = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
-    return np.asarray(inverse @ meat @ inverse + floor)
+    return np.asarray((inverse @ (meat + prior) @ inverse)[:3, :3] + floor)
 
 
 def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:

@@ -26,3 +26,21 @@ def test_uncertainties_are_what_scatters() -> None:
 def test_a_record_too_short_for_any_window_is_not_compared() -> None:
     line = simulate_line(lines=16, columns=16)
     assert hp.alignment.compared(line.sel(irradiance_wavelength=slice(600, 680))) is None
+
+
+def test_air_below_the_camera_is_no_width_of_the_record() -> None:
+    """One per cent of the oxygen that the light has crossed lies between ground and camera: 150 m or more."""
+    line = hp.radiance(simulate_line(lines=24, columns=32, seed=431, noise=False)).drop_vars("counts")
+    light = line.irradiance.values.mean(axis=0).astype(float)
+    nm = line.wavelength.values
+    seen = np.interp(nm, line.irradiance_wavelength.values, light)
+    beside = np.interp(nm, [755.0, 772.0], [np.interp(at, nm, seen) for at in (755.0, 772.0)])
+    inside = (nm > 755.0) & (nm < 772.0)
+    path = np.where(inside, np.minimum(seen / beside, 1.0), 1.0) ** 0.01
+    cube = line.radiance.transpose("along_track", "band", "cross_track")
+    deeper = line.assign(radiance=cube.copy(data=(cube.values * path[:, None]).astype("f4")))
+    before, after = hp.alignment.compared(line), hp.alignment.compared(deeper)
+    assert before is not None
+    assert after is not None
+    assert not after.is_significant()
+    assert abs(after.width - before.width) < 0.015
