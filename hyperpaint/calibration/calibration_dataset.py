@@ -12,7 +12,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
@@ -22,23 +22,16 @@ from .elements import at_steps, line_wavelengths
 from .fringes import FRINGES, Between, error_between_lines, level_scatter
 from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
-from .measured_shape import MeasuredShape, measured_shape
-from .out_of_band import (
-    common_offset,
-    second_order_share,
-    stray_light_matrix,
-    wing_in_window,
-    wing_uncertainty,
-)
+from .out_of_band import OffLines, dark_off_lines, light_off_lines
 from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
+from .tabulated_lines import MeasuredShape, measured_shape
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
 
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
 _TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
 _DARK_OFF = 1.0  # count
-_WING_U = 0.25  # of what scatters into a line's window, which is told from what scatters beside it
 _ELECTRONS = (0.05, 2000.0)  # a count, of any camera
 
 
@@ -149,7 +142,7 @@ class Result:
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
         # what scatters within the window of a line is counted with it, but is none of its own
-        nodes = _nodes(self.lines, lab, self.surface) * (factor[:, None] * self.wing_removed)
+        nodes = _nodes(self.lines, lab, self.surface) * (factor[:, None] / self.off_lines.counted)
         return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, self._tolerance)
 
     @property
@@ -274,7 +267,10 @@ class Result:
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
         missed = self._missed
         total = np.sqrt(
-            self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing_u**2 + missed**2
+            self.budget.total**2
+            + (slope * self.surface.residual) ** 2
+            + self.off_lines.counted_u**2
+            + missed**2
         )
         random = np.hypot(random, self.differences)
         return {
@@ -310,8 +306,7 @@ class Result:
                 beam[step] = fit_beam(window.beam)
         used = self.placed.any(axis=1)
         second = np.full(steps, np.nan)
-        second[used] = self.second_order
-        matrix, relative = self.stray_light
+        second[used] = self.off_lines.second_order
         out_of_band = np.where(used, self.read.rows.sum(axis=1), np.nan)
         return {
             "line_band": lines.centre,
@@ -326,8 +321,8 @@ class Result:
             "beam_fwhm": beam[:, 1],
             "out_of_band": out_of_band,
             "second_order": second,
-            "stray_light": matrix * (1.0 / self.wing_removed),
-            "stray_light_u": relative,
+            "stray_light": self.off_lines.stray_light * self.off_lines.counted,
+            "stray_light_u": self.off_lines.relative,
         }
 
     def _check_plausible(self, gain: Floats) -> None:
@@ -370,64 +365,22 @@ class Result:
             )
 
     @cached_property
-    def wing(self) -> float:
-        """Share of the lines' areas that is light scattered into their windows [1]."""
+    def off_lines(self) -> OffLines:
+        """Light off the lines, of the steps in place."""
         used = self.placed.any(axis=1)
-        centre = row_medians(self.lines.centre, self.placed)[used]
-        return wing_in_window(self.read.rows[used], self.stray_light[0], centre)
-
-    @property
-    def has_stray_light(self) -> bool:
-        """Whether light off the lines is told from none, and so can be taken out of a flight."""
-        return self.stray_light[1] < MAX_STRAY_LIGHT_U
-
-    @property
-    def wing_removed(self) -> float:
-        """What lines count less without the light that is scattered into their windows [1]."""
-        return 1.0 / (1.0 + self.wing) if self.has_stray_light else 1.0
-
-    @property
-    def wing_u(self) -> float:
-        """Relative standard uncertainty of the lines' areas by that light [1]."""
-        return self.wing * (_WING_U if self.has_stray_light else 1.0)
-
-    @cached_property
-    def second_order(self) -> Floats:
-        """Counts at twice the wavelength over those of the line, of the steps in place (step,) [1]."""
-        used = self.placed.any(axis=1)
-        width = row_medians(self.lines.width * self.line_spacing, self.placed)[used]
-        return second_order_share(
-            self.read.rows[used], self.lab.wavelength[used], self.centre_wavelength, width
+        return light_off_lines(
+            self.read.rows[used],
+            row_medians(self.lines.centre, self.placed)[used],
+            self.lab.wavelength[used],
+            self.centre_wavelength,
+            row_medians(self.lines.width * self.line_spacing, self.placed)[used],
+            self.dark_check,
         )
-
-    @cached_property
-    def stray_light(self) -> tuple[Floats, float]:
-        """Shares of light in other bands (band, source_band), and their relative standard uncertainty [1]."""
-        used = self.placed.any(axis=1)
-        centre = row_medians(self.lines.centre, self.placed)[used]
-        width = row_medians(self.lines.width * self.line_spacing, self.placed)[used]
-        rows, at = self.read.rows[used], self.lab.wavelength[used]
-        matrix = stray_light_matrix(rows, centre, at, self.centre_wavelength, width, self.second_order)
-        offset = self.dark_check.get("dark_offset_count", 0.0)
-        share = abs(offset) * self.dark_check.get("out_of_band_of_one_count", 0.0)
-        return matrix, wing_uncertainty(rows, matrix, centre, share)
 
     @cached_property
     def dark_check(self) -> dict[str, float]:
         """What a wrong dark would do to the light off the lines, and how wrong it looks."""
-        steps = len(self.lab.wavelength)
-        level, area, bands = np.full(steps, np.nan), np.full(steps, np.nan), np.zeros(steps)
-        for step, window in enumerate(self.read.windows):
-            if window is not None and self.placed[step].any() and (window.background_variance > 0).any():
-                level[step] = np.median(window.background[window.background_variance > 0])
-                area[step] = np.median(self.lines.area[step, self.placed[step]])
-                bands[step] = np.count_nonzero(self.read.rows[step])
-        has_level = np.isfinite(level)
-        if not has_level.any():
-            return {}
-        checks = {"out_of_band_of_one_count": float(np.median(bands[has_level] / area[has_level]))}
-        offset = common_offset(level, area)
-        return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+        return dark_off_lines(self.read.windows, self.lines.area, self.placed, self.read.rows)
 
     def _warn_of_dark(self) -> None:
         offset = self.dark_check.get("dark_offset_count", 0.0)
@@ -495,7 +448,7 @@ class Result:
             "wavelength_residual_nm": self.surface.residual,
             "wavelength_uncertainty_nm": self.budget.wavelength,
             "element_differences": self.differences,
-            "stray_light_in_lines": self.wing,
+            "stray_light_in_lines": self.off_lines.wing,
             "lit_columns": list(self.surface.lit),
             **self.dark_check,
             "smile_degree": self.surface.coefficients.shape[1] - 1,

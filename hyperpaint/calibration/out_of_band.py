@@ -7,22 +7,88 @@ second order as a share of the line at twice its wavelength.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.stray_light import inverse_of
 
+from .line_fits import Window
+
 _FEWEST_OUTSIDE = 4
 """Bands outside a line, at least, from which what scatters beside it is known."""
 _NEAREST_BINS = 3
 """Bins of distance beside a line by which what scatters rises towards it, exponentially, by e at the most."""
+
+
+_WING_U = 0.25
+"""Relative standard uncertainty of what scatters into a line's window, told from what does beside it [1]."""
+
+
+class OffLines(NamedTuple):
+    """Light off the lines of a sweep."""
+
+    second_order: Floats  #: (step,): counts at twice the wavelength over those of the line [1]
+    stray_light: Floats  #: (band, source band): share of each band's counts that every other sees [1]
+    relative: float  #: Relative standard uncertainty of that [1]
+    wing: float  #: Share of the lines' areas that is light scattered into their windows [1]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is told from none, and so can be taken out of a flight."""
+        return self.relative < MAX_STRAY_LIGHT_U
+
+    @property
+    def counted(self) -> float:
+        """Areas of the lines as they are counted over those without what is scattered into them [1]."""
+        return 1.0 + self.wing if self.is_known else 1.0
+
+    @property
+    def counted_u(self) -> float:
+        """Relative standard uncertainty of the areas by that [1]."""
+        return self.wing * (_WING_U if self.is_known else 1.0)
+
+
+def light_off_lines(
+    rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats,
+    dark_check: dict[str, float],
+) -> OffLines:  # fmt: skip
+    """Return what a sweep shows off its lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
+    second = second_order_share(rows, step_wavelength, wavelength, width)
+    matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second)
+    offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
+    relative = wing_uncertainty(rows, matrix, centre, offset)
+    return OffLines(second, matrix, relative, wing_in_window(rows, matrix, centre))
+
+
+def dark_off_lines(
+    windows: Sequence[Window | None], area: Floats, placed: Bools, rows: Floats
+) -> dict[str, float]:
+    """Return what one count of a wrong dark does to the light off the lines, and by how much it looks wrong.
+
+    ``windows`` (step,); ``area`` of the lines [count] and whether they are in place (step, column); ``rows``
+    (step, band) as of `second_order_share`. Empty where no step tells.
+    """
+    level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
+    for step, window in enumerate(windows):
+        if window is not None and placed[step].any() and (window.background_variance > 0).any():
+            level[step] = np.median(window.background[window.background_variance > 0])
+            areas[step] = np.median(area[step, placed[step]])
+            bands[step] = np.count_nonzero(rows[step])
+    has_level = np.isfinite(level)
+    if not has_level.any():
+        return {}
+    checks = {"out_of_band_of_one_count": float(np.median(bands[has_level] / areas[has_level]))}
+    offset = common_offset(level, areas)
+    return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
 
 
 def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
