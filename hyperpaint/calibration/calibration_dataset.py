@@ -23,9 +23,9 @@ from .fringes import FRINGES, Between, error_between_lines, level_scatter
 from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
 from .out_of_band import OffLines, dark_off_lines, light_off_lines
+from .response_tables import MeasuredShape, measured_shape
 from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
-from .tabulated_lines import MeasuredShape, measured_shape
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
 
