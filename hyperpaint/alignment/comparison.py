@@ -16,10 +16,9 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.schema import ALONG_TRACK, BAND
+from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
-from hyperpaint.radiometry.counts_to_reflectance import radiance
 
 from .lamp import (
     Declared,
@@ -28,7 +27,7 @@ from .lamp import (
     shares_of_samples,
     variance_of_responses,
 )  # fmt: skip
-from .oxygen import mean_over_lines
+from .oxygen import mean_over_lines, radiance_of_bands
 from .sunlines import RecordAgainstSun, record_against_sun
 
 __all__ = ["COMPARISON", "Comparison", "ComparisonRules", "compared"]
@@ -268,8 +267,7 @@ def _block_means(
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
-    part = dataset.isel({BAND: used}).assign_attrs(absolute_scale="not needed")
-    cube = radiance(part)["radiance"]
+    cube = radiance_of_bands(dataset, used)
     blocks, shares = [], []
     for start in starts:
         lines_of_block = slice(int(start), int(start) + size)

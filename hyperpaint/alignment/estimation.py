@@ -19,7 +19,6 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.radiometry.counts_to_reflectance import radiance
 
 from .lamp import Declared, mean_light, table_of_bands
 from .least_squares import (
@@ -36,7 +35,7 @@ from .least_squares import (
     fit_columns,
     stacked,
 )
-from .oxygen import Progress, mean_over_lines
+from .oxygen import Progress, mean_over_lines, radiance_of_bands
 
 __all__ = ["align_to_irradiance"]
 
@@ -160,11 +159,8 @@ def align_to_irradiance(
     chosen = bands_of(windows, declared, degree)
     light, level = mean_light(declared, windows, lines)
     used = np.flatnonzero(np.logical_or.reduce(chosen))
-    part = dataset.isel({BAND: used})
-    if lines is not None:
-        part = part.isel({ALONG_TRACK: lines})
-    part = part.assign_attrs(absolute_scale="not needed")  # lines lie where they lie on any scale
-    mean, pixels = mean_over_lines(radiance(part)["radiance"], level, progress)
+    part = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
+    mean, pixels = mean_over_lines(radiance_of_bands(part, used), level, progress)
     spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
     spectrum[used] = mean
     spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)

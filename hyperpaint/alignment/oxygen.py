@@ -11,13 +11,22 @@ from hyperpaint.base.arrays import Floats, Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
+from hyperpaint.radiometry.stray_light import described
 
-__all__ = ["Progress", "mean_over_lines", "oxygen_depth", "oxygen_residual"]
+__all__ = ["Progress", "mean_over_lines", "oxygen_depth", "oxygen_residual", "radiance_of_bands"]
 
 _FIRST_LINES = 64
 """Lines that bad elements are recognised in."""
+
+
+def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.DataArray:
+    """Return radiance of some bands on any scale, lazily; of all of them light strays into these."""
+    dataset = dataset.assign_attrs(absolute_scale="not needed")  # lines lie where they lie
+    if described(dataset.variables) is None:
+        return radiance(dataset.isel({BAND: used}))["radiance"]
+    return radiance(dataset)["radiance"].isel({BAND: used})
 
 
 def mean_over_lines(

@@ -97,7 +97,7 @@ def stray_light_of(
     )
 
 
-def described(cube: Mapping[str, Any]) -> str | None:
+def described(cube: Mapping[Any, Any]) -> str | None:
     """Return what an attribute says of what is subtracted; None for nothing."""
     parts = []
     if STRAY in cube:

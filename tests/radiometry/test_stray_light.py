@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
@@ -166,6 +167,17 @@ def test_what_cannot_be_is_refused(line: xr.Dataset, change: dict[str, Any], pro
     seen = with_knowledge(line, wings(BANDS), 0.0).assign(change)
     with pytest.raises(SchemaError, match=problem):
         seen.paint.reflectance().reflectance.compute()
+
+
+def test_lines_of_daylight_are_found_through_what_strays() -> None:
+    flight: dict[str, Any] = {"lines": 16, "bands": 272, "columns": 6, "smile_nm": 0.0, "glint": 0.0}
+    clear = simulate_line(**flight)
+    matrix = wings(272, 0.02)
+    hazy = with_knowledge(seen_by(clear, matrix, 0.0), matrix, 0.0)
+    shift, expected = (hp.alignment.align_to_irradiance(each).shift_correction for each in (hazy, clear))
+    np.testing.assert_allclose(shift, expected, atol=0.005)
+    said = [hp.alignment.align(each, apply="never").attrs["alignment"] for each in (hazy, clear)]
+    assert said[0] == said[1]
 
 
 def test_some_bands_are_not_all(line: xr.Dataset) -> None:
