@@ -25,7 +25,8 @@ STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": 
 MAX_TASK_BYTES = 24_000_000
 """Output of one task; a larger block costs the allocator a trip to the kernel each time."""
 MAX_STRAY_LIGHT_U = 0.5
-"""Relative standard uncertainty of stray light up to which it is told from none, by two of them [1]."""
+"""Relative standard uncertainty of stray light from which it is not subtracted: it is no more than two of
+them, and not told from none [1]."""
 
 
 def lines_a_task(bytes_a_line: int, most: int = 32) -> int:

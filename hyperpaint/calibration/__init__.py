@@ -16,14 +16,12 @@ from .anchors import (
 )
 from .calibrating import calibrate
 from .detector import dark_at, dark_model, flat_field, linearity
-from .out_of_band import correct_stray_light
 from .views import quantum_efficiency, relative_responsivity
 
 __all__ = [
     "anchor_to_radiance",
     "calibrate",
     "calibration_from_coefficients",
-    "correct_stray_light",
     "dark_at",
     "dark_model",
     "etendue_from_optics",

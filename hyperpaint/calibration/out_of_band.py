@@ -12,14 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
-from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import BAND
-from hyperpaint.base.units import takes_quantities
-from hyperpaint.radiometry.stray_light import inverse_of
 
 from .line_fits import Window
 
@@ -49,7 +44,7 @@ class OffLines(NamedTuple):
     @property
     def counted(self) -> float:
         """Areas of the lines as they are counted over those without what is scattered into them [1]."""
-        return 1.0 + self.wing if self.is_known else 1.0
+        return 1.0 / (1.0 - self.wing) if self.is_known else 1.0
 
     @property
     def counted_u(self) -> float:
@@ -224,56 +219,3 @@ def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, wi
     level = np.where(inside, np.maximum(level, 0.0), 0.0)
     shape = np.exp(-4.0 * np.log(2.0) * ((wavelength[:, None] - 2.0 * wavelength) / (1.5 * width)) ** 2)
     return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
-
-
-@takes_quantities()
-def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.DataArray:
-    """Return a cube without the light that its bands saw of other bands.
-
-    Parameters
-    ----------
-    cube
-        Dark-subtracted counts, or what is proportional to them per band and column, with a dim ``band``.
-    stray_light : (band, source_band)
-        As `hyperpaint.calibrate` gives it: measured = (1 + D) true.
-
-    Returns
-    -------
-    xarray.DataArray
-        ``(1 + D)^-1`` applied along ``band``, lazily where the cube is lazy; the cube itself where D is zero.
-
-    Raises
-    ------
-    SchemaError
-        Shapes do not fit, or the matrix cannot be inverted.
-
-    Examples
-    --------
-    >>> import numpy as np, xarray as xr
-    >>> D = xr.DataArray([[0, 0.1], [0.0, 0]], dims=("band", "source_band"))
-    >>> seen = xr.DataArray([[2.1, 1.0]], dims=("along_track", "band"))
-    >>> correct_stray_light(seen, D).round(6).values
-    array([[2., 1.]])
-    """
-    name = str(stray_light.name or "stray_light")
-    matrix = np.asarray(stray_light.transpose(BAND, "source_band").to_numpy(), np.float64)
-    if BAND not in cube.dims or len(matrix) != cube.sizes[BAND]:
-        raise SchemaError(
-            f"{name} has shape {matrix.shape}, the cube {dict(cube.sizes)}; expected a square matrix over "
-            f"the {BAND}s of the cube"
-        )
-    inverse = inverse_of(matrix, name)
-    if not matrix.any():
-        return cube
-    if cube.chunks is not None:
-        cube = cube.chunk({BAND: -1})
-    dtype = np.result_type(cube.dtype, np.float32)
-    operator = xr.DataArray(inverse.astype(dtype), dims=("corrected", BAND))
-    corrected: xr.DataArray = xr.dot(cube.astype(dtype), operator, dim=BAND).rename({"corrected": BAND})
-    corrected = corrected.transpose(*cube.dims)
-    corrected = corrected.assign_coords(
-        {key: value for key, value in cube.coords.items() if key not in corrected.coords}
-    )
-    corrected.attrs = {**cube.attrs, "stray_light": "corrected with the matrix of the lab sweep"}
-    corrected.name = cube.name
-    return corrected

@@ -310,14 +310,13 @@ def _is_pose_table(path: Path) -> bool:
 
 def _poses(path: Path) -> Facts:
     from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
-    from hyperpaint.io.navigation.nmea import read_nmea
 
     kind = navigation_format(path)
     if kind == "imu_gps":
         yield from _navigation(path)
         return
     # a log of sentences without a date is shown as one of the first day of all
-    record = read_nmea(path, 0) if kind == "nmea" else read_record(path, kind)
+    record = read_record(path, kind, midnight=0)
     meant = record.convention
     yield "is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"
     if record.counts_from == "week":

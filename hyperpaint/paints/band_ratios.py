@@ -30,8 +30,8 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
 
     Returns
     -------
-    (..., band, other_band), float64
-        Covariance of the mean reflectance [1].
+    DataArray
+        (..., band, other_band), float64: covariance of the mean reflectance [1].
 
     Raises
     ------
@@ -67,6 +67,7 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     random, systematic = (_last(signatures[name]) for name in names)
     rest = [dim for dim in signatures[names[0]].dims if dim != BAND]
     lags, shared = np.ones((1, *random.shape)), [np.nan_to_num(systematic)]
+    is_sum: Any = np.ones((*random.shape[:-1], 1), bool)
     if "reflectance_errors" in signatures.variables:
         errors = _last(signatures["reflectance_errors"].transpose("error_source", ...))
         lags = _last(signatures["error_correlation"].transpose("lag", ...))
@@ -79,7 +80,9 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
         is_shared = [name not in FORMS or FORMS[name].band == "systematic" for name in sources]
         shared = [*np.nan_to_num(errors[is_shared]), np.where(is_sum, np.nan_to_num(systematic), 0.0)]
     if "reflectance_u_coat" in signatures.variables:
-        shared.append(np.nan_to_num(_last(signatures["reflectance_u_coat"])))
+        coat = np.nan_to_num(_last(signatures["reflectance_u_coat"]))
+        # the sum of all that is systematic has it already
+        shared.append(np.where(is_sum & np.isfinite(systematic), 0.0, coat))
     total = np.zeros((*random.shape, random.shape[-1]))
     size = random.shape[-1]
     for lag, correlation in enumerate(np.nan_to_num(lags)):
@@ -95,8 +98,8 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     return xr.DataArray(total, coords, (*rest, BAND, OTHER_BAND), attrs=attrs)
 
 
-@takes_quantities(above="nm", below="nm")
-def band_ratio(signatures: xr.Dataset, above: float, below: float) -> xr.Dataset:
+@takes_quantities(numerator="nm", denominator="nm")
+def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> xr.Dataset:
     """Return the ratio of two bands of every signature, and how sure it is.
 
     What both bands share as one, such as the level of the irradiance, takes itself out of a ratio.
@@ -105,8 +108,8 @@ def band_ratio(signatures: xr.Dataset, above: float, below: float) -> xr.Dataset
     ----------
     signatures
         See `covariance`.
-    above, below
-        Wavelengths whose bands are divided: that of ``above`` by that of ``below`` [nm].
+    numerator, denominator
+        Wavelengths of the bands that are divided [nm].
 
     Returns
     -------
@@ -131,7 +134,7 @@ def band_ratio(signatures: xr.Dataset, above: float, below: float) -> xr.Dataset
     bands = covariance(signatures)
     places = xr.DataArray(np.arange(bands.sizes[BAND]), dims=BAND)
     axis = xr.Dataset({"place": places}, {"wavelength": signatures["wavelength"]})
-    p, q = (int(at(axis, nm)["place"]) for nm in (above, below))
+    p, q = (int(at(axis, nm)["place"]) for nm in (numerator, denominator))
     level = signatures["mean" if "mean" in signatures.variables else "reflectance"]
     x, y = (level.isel({BAND: place}, drop=True).astype(np.float64) for place in (p, q))
 

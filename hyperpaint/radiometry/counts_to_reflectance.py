@@ -100,7 +100,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     Where the calibration or the line declares ``masked`` elements, which see no light, what they count on
     average beyond their dark in a line, the pedestal, is added to the dark of every element of that line,
     without those further than 5 standard deviations from the mean. The attribute ``pedestal_applied`` says
-    so. The noise of that mean is in the random uncertainty, though a line's samples share it.
+    so. The noise of that mean, which all samples of a line share, is in the systematic uncertainty.
 
     Where the calibration or the line holds ``stray_light``, the share of each band's light that others see,
     or ``band_shift_time``, in which a frame is shifted by a band under the light, what bands count of others
@@ -442,7 +442,9 @@ def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
             f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
         )
     own = [name for name in dataset.variables if str(name).startswith("irradiance")]
-    of_line = {name: text for name, text in dataset.attrs.items() if not name.startswith("irradiance")}
+    of_line = {
+        name: text for name, text in dataset.attrs.items() if not name.startswith(("irradiance", "alignment"))
+    }
     of_record = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
     line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
     line.attrs = {**of_line, **of_record}

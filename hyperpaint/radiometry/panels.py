@@ -147,7 +147,9 @@ def panel_inputs(
 
 
 def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.Dataset]) -> dict[str, Any]:
-    region = dataset.isel({ALONG_TRACK: panel.along_track, CROSS_TRACK: panel.cross_track})
+    # all columns of its lines: masked ones tell the pedestal
+    region = dataset.isel({ALONG_TRACK: panel.along_track})
+    columns = {CROSS_TRACK: panel.cross_track}
     # whatever scale the gain has, the panel takes it out
     region = region.assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
@@ -157,7 +159,7 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
         expected = panel.at(wavelength)
     lines = range(dataset.sizes[ALONG_TRACK])[panel.along_track]
     inputs = {
-        "observed": reflectance(region, tilt=panel.tilt)["reflectance"].data,
+        "observed": reflectance(region, tilt=panel.tilt)["reflectance"].isel(columns).data,
         "ceiling": None,
         "reflectance": expected,
         "uncertainty": panel.uncertainty,
@@ -166,7 +168,7 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
     }
     if "counts" in dataset.variables:
         full = reflectance(region.assign(counts=_highest_counts(region)), tilt=panel.tilt)
-        inputs["ceiling"] = full["reflectance"].data
+        inputs["ceiling"] = full["reflectance"].isel(columns).data
     return inputs
 
 

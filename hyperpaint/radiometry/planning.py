@@ -346,12 +346,15 @@ def _mean_place(degrees: Any, name: str) -> float:
 def _levels(spectra: Floats, channels: Floats) -> Floats:
     """Return sums of each spectrum over intervals of 100 nm; NaN where it misses what nearly all others have.
 
-    Wavelengths missing in more than a tenth of the spectra do not count: they cost their bands, not the
-    record.
+    Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their bands,
+    not the record.
     """
+    is_there = np.isfinite(spectra).any(axis=1)
     inside = (channels >= 400.0) & (channels <= 1000.0)
     inside = inside if inside.any() else np.ones(channels.size, bool)
-    used = inside & (np.isnan(spectra).mean(axis=0) <= 0.1)
+    if not is_there.any():
+        return np.full((len(spectra), 1), np.nan)
+    used = inside & (np.isnan(spectra[is_there]).mean(axis=0) <= 0.1)
     if not used.any():
         return np.full((len(spectra), 1), np.nan)
     interval = np.floor(np.minimum(channels, 999.0) / 100.0)

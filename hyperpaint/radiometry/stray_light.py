@@ -1,6 +1,6 @@
 r"""Light that a band counts of others, as an operator on the bands of a column.
 
-Counts above dark, made linear, are :math:`s = (1 + D)\,(c + \epsilon \sum c)`: scattered light, D (band,
+Counts above dark, made linear, are :math:`s = (1 + \epsilon 1 1^T)(1 + D)\,c`: scattered light, D (band,
 source band) of a lab sweep, and the smear of a detector whose frames are shifted under the light, where a
 band takes :math:`\epsilon = t_{shift} / t` of each. Both are undone as sums over all bands, D by its largest
 singular values, since what scatters is smooth.

@@ -264,7 +264,9 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
         if not (same and np.array_equal(one.bands.wavelength, other.bands.wavelength)):
             continue
         across = rmse(one, other), rmse(other, one)
-        if sum(across) < _EXCHANGED_SHARE * (own[i] + own[j]) and (np.array(across) < own[[i, j]]).all():
+        whole = _EXCHANGED_SHARE * (own[i] + own[j])
+        # both agree: of three that are exchanged in turn, only one of two would
+        if sum(across) < whole and (np.array(across) < own[[i, j]]).all() and max(across) < 0.5 * whole:
             texts.append(
                 f"{names[0]} and {names[1]}: each agrees with the reference of the other (RMSE "
                 f"{across[0]:.3f} and {across[1]:.3f}, with its own {own[i]:.3f} and {own[j]:.3f}); were the "

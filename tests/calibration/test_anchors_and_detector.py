@@ -11,7 +11,6 @@ from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.calibration import (
     anchor_to_radiance,
     calibration_from_coefficients,
-    correct_stray_light,
     dark_at,
     dark_model,
     etendue_from_optics,
@@ -200,26 +199,6 @@ def test_linearity_is_the_identity_by_default_and_closes() -> None:
     assert errors[1] < 1e-3
     with pytest.raises(SchemaError, match="linearity of degree 3"):
         linearity([1.0], [1.0])
-
-
-def test_stray_light_correction() -> None:
-    rng = np.random.default_rng(1)
-    true = xr.DataArray(
-        rng.uniform(1, 2, (6, 5, 4)), dims=("along_track", *ELEMENT), attrs={"units": "count"}
-    )
-    none = xr.DataArray(np.zeros((5, 5)), dims=("band", "source_band"))
-    assert correct_stray_light(true, none) is true
-    some = none + 0.01 * rng.uniform(size=(5, 5))
-    seen = true + xr.dot(some, true.rename(band="source_band"), dim="source_band").transpose(*true.dims)
-    np.testing.assert_allclose(correct_stray_light(seen, some), true, rtol=1e-12)
-    lazy = correct_stray_light(seen.astype("f4").chunk(along_track=2, band=2), some)
-    assert lazy.chunks is not None
-    assert lazy.dtype == lazy.compute().dtype == np.float32
-    np.testing.assert_allclose(lazy, true, rtol=1e-5)
-    with pytest.raises(SchemaError, match="square"):
-        correct_stray_light(true.isel(band=[0]), some)
-    with pytest.raises(SchemaError, match="inverted"):
-        correct_stray_light(true, none - np.eye(5))
 
 
 def test_interpolation_is_exact_for_smooth_and_calm_at_steps() -> None:

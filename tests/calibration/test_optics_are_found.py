@@ -14,7 +14,6 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.calibration import correct_stray_light
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
@@ -34,9 +33,10 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
     flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **CAMERA, **EXACT}
     hazy, clear = simulate_line(**flight, stray_light=share), simulate_line(**flight)
     seen, true = ((line.counts - line.dark_counts).astype("f8") for line in (hazy, clear))
+    mended = np.einsum("bs,lsx->lbx", np.linalg.inv(np.eye(136) + matrix), seen.values)
     error = {
-        name: float(np.median(np.abs(cube / true - 1)))
-        for name, cube in (("none", seen), ("swept", correct_stray_light(seen, calibration.stray_light)))
+        name: float(np.median(np.abs(cube / true.values - 1)))
+        for name, cube in (("none", seen.values), ("swept", mended))
     }
     assert error["none"] == pytest.approx(share, rel=0.1)
     assert error["swept"] < 0.3 * share

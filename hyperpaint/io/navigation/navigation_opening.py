@@ -165,10 +165,8 @@ def open_navigation(
             own_clock = None if gps_time is None else Path(gps_time)
             if kind == "imu_gps":
                 record = _headwall(path, source, own_clock)
-            elif kind == "nmea":
-                record = read_nmea(path, source.midnight)
             else:
-                record = read_record(path, kind, columns)
+                record = read_record(path, kind, columns, source.midnight)
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
@@ -227,8 +225,12 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 # --- one file ----------------------------------------------------------------------------------------------
 
 
-def read_record(path: Path, format: NavigationFormat, columns: Sequence[str] | None = None) -> PoseRecord:
-    """Read a file of any format but ``imu_gps``, its stamps as they are; ``columns`` as of `open_navigation`.
+def read_record(
+    path: Path, format: NavigationFormat, columns: Sequence[str] | None = None, midnight: int | None = None
+) -> PoseRecord:
+    """Read a file of any format but ``imu_gps``, its stamps as they are.
+
+    ``columns`` as of `open_navigation`; ``midnight`` as of `read_nmea`.
 
     Raises FormatError, TimeError: As the reader of the format.
     """
@@ -236,7 +238,8 @@ def read_record(path: Path, format: NavigationFormat, columns: Sequence[str] | N
     from .navigation_formats import read_eph_att, read_lcf, read_sbet
 
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
-        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att, "nmea": read_nmea,
+        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att,
+        "nmea": lambda path: read_nmea(path, midnight),
         "csv": lambda path: read_navigation_csv(path, columns),
     }  # fmt: skip
     return readers[format](path)
