@@ -218,7 +218,8 @@ def _level(light: Light, low: float, high: float) -> Floats:
     """Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive."""
     inside = (light.wavelength >= low) & (light.wavelength <= high)
     # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
-    inside &= np.isnan(light.spectra).mean(axis=0) <= 0.1
+    is_there = np.isfinite(light.spectra).any(axis=1)
+    inside &= np.isnan(light.spectra[is_there]).mean(axis=0) <= 0.1 if is_there.any() else False
     if not inside.any():
         raise SchemaError(
             f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) holds "

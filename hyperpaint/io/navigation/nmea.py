@@ -28,6 +28,8 @@ _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
 _DAY_S = 86_400
 _HALF_DAY_S = 43_200.0
+_FIXES = (1, 2, 3, 4, 5, 9)
+"""Qualities of GGA that are measured positions; not estimated, manual and simulated ones."""
 _MOST_DAMAGED = 0.5
 """Share of sentences with a wrong checksum, from which on a log is none [1]."""
 
@@ -43,7 +45,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     A row is a GGA sentence with a fix: its time of day in UTC, position, and height above the ellipsoid, the
     sum of its height above mean sea level and the geoid's; above the geoid where a sentence lacks the latter.
     The date is that of RMC or ZDA. Roll, pitch and heading are those of PASHR of the same time, heading else
-    that of HDT or THS that follows; the course over ground is no heading, and is not read. Other text in a
+    that of HDT or THS beside it; the course over ground is no heading, and is not read. Other text in a
     line, before a sentence or instead of one, is passed over, and so are sentences with a wrong checksum,
     which are counted.
 
@@ -109,7 +111,9 @@ class _Log:
         self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
         self.first_day: int | None = None  # [ns since 1970-01-01]
         self.problems = Problems(f"{path} cannot be used as a log of NMEA sentences", FormatError)
-        self._days, self._last = 0, -1.0
+        self._last: float | None = None
+        self._heading: float | None = None  # of the position that is still to come
+        self._heading_first = False  # whether an epoch begins with it
         self._readers: dict[str, Callable[[list[str]], None]] = {
             "GGA": self._take_gga, "RMC": self._take_rmc, "ZDA": self._take_zda, "PASHR": self._take_pashr,
             "HDT": self._take_hdt, "THS": self._take_ths,
@@ -126,8 +130,8 @@ class _Log:
                 self.problems.add(f"sentence {','.join(fields)[:60]!r} is not as the standard has it")
 
     def _take_gga(self, fields: list[str]) -> None:
-        if int(fields[6] or 0) == 0 or not fields[2]:
-            return  # no fix
+        if int(fields[6] or 0) not in _FIXES or not fields[2]:
+            return
         seconds = self._seconds(fields[1])
         if seconds in self.rows:
             return
@@ -137,6 +141,8 @@ class _Log:
             "altitude": _number(fields[9]),
             "separation": _number(fields[11]),
         }
+        if self._heading is not None:
+            row["heading"], self._heading = self._heading, None
         row.update(self._turned.pop(seconds, {}))
         self._turned.clear()
 
@@ -153,14 +159,21 @@ class _Log:
         if len(fields) < 6 or not _CLOCK.fullmatch(fields[1]):
             return  # another of its maker's sentences
         seconds = self._seconds(fields[1])
-        pose = {"heading": _number(fields[2]), "roll": _number(fields[4]), "pitch": _number(fields[5])}
+        places = {"heading": 2, "roll": 4, "pitch": 5}
+        pose = {name: _number(fields[place]) for name, place in places.items() if fields[place]}
         if seconds in self.rows:
             self.rows[seconds].update(pose)
         else:
             self._turned[seconds] = pose
 
     def _take_hdt(self, fields: list[str]) -> None:
-        if self.rows and fields[1]:
+        if not fields[1]:
+            return
+        # it has no time: it belongs to the position before or after it, as the log begins
+        self._heading_first |= not self.rows
+        if self._heading_first:
+            self._heading = _number(fields[1])
+        else:
             self.rows[next(reversed(self.rows))].setdefault("heading", _number(fields[1]))
 
     def _take_ths(self, fields: list[str]) -> None:
@@ -173,14 +186,15 @@ class _Log:
         if match is None:
             raise ValueError(clock)
         of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
-        if self._last - of_day > _HALF_DAY_S:
-            self._days += 1
-        self._last = of_day
-        return of_day + self._days * _DAY_S
+        if self._last is None:
+            self._last = of_day
+        # the day that brings it nearest to the sentence before: some are late
+        self._last += (of_day - self._last + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
+        return round(self._last, 9)
 
     def _date(self, clock: str, date: str) -> None:
-        self._seconds(clock)
-        day = int(np.datetime64(date, "ns").astype(np.int64)) - self._days * _DAY_S * NS_PER_S
+        days = int(self._seconds(clock) // _DAY_S)
+        day = int(np.datetime64(date, "ns").astype(np.int64)) - days * _DAY_S * NS_PER_S
         if self.first_day is None:
             self.first_day = day
 

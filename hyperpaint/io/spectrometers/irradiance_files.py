@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, IncompleteStoreError
+from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarning
 from hyperpaint.io.files.reading import load_netcdf, number, numbers, read_limited_text
 
 __all__ = [
@@ -182,11 +183,24 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
     dim = next((name for name in ("series", "scan") if name in data.dims), None)
     if dim is None or not {"irradiance", "acquisition_time", "wavelength"} <= set(data.variables):
         return data
-    seconds = data["acquisition_time"]
-    count = seconds / np.timedelta64(1, "s") if seconds.dtype.kind == "m" else seconds.astype(np.float64)
-    if not (np.isfinite(count).all() and (np.abs(count) < _LATEST_S).all()):
-        raise FormatError("'acquisition_time' holds values that are no seconds from 1970")
-    time = (count * 1e9).round().astype(np.int64).values.astype("datetime64[ns]")
+    stamps = data["acquisition_time"].values
+    if stamps.dtype.kind != "M":
+        count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
+        if (np.abs(count) > _LATEST_S).any():
+            raise FormatError("'acquisition_time' holds values that are no seconds from 1970")
+        nanoseconds = np.where(np.isfinite(count), count * 1e9, 0.0).round().astype(np.int64)
+        stamps = np.where(
+            np.isfinite(count), nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns")
+        )
+    is_good = ~np.isnat(stamps)
+    if "quality_flag" in data.variables:
+        is_good &= data["quality_flag"].values == 0
+    if not is_good.all():
+        text = (
+            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
     if "bandwidth" in data.variables:

@@ -63,6 +63,25 @@ def test_position_date_and_attitude(tmp_path: Path) -> None:
     assert "roll_positive" in flight.assumed
 
 
+def test_late_sentences_headings_first_and_positions_that_are_none(tmp_path: Path) -> None:
+    path = log_of(
+        tmp_path / "flight.txt",
+        "GPHDT,90.0,T",
+        "GPZDA,235959.00,31,05,2024,00,00",
+        gga("235959.00"),
+        "GPHDT,100.0,T",
+        gga("000000.00"),
+        "PASHR,235959.50,,T,+1.50,-2.25,,0.01,0.01,0.02,1,1",  # late, and without a heading
+        "GPHDT,110.0,T",
+        gga("000001.00"),
+        gga("000002.00").replace(",4,12,", ",8,12,"),  # simulated
+    )
+    flight = hp.open_navigation(path)
+    expected = np.array(["2024-05-31T23:59:59", "2024-06-01T00:00:00", "2024-06-01T00:00:01"], "M8[ns]")
+    np.testing.assert_array_equal(flight.navigation_time, expected)
+    np.testing.assert_allclose(flight.heading, [90.0, 100.0, 110.0])
+
+
 def test_damage_is_counted_or_refused(tmp_path: Path) -> None:
     path = log_of(
         tmp_path / "flight.nmea", "GPZDA,120000.00,01,06,2024,00,00", gga("120000.00"), gga("120001.00")

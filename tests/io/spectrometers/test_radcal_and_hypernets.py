@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.base.errors import FormatError
+from hyperpaint.base.errors import FormatError, PaintWarning
 
 NAME = "CP_SAT0385_RADCAL_20220606105303.TXT"
 
@@ -99,3 +99,20 @@ def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
     np.testing.assert_allclose(series.irradiance[:, 0], level * 1e-3, rtol=1e-6)
     assert series.irradiance_time.values[0] == np.datetime64("2024-06-01T12:00:00")
     assert float(series.irradiance_fwhm.max()) == pytest.approx(3.2)
+
+
+def test_flagged_spectra_of_hypernets_are_left_out(tmp_path: Path) -> None:
+    time = np.array(["2024-06-01T12:00:00", "NaT", "2024-06-01T12:00:20", "2024-06-01T12:00:30"], "M8[ns]")
+    data = xr.Dataset(
+        {
+            "irradiance": (("wavelength", "scan"), np.full((61, 4), 1000.0), {"units": "mW m^-2 nm^-1"}),
+            "bandwidth": ("wavelength", np.full(61, 3.2)),
+            "acquisition_time": ("scan", time),
+            "quality_flag": ("scan", np.array([0, 0, 4, 0], np.uint32)),
+        },
+        {"wavelength": ("wavelength", np.linspace(400.0, 1000.0, 61), {"units": "nm"})},
+    )
+    data.to_netcdf(tmp_path / "flagged.nc")
+    with pytest.warns(PaintWarning, match="2 of 4 spectra have no time or a quality flag"):
+        series = hp.open_irradiance(tmp_path / "flagged.nc")
+    np.testing.assert_array_equal(series.irradiance_time, time[[0, 3]])
