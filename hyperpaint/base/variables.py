@@ -246,7 +246,7 @@ _LINE_TABLE = (
     Variable("linearity_counts", ("linearity_counts",), "count", "float64", "Counts, raw or dark-subtracted, at which linear_counts is known", coordinate=True),
     Variable("linear_counts", ("linearity_counts",), "count", "float64", "Counts proportional to light, as many as measured ones at low light"),
     Variable("stray_light_u", (), "1", "float32", "Relative standard uncertainty of the light that is subtracted as stray light and smear"),
-    Variable("band_shift_time", (), "s", "float64", "Time in which a frame is shifted by one band under the light"),
+    Variable("band_shift_time", (), "s", "float64", "Time in which a frame is shifted by one band under the light; attribute bands: how many there are"),
     Variable("linearity_u", (), "1", "float32", "Relative standard uncertainty that linearity leaves in linear counts"),
 )
 
@@ -323,7 +323,9 @@ def _table(rows: tuple[Variable, ...], *of_a_line: str) -> Mapping[str, Variable
 VARIABLES = _table(_LINE_TABLE)
 """Variables of a flight line, its calibration and light, its scenes and maps."""
 
-SWEEP_VARIABLES = _table(_SWEEP_TABLE, "saturation_count", "electrons_per_count", "read_noise")
+SWEEP_VARIABLES = _table(
+    _SWEEP_TABLE, "saturation_count", "electrons_per_count", "read_noise", "band_shift_time"
+)
 """Variables of a lab sweep."""
 
 LIBRARY_VARIABLES = _table(_LIBRARY_TABLE, "wavelength", "fwhm", "good")

@@ -177,6 +177,8 @@ class Result:
         }
         if flat is not None:
             values["flat_field"] = flat
+        if self.lab.band_shift_time:
+            values["band_shift_time"] = self.lab.band_shift_time
         if self.budget.linearity:
             values["linearity_u"] = self.budget.linearity
         table = self._table()
@@ -193,8 +195,11 @@ class Result:
         if self.linearity.measured is not None:
             coords["linearity_counts"] = self.linearity.measured
             values["linear_counts"] = self.linearity.linear
+        variables = {name: _labelled(value, name) for name, value in values.items()}
+        if "band_shift_time" in variables:
+            variables["band_shift_time"].attrs["bands"] = self.lab.shape[1]
         return xr.Dataset(
-            {name: _labelled(value, name) for name, value in values.items()},
+            variables,
             {name: _labelled(value, name) for name, value in coords.items()},
             self._attrs(good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )

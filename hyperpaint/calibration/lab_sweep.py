@@ -26,6 +26,7 @@ _OPTIONAL = (
     "saturation_count",
     "electrons_per_count",
     "read_noise",
+    "band_shift_time",
 )
 
 
@@ -54,6 +55,9 @@ class LabSweep:
     read_noise: float | None
     absolute: bool  #: Whether flux, capture fraction and etendue were all given
     by_column: bool  #: Whether the light of every column is given, rather than that of the beam
+    band_shift_time: (
+        float  #: Time in which a frame is shifted by one band under the light [s]; 0 without smear
+    )
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -122,6 +126,8 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             _check_positive(
                 name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
             )
+    if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
+        problems.add(f"'band_shift_time' is {float(shift):g} s, expected that of one band, some microseconds")
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
         worst = float(values["read_noise"].min())
         problems.add(f"'read_noise' is {worst:g} in places, expected finite and at least zero")
@@ -271,4 +277,5 @@ def _assembled(
         read_noise=scalar("read_noise"),
         absolute=all(name in arrays for name in _ABSOLUTE),
         by_column=by_column,
+        band_shift_time=scalar("band_shift_time") or 0.0,
     )

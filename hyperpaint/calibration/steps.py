@@ -13,6 +13,7 @@ from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_M
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 from hyperpaint.radiometry.linear_counts import Linearity
+from hyperpaint.radiometry.stray_light import smear_of
 
 from .lab_sweep import LabSweep, listed, refused
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
@@ -108,6 +109,9 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         raw = lab.frame(step)
         highest = np.fmax(highest, raw)
         net = curve.net(raw, lab.dark.at(float(lab.exposure[step])))
+        if lab.band_shift_time:
+            smear = smear_of(lab.band_shift_time, float(lab.exposure[step]), bands)
+            net = net - smear * np.nansum(net, axis=0)
         variance = lab.frame_variance(step)
         if variance is not None:
             full = lab.saturation is not None and raw >= lab.saturation - float(SATURATION_MARGIN_COUNTS)

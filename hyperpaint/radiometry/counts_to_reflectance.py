@@ -34,7 +34,7 @@ from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
 from .panels import CLOSURE, Panel, closure_variables, panel_inputs, several_panels
 from .planning import make_plan
-from .stray_light import STRAY_LIGHT, described
+from .stray_light import SHIFT_TIME, STRAY_LIGHT, described
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
 __all__ = ["panel_closure", "radiance", "reflectance"]
@@ -399,6 +399,8 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
     values = {name: slabs.small(array) for name, array in arrays.items()}
     if from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
+    if SHIFT_TIME in values:
+        values["shifted_bands"] = dataset[SHIFT_TIME].attrs.get("bands")
     return cube, values
 
 

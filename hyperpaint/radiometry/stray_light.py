@@ -18,7 +18,10 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
-__all__ = ["STRAY_LIGHT", "check_stray_light", "described", "inverse_of", "stray_light_of"]
+__all__ = [
+    "SHIFT_TIME", "STRAY", "STRAY_LIGHT", "STRAY_U", "check_stray_light", "described", "inverse_of", "smear_of",
+    "stray_light_of",
+]  # fmt: skip
 
 STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
 """What a calibration or a line says of it."""
@@ -60,6 +63,12 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
             f"{STRAY!r} is of {np.shape(cube[STRAY])[1]} bands, and {bands} are here: what they count of the "
             "others needs all of them; choose bands of the reflectance, or drop the variable"
         )
+    shifted = cube.get("shifted_bands") or bands
+    if shifted != bands:
+        problems.add(
+            f"{SHIFT_TIME!r} is that of {shifted} bands, and {bands} are here: what smears into them needs "
+            "all; choose bands of the reflectance, or drop the variable"
+        )
     relative = float(cube.get(STRAY_U, 0.0))
     if not 0.0 <= relative < 1.0:
         problems.add(f"{STRAY_U!r} is {relative:g}, expected a fraction of 1, such as 0.1")
@@ -86,15 +95,23 @@ def stray_light_of(
     give, take = np.zeros((bands, 0)), np.zeros((0, bands))
     if STRAY in cube:
         give, take = _terms(np.asarray(cube[STRAY], np.float64))
-    share = float(cube.get(SHIFT_TIME, 0.0)) / exposure
     return StrayLight(
         _filled(give, 1),
         _filled(_filled(take, 0), 1),
-        np.asarray(share / (1.0 + share * bands), np.float32),
+        smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, bands).astype(np.float32),
         _stand_ins(np.isnan(gain), masked),
         _levels(gain),
         np.float32(cube.get(STRAY_U, 0.0)),
     )
+
+
+def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
+    r"""Return how much of the sum of all bands is smear in each, :math:`\epsilon / (1 + n \epsilon)` [1].
+
+    ``shift_time`` and ``exposure``, of any shape, in seconds.
+    """
+    share = shift_time / exposure
+    return np.asarray(share / (1.0 + share * bands))
 
 
 def described(cube: Mapping[Any, Any]) -> str | None:

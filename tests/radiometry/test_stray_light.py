@@ -12,7 +12,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
-from hyperpaint.simulation import simulate_line
+from hyperpaint.simulation import simulate_line, simulate_sweep
 from hyperpaint.simulation.optics import stray_light_wings
 
 BANDS = 24
@@ -180,7 +180,30 @@ def test_lines_of_daylight_are_found_through_what_strays() -> None:
     assert said[0] == said[1]
 
 
+def test_smear_of_a_sweep_is_none_of_its_wings() -> None:
+    camera: dict[str, Any] = {"bands": 136, "columns": 12, "seed": 4}
+    clean = simulate_sweep(**camera)
+    shift, exposure = 1e-6, float(clean.exposure_time.mean())
+    net = (clean.counts - clean.dark_counts).transpose(*clean.counts.dims)
+    smeared = clean.assign(
+        counts=(clean.counts + shift / exposure * net.sum("band")).transpose(*clean.counts.dims).astype("f4"),
+        band_shift_time=((), shift, SECONDS),
+    )
+    smeared.counts.attrs = clean.counts.attrs
+    made, expected = hp.calibrate(smeared), hp.calibrate(clean)
+    assert (
+        abs(float(made.stray_light.sum("band").median() - expected.stray_light.sum("band").median())) < 1e-4
+    )
+    np.testing.assert_allclose(made.radiance_gain, expected.radiance_gain, rtol=1e-4)
+    assert (float(made.band_shift_time), made.band_shift_time.bands) == (shift, 136)
+    unaware = hp.calibrate(smeared.drop_vars("band_shift_time"))
+    assert float(unaware.stray_light.sum("band").median()) > 0.5 * 136 * shift / exposure
+
+
 def test_some_bands_are_not_all(line: xr.Dataset) -> None:
+    shifted = line.assign(band_shift_time=((), 1e-5, SECONDS | {"bands": BANDS})).isel(band=slice(4, 9))
+    with pytest.raises(SchemaError, match="is that of 24 bands, and 5 are here"):
+        shifted.paint.reflectance().reflectance.compute()
     seen = with_knowledge(line, wings(BANDS), 0.0).isel(band=slice(4, 9))
     with pytest.raises(SchemaError, match="choose bands of the reflectance"):
         seen.paint.reflectance().reflectance.compute()
