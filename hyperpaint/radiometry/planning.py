@@ -126,7 +126,7 @@ def make_plan(
         stray=stray_light_of(cube, exposure, gain, masked) if from_counts else None,
         error_terms=None
         if uncertain is None
-        else error_terms(uncertain, cube, light, dtype, bad, len(masked)),
+        else error_terms(uncertain, cube, light, dtype, bad, len(masked), _dark_share(cube, exposure)),
     )
 
 
@@ -194,6 +194,30 @@ def _highest_count(cube: Mapping[str, Any]) -> float:
 def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
     lines, bands, columns = shape
     return np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64), np.zeros(lines, np.float32)
+
+
+def _dark_share(cube: Mapping[str, Any], exposure: Floats) -> float:
+    """Return by what the noise of a dark is more in what is subtracted from a line, of all lines the most."""
+    dark = np.shape(cube.get("dark_counts", 0.0))
+    weights = dark_weights(cube, dark[0] if len(dark) == 3 else 1, exposure)
+    return float(np.sqrt((weights**2).sum(axis=1)).max(initial=0.0))
+
+
+def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Floats:
+    """Return how much of each of ``count`` darks is subtracted from every line (line, dark).
+
+    ``cube`` holds what says when and how the darks were taken, as of `make_plan`; ``exposure`` (line,) [s].
+    """
+    if count == 1:
+        return np.ones((exposure.size, 1))
+    # what is subtracted is linear in the darks: those of one reference at a time say its weight
+    darks = {**cube, "dark_counts": np.eye(count, dtype=np.float32)[:, :, None]}
+    with warnings.catch_warnings():  # which the plan has given
+        warnings.simplefilter("ignore")
+        ends, index, weight = darks_of_lines(darks, exposure)
+    later = np.minimum(index + 1, len(ends) - 1)
+    shares = ends[index, :, 0] + weight[:, None] * (ends[later, :, 0] - ends[index, :, 0])
+    return np.asarray(shares, np.float64)
 
 
 def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:

@@ -5,7 +5,6 @@ Small tables, whatever the number of lines of a cube: `mean_errors` sums them ov
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -188,23 +187,13 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 def _dark_weights(line: xr.Dataset) -> Floats:
     """Return how much of each dark reference is subtracted from every line (line, dark)."""
-    from hyperpaint.radiometry.planning import darks_of_lines
+    from hyperpaint.radiometry.planning import dark_weights
 
-    lines = line.sizes[ALONG_TRACK]
-    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
-    if count == 1:
-        return np.ones((lines, 1))
-    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), lines)
     names = ("time", "dark_time", "dark_exposure_time")
-    # what is subtracted is linear in the darks: those of one reference at a time say its weight
     darks = {name: line[name].values for name in names if name in line.variables}
-    darks["dark_counts"] = np.eye(count, dtype=np.float32)[:, :, None]
-    with warnings.catch_warnings():  # which the plan has given
-        warnings.simplefilter("ignore")
-        ends, index, weight = darks_of_lines(darks, exposure)
-    later = np.minimum(index + 1, len(ends) - 1)
-    shares = ends[index, :, 0] + weight[:, None] * (ends[later, :, 0] - ends[index, :, 0])
-    return np.asarray(shares, np.float64)
+    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
+    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
+    return dark_weights(darks, count, exposure)
 
 
 def _stray_light_errors(line: xr.Dataset) -> Floats | None:

@@ -134,12 +134,14 @@ def error_terms(
     dtype: str,
     bad: Array,
     masked: int = 0,
+    dark_share: float = 1.0,
 ) -> ErrorTerms:
     """Return what the uncertainty of every sample follows from; what is not known is zero.
 
     ``uncertain`` is that of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
     by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
-    mean is the pedestal of a line, and so has a noise that all of the line shares.
+    mean is the pedestal of a line, and so has a noise that all of the line shares; ``dark_share`` is the
+    root sum of squares of the weights with which a line's darks are subtracted, the largest of all lines.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def error_terms(
 
     whole = np.issubdtype(np.dtype(dtype), np.integer)
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
-    own_dark = of("dark_counts_u_random") ** 2
+    own_dark = (dark_share * of("dark_counts_u_random")) ** 2
     dark_variance = of("dark_counts_u_systematic") ** 2 + own_dark
     if masked:
         dark_variance = dark_variance + float(np.nanmean(floor + own_dark)) / masked

@@ -357,3 +357,22 @@ def test_values_that_cannot_be(name: str, value: float, word: str) -> None:
         lazily.reflectance.compute()
     assert name in str(caught.value)
     reflectance(line).reflectance.compute()  # not asked for, not looked at
+
+
+def test_darks_that_are_extrapolated_are_less_sure() -> None:
+    """At three times the first exposure the second dark counts twice, and the first is taken off."""
+    line = simulate_line(lines=4, bands=24, columns=6, glint=0.0).drop_vars(
+        "dark_counts_u_random", errors="ignore"
+    )
+    exposure = float(line.exposure_time)
+    darks = np.broadcast_to(line.dark_counts.values, (2, *line.dark_counts.shape)).astype(np.float32)
+    several = line.assign(
+        dark_counts=(("dark_time", *line.dark_counts.dims), darks, line.dark_counts.attrs),
+        dark_exposure_time=(("dark_time",), exposure * np.array([1 / 3, 2 / 3]), {"units": "s"}),
+    )
+    u = {"dark_counts_u_random": ((), np.float32(2.0), {"units": "count"})}
+    one, two = (
+        each.assign(u).paint.reflectance(uncertainty=True).reflectance_u_systematic.values
+        for each in (line, several)
+    )
+    np.testing.assert_allclose(two, np.sqrt(5.0) * one, rtol=1e-3)
