@@ -14,7 +14,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
-__all__ = ["apply_alignment"]
+__all__ = ["apply_alignment", "restated", "without_products"]
 
 
 _NEEDED = (
@@ -53,9 +53,10 @@ def apply_alignment(
         The same with ``wavelength_shift`` (cross_track), or (band, cross_track) where several windows or the
         line have it so, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor found, since the
         table holds no width of a column. Between windows both are linear in wavelength, beyond them constant.
-        The attribute ``alignment`` says what was done. Reflectance, which held for other wavelengths, is left
-        out. ``wavelength`` stays as it is, so that flight lines keep one axis: the shift at the centre column
-        need not be zero.
+        The attribute ``alignment`` says what was done; those of an earlier comparison (``alignment_shift``
+        and such, see `align`), and reflectance, which held for other wavelengths, are left out.
+        ``wavelength`` stays as it is, so that flight lines keep one axis: the shift at the centre column need
+        not be zero.
 
     Raises
     ------
@@ -178,8 +179,7 @@ def _replaced(
         declared = variables["wavelength_shift"]
         shift = shift + xr.DataArray(declared.values, dims=declared.dims)
     order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
-    stale = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
-    aligned = dataset.drop_vars([name for name in stale if name in dataset.variables]).assign_coords(
+    aligned = without_products(dataset).assign_coords(
         wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
     )
     sentence = (
@@ -190,5 +190,28 @@ def _replaced(
         width = xr.DataArray(variables["fwhm"].values * over_bands(factor), dims=BAND)
         aligned = aligned.assign_coords(fwhm=schema.label(width, "fwhm"))
         sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
-    before = dataset.attrs.get("alignment")
-    return aligned.assign_attrs(alignment=f"{before}; then {sentence}" if before else sentence)
+    return restated(aligned, sentence)
+
+
+def without_products(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a line without what was computed at other wavelengths: reflectance and what panels say of it."""
+    names = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
+    return dataset.drop_vars(
+        [name for name in dataset.variables if name in names or str(name).startswith("panel_")]
+    )
+
+
+def restated(
+    line: xr.Dataset, sentence: str, *, numbers: Mapping[str, float] | None = None, state: str | None = None
+) -> xr.Dataset:
+    """Return a line that says what was done last, after what was done before.
+
+    ``numbers`` and ``state`` replace those of an earlier comparison, which hold for the line as it was.
+    """
+    before = line.attrs.get("alignment")
+    attrs = {name: value for name, value in line.attrs.items() if not str(name).startswith("alignment_")}
+    attrs |= numbers or {}
+    attrs["alignment"] = f"{before}; then {sentence}" if before else sentence
+    if state is not None:
+        attrs["alignment_state"] = state
+    return line.drop_attrs(deep=False).assign_attrs(attrs)

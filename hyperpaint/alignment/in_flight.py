@@ -12,6 +12,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, IRRADIANCE_WAVELENGTH
 
+from .application import restated, without_products
 from .comparison import COMPARISON, Comparison, ComparisonRules, compared
 from .sunlines import Instruments, divided
 
@@ -112,22 +113,22 @@ def align(
     if found.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(found)})"
         warnings.warn(f"{text}; check wavelengths and widths of both", PaintWarning, stacklevel=2)
-        return line.assign_attrs(numbers, alignment=text, alignment_state="not applied")
+        return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         text = f"irradiance record corrected in flight: {_sentence(found)}"
-        return _corrected(line, found).assign_attrs(numbers, alignment=text, alignment_state="applied")
+        return restated(_corrected(line, found), text, numbers=numbers, state="applied")
     if is_significant:
         text = f"camera and irradiance record differ: {_sentence(found)}"
         mend = 'correct the collect\'s fwhm_nm and wavelengths, or let [alignment] apply = "auto"'
         warnings.warn(f"{text}; {mend}", PaintWarning, stacklevel=2)
-        return line.assign_attrs(numbers, alignment=text, alignment_state="not applied")
+        return restated(line, text, numbers=numbers, state="not applied")
     text = f"camera and irradiance record agree: {_sentence(found)}"
-    return line.assign_attrs(numbers, alignment=text, alignment_state="not significant")
+    return restated(line, text, numbers=numbers, state="not significant")
 
 
 def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
     text = f"camera and irradiance record not compared: {reason}"
-    return line.assign_attrs(alignment=text, alignment_state="not compared")
+    return restated(line, text, state="not compared")
 
 
 def _numbers(found: Comparison) -> dict[str, float]:
@@ -177,11 +178,11 @@ def _corrected(line: xr.Dataset, found: Comparison) -> xr.Dataset:
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
     same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())
     widths = xr.DataArray(np.where(same_detector, width * found.width, width), dims=IRRADIANCE_WAVELENGTH)
-    stale = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
-    aligned = dataset.drop_vars([name for name in stale if name in dataset.variables])
     coordinate = xr.DataArray(shifted, dims=IRRADIANCE_WAVELENGTH)
-    aligned = aligned.drop_vars("irradiance_fwhm").assign_coords(
-        {IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)}
+    aligned = (
+        without_products(dataset)
+        .drop_vars("irradiance_fwhm")
+        .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
     )
     if camera:
         aligned = _moved(aligned, camera)

@@ -139,3 +139,20 @@ def test_what_separates_them_is_divided_by_the_suns_lines(told: xr.Dataset, alig
     shift = aligned.wavelength_shift.values - told.wavelength_shift.values
     # whatever its division, what separates them is the same
     np.testing.assert_allclose(np.median(moved) - shift.mean(), -found["alignment_shift"], atol=0.01)
+
+
+def test_what_is_applied_afterwards_leaves_no_numbers_of_the_line_as_it_was(told: xr.Dataset) -> None:
+    numbers = {"alignment_shift": -0.53, "alignment_shift_slope": 0.0, "alignment_width": 4 / 3}
+    attrs = {"alignment": "camera and irradiance record differ", "alignment_state": "not applied", **numbers}
+    panel = xr.DataArray(np.ones((1, told.sizes["band"]), np.float32), dims=("panel", "band"))
+    product = hp.reflectance(told.assign_attrs(attrs)).assign(panel_factor=panel)
+    assert float(product.irradiance_misfit.min()) > 0.1
+    moved = hp.alignment.apply_alignment(product, hp.alignment.align_to_irradiance(told, group=8), degree=1)
+    assert not {"reflectance", "irradiance_misfit", "panel_factor"} & set(moved.variables)
+    assert [name for name in moved.attrs if name.startswith("alignment")] == ["alignment"]
+    # the camera follows the record now: what they differed by no longer shows in the misfit
+    assert float(hp.reflectance(moved).irradiance_misfit.max()) < 0.05
+    again = hp.alignment.align(moved.isel(band=slice(None, None, 14)))
+    assert again.attrs["alignment"].startswith(
+        f"{moved.attrs['alignment']}; then camera and irradiance record not"
+    )
