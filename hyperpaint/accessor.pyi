@@ -92,7 +92,7 @@ class PaintAccessor:
     def apply_alignment(
         self, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
     ) -> PaintDataset:
-        """Return the line with the wavelengths and widths that `hyperpaint.align_to_irradiance` found."""
+        """Return the line with the wavelengths and widths that `hyperpaint.alignment.align_to_irradiance` found."""
     def oxygen_residual(self, *, progress: Progress | None = None, dims: Dims | None = None) -> xr.DataArray:
         """Return what is left of the oxygen A band in the reflectance of every column."""
     def survey(

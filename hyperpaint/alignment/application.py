@@ -33,15 +33,15 @@ _WINDOW = "window"
 def apply_alignment(
     line: xr.Dataset, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True
 ) -> xr.Dataset:
-    """Return the line with the wavelengths and widths that `hyperpaint.align_to_irradiance` found.
+    """Return the line with the wavelengths and widths that `hyperpaint.alignment.align_to_irradiance` found.
 
     Parameters
     ----------
     line
         The flight line that was looked at.
     alignment
-        What `hyperpaint.align_to_irradiance` returned, whole or in groups of columns; those that are flagged
-        are not used.
+        What `hyperpaint.alignment.align_to_irradiance` returned, whole or in groups of columns; those that
+        are flagged are not used.
     degree
         Of the polynomial over columns that smooths the shift.
     fwhm

@@ -75,7 +75,8 @@ def align_to_irradiance(
     r"""In-flight spectral calibration: smile and FWHM of every column from the daylight's own lines.
 
     Found are the wavelength shift and the width at which the ratio of radiance to irradiance is smoothest.
-    Eager: reads the line once, a slab at a time, and changes nothing; see `hyperpaint.apply_alignment`.
+    Eager: reads the line once, a slab at a time, and changes nothing; see
+    `hyperpaint.alignment.apply_alignment`.
 
     Parameters
     ----------

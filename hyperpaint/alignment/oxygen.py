@@ -100,7 +100,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     through its shoulders, 740-753 and 775-788 nm. The place is on the steep side of the band, where shift
     and width both show: with a 6 nm camera the depth is about -0.06 for each nanometre that declared
     wavelengths are too long, and 0.03 for each that declared widths are too large. The two can cancel;
-    `hyperpaint.align_to_irradiance` separates them.
+    `hyperpaint.alignment.align_to_irradiance` separates them.
 
     Examples
     --------

@@ -416,7 +416,7 @@ class Result:
         if self.lab.electrons_per_count is not None:
             return "as stated"
         if self.read.noise_source == FROM_FRAMES:
-            return "photon transfer of the sweep, good to some per cent; see hyperpaint.estimate_noise"
+            return "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
         return "none"
 
     def _shape_attrs(self) -> dict[str, Any]:

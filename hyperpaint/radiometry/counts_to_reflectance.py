@@ -157,7 +157,7 @@ def reflectance(
         and, if wished, ``irradiance_max_gap`` and ``irradiance_clock_uncertainty``, each with ``units``.
     uncertainty
         Add standard uncertainties. They need counts, and ``electrons_per_count`` and ``read_noise`` of the
-        calibration or from `hyperpaint.estimate_noise`.
+        calibration or from `hyperpaint.radiometry.estimate_noise`.
     tilt
         Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
         longitude. Where it names no ``diffuse_fraction``, that of the lines counts, else what the record

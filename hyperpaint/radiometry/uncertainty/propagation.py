@@ -71,7 +71,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
         if name not in dataset.variables:
             problems.add(
                 f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}; it comes with a "
-                "calibration, or from line.assign(hp.estimate_noise(line))"
+                "calibration, or from line.assign(hp.radiometry.estimate_noise(line))"
             )
     problems.raise_if_any()
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables]

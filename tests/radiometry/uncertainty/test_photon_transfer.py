@@ -60,7 +60,7 @@ def test_counts_without_quantisation_and_without_read_noise() -> None:
 
 def test_what_it_returns_goes_into_reflectance() -> None:
     line = simulate_line(lines=32, bands=48, columns=60).drop_vars(["electrons_per_count", "read_noise"])
-    with pytest.raises(SchemaError, match=r"line\.assign\(hp\.estimate_noise\(line\)\)"):
+    with pytest.raises(SchemaError, match=r"line\.assign\(hp\.radiometry\.estimate_noise\(line\)\)"):
         line.paint.reflectance(uncertainty=True)
     found = hp.radiometry.estimate_noise(line)
     for name, units in (("electrons_per_count", "electron count-1"), ("read_noise", "count")):
