@@ -19,10 +19,10 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
+from hyperpaint.radiometry.uncertainty.irradiance_noise import noise_of_record
 
 from .lamp import (
     Declared,
-    noise_of_channels,
     responses_table,
     shares_of_samples,
     variance_of_responses,
@@ -223,7 +223,8 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
     blocks, share = _block_means(dataset, declared, used, windows, rules)
     spectra = declared.light.spectra[share > 0]
     light, square = share[share > 0] @ spectra, share[share > 0] ** 2 @ spectra**2
-    noise = np.sqrt(square) * noise_of_channels(declared.light)
+    relative = noise_of_record(declared.light.spectra, declared.light.time, fewest=1)
+    noise = np.sqrt(square) * (0.0 if relative is None else relative)
     fits = [_window_fit(declared, chosen, blocks, (light, noise), rules) for chosen in inside]
     usable = [fit for fit in fits if fit is not None]
     if not usable:

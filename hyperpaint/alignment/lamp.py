@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.ndimage import uniform_filter1d
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -27,7 +26,7 @@ from hyperpaint.light.responses import (
 from hyperpaint.light.synchrony import line_light
 
 __all__ = [
-    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "noise_of_channels", "responses_table",
+    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "responses_table",
     "shares_of_samples", "table_of_bands", "variance_of_responses",
 ]  # fmt: skip
 
@@ -195,23 +194,6 @@ def shares_of_samples(
     np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
     np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
     return share / seen.size, level_of_line
-
-
-def noise_of_channels(light: Light) -> Floats:
-    """Return the relative noise of one sample in every channel (channel,) [1]; 0 where nothing tells.
-
-    Sun and clouds change the light smoothly with wavelength: what neighbouring channels do not share in the
-    ratio of one sample to the next is noise, here over 25 channels.
-    """
-    if len(light.spectra) < 2 or light.wavelength.size < 3:
-        return np.zeros(light.wavelength.size)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.log(light.spectra[1:] / light.spectra[:-1])
-    # the variance of a ratio is twice that of a sample, that of the second difference 1.5 times
-    away = ratio[:, 1:-1] - (ratio[:, :-2] + ratio[:, 2:]) / 2.0
-    square = np.where(np.isfinite(away), away, 0.0) ** 2
-    mean = np.pad(square.mean(axis=0) / 3.0, 1, mode="edge")
-    return np.asarray(np.sqrt(uniform_filter1d(mean, 25, mode="nearest")))
 
 
 def _level(light: Light, low: float, high: float) -> Floats:

@@ -81,22 +81,27 @@ def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:
     return np.asarray(np.interp(np.asarray(wavelength, np.float64), channels[order], known[order]))
 
 
-def noise_of_record(spectra: Array, times: Array) -> Floats | None:
+def noise_of_record(spectra: Array, times: Array, *, fewest: int = FEWEST_TRIPLES) -> Floats | None:
     """Return the relative noise of single irradiance samples (channel,) [1]; None of too few samples.
 
     ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. What a sample departs from the
     line between its neighbours in time, less what neighbouring channels depart, since light changes smoothly
-    over wavelength; median over samples and 21 channels. Noise that channels share is not seen.
+    over wavelength; median over samples and 21 channels. Noise that channels share is not seen; samples
+    without light or values are left out. ``fewest``: samples between two others that it takes.
     """
     seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9
     steps = np.diff(seconds)
     near = steps <= _LONGEST_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
     middle = np.flatnonzero(near[:-1] & near[1:]) + 1
-    if middle.size < FEWEST_TRIPLES:
+    if middle.size < fewest:
         return None
     middle = middle[np.linspace(0, middle.size - 1, min(middle.size, _MOST_TRIPLES)).astype(np.intp)]
     three = np.stack([spectra[middle + step] for step in (-1, 0, 1)]).astype(np.float64)
-    usable = (np.isfinite(three) & (three > 0)).all(axis=(0, 1))
+    there = np.isfinite(three) & (three > 0)
+    whole = (there.sum(axis=2) > USUAL_SHARE * there.any(axis=(0, 1)).sum()).all(axis=0)
+    if whole.sum() < fewest:
+        return None
+    three, middle, usable = three[:, whole], middle[whole], there[:, whole].all(axis=(0, 1))
     if usable.sum() < _WINDOW_CHANNELS:
         return None
     before, here, after = np.log(three[:, :, usable])

@@ -45,6 +45,21 @@ def test_channels_without_light_and_gaps_in_time() -> None:
     assert noise_of_record(spectra[:, :10], times) is None
 
 
+def test_three_samples_tell_where_that_is_asked_and_lost_ones_count_for_nothing() -> None:
+    spectra, times = record(40, 7)
+    size = 0.004 * (1.0 + (CHANNELS - 350.0) / 700.0)
+    few = noise_of_record(spectra[:3], times[:3], fewest=1)
+    assert few is not None
+    assert (few / size).mean() == pytest.approx(1.0, abs=0.15)
+    assert noise_of_record(spectra[:2], times[:2], fewest=1) is None
+    spectra[[5, 20]] = np.nan
+    spectra[30] = 0.0
+    noise = noise_of_record(spectra, times)
+    assert noise is not None
+    assert (noise / size).mean() == pytest.approx(1.0, abs=0.05)
+    assert noise_of_record(np.full_like(spectra, np.nan), times) is None
+
+
 def test_a_flight_tells_the_noise_of_its_record() -> None:
     line = noisy_collect(np.random.default_rng(5), 2400, 2, 10, gain_u=0.0)
     found = estimate_noise(line.drop_vars("irradiance_u_random"))
