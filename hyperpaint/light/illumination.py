@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,8 @@ from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
 __all__ = [
-    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "Smile", "Tilt", "departure_of_record", "match_irradiance",
-    "matched_series", "smile_cells",
+    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "RecordDeparture", "Smile", "Tilt", "departure_of_record",
+    "match_irradiance", "matched_series", "smile_cells",
 ]  # fmt: skip
 
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
@@ -354,6 +354,18 @@ def _apply(matching: Matching, spectra: Array) -> Floats:
     return np.asarray(matched)
 
 
+class RecordDeparture(NamedTuple):
+    """How an irradiance record differs from what is declared, as a camera in the same flight sees it."""
+
+    shift_nm: float  #: Wavelength of the camera minus that of the record, at `ALIGNED_AT_NM` [nm]
+    slope_nm: float  #: Its change over `ALIGNED_PER_NM` [nm]
+    width: float  #: Width of the record over the declared one [1]
+
+    def shift_at(self, wavelength: Floats) -> Floats:
+        """Return the shift at wavelengths [nm]."""
+        return np.asarray(self.shift_nm + self.slope_nm * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
+
+
 def matched_series(
     spectra: Array,
     channels: Floats,
@@ -361,7 +373,7 @@ def matched_series(
     irradiance_shape: str,
     imager: Mapping[str, Any],
     nodes: Floats,
-    as_found: tuple[float, float, float] | None = None,
+    as_found: RecordDeparture | None = None,
 ) -> tuple[Floats, Floats]:
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
@@ -375,20 +387,19 @@ def matched_series(
     _warn_of(matching, channels[order], imager)
     misfit = matching.misfit
     if as_found is not None:
-        shift, slope, factor = as_found
-        moved = channels[order] - shift - slope * (channels[order] - ALIGNED_AT_NM) / ALIGNED_PER_NM
-        misfit = misfit_through(matching, Responses(moved, width * factor, irradiance_shape), bands, nodes)
+        spectrometer = Responses(
+            channels[order] - as_found.shift_at(channels[order]), width * as_found.width, irradiance_shape
+        )
+        misfit = misfit_through(matching, spectrometer, bands, nodes)
     return _apply(matching, np.asarray(spectra, np.float64)[:, order]), misfit
 
 
-def departure_of_record(attrs: Mapping[Any, Any]) -> tuple[float, float, float] | None:
+def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
     """Return what was found of a line's record and not applied; None where there is nothing.
 
-    Camera minus record at `ALIGNED_AT_NM` [nm], its change over `ALIGNED_PER_NM` [nm], and the record's width
-    over the declared one [1], from the attributes that `hyperpaint.alignment.align` leaves.
+    From the attributes that `hyperpaint.alignment.align` leaves.
     """
     names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
     if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):
         return None
-    shift, slope, width = (float(attrs[name]) for name in names)
-    return shift, slope, width
+    return RecordDeparture(*(float(attrs[name]) for name in names))
