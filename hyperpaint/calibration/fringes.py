@@ -26,9 +26,6 @@ class FringeRules:
     ----------
     least_error
         Relative error of the gain from which it is said [1].
-    scatters
-        The same, in units of what columns differ in, as it is left in their median: twice `spread`, since it
-        ripples like what lines miss.
     window_steps
         Steps over which departures are averaged: structure need not be everywhere.
     degree
@@ -36,15 +33,23 @@ class FringeRules:
         gratings change over some 60 nm and more.
     spread
         Error between lines over the root mean square of the ripple, where they have nothing to do with each
-        other: root mean squares are as sqrt(0.82 + 1), a cubic's squared weights and the truth; the largest
-        error is up to twice that, less where bands average over fringes.
+        other: root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
+        what the polynomial leaves of such a ripple, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest error
+        is up to twice that, less where bands average over fringes.
     """
 
     least_error: float = 0.01
-    scatters: float = 3.0
     window_steps: int = 9
     degree: int = 9
     spread: float = 1.5
+
+    @property
+    def scatters(self) -> float:
+        """Error from which it is said, in units of what columns differ in, as it is left in their median.
+
+        It ripples like what lines miss, by `spread`; twice that is more than chance.
+        """
+        return 2.0 * self.spread
 
 
 FRINGES = FringeRules()
@@ -65,10 +70,10 @@ def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source
     the monochromator's line [nm2].
 
     With :math:`r` the ripple of the areas, :math:`r'` its slope as they have it and :math:`g` what that slope
-    lacks of the one that moves lines, the error is :math:`1.5\,r \min(1, g^2 / r'^2)`, root mean squares
-    over nine steps. A ripple that lines follow has the slope that moves them; of one that they miss, or that
-    is none but the scatter of a power meter, the two have nothing in common. Noise of places counts as if it
-    were such.
+    lacks of the one that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares
+    over some steps, with :math:`s` the ``spread`` of `FringeRules`. A ripple that lines follow has the slope
+    that moves them; of one that they miss, or that is none but the scatter of a power meter, the two have
+    nothing in common. Noise of places counts as if it were such.
     """
     from scipy.interpolate import CubicSpline
 
