@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from typing import Literal
 
 import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
+from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, IRRADIANCE_WAVELENGTH
 
@@ -16,10 +16,7 @@ from .application import restated, without_products
 from .comparison import COMPARISON, Comparison, ComparisonRules, compared
 from .sunlines import Instruments, divided
 
-__all__ = ["APPLY", "align"]
-
-APPLY = ("auto", "never", "always")
-"""When what was found is applied: where it is significant, never, or whenever it could be found."""
+__all__ = ["align"]
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
 _CAMERA_SIGNIFICANCE = 3.0
@@ -30,7 +27,7 @@ VNIR_END_NM = 1000.0
 def align(
     line: xr.Dataset,
     *,
-    apply: Literal["auto", "never", "always"] = "auto",
+    apply: Alignment = "auto",
     rules: ComparisonRules = COMPARISON,
 ) -> xr.Dataset:
     r"""Compare camera and irradiance record in flight, and correct what is significant.
@@ -98,8 +95,8 @@ def align(
     >>> aligned.attrs["alignment_state"], round(aligned.attrs["alignment_shift"], 1)
     ('applied', -0.3)
     """
-    if apply not in APPLY:
-        raise SchemaError(f"apply={apply!r}, expected {', '.join(map(repr, APPLY))}")
+    if apply not in ALIGNMENTS:
+        raise SchemaError(f"apply={apply!r}, expected {', '.join(map(repr, ALIGNMENTS))}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaintWarning)  # said where the line itself is computed

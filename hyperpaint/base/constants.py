@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal, get_args
 
 __all__ = [
-    "MAX_TASK_BYTES", "QUANTISATION_VARIANCE_COUNT2", "SATURATION_MARGIN_COUNTS",
-    "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED", "WGS84_SEMI_MAJOR_AXIS_M", "lines_a_task",
+    "ALIGNMENTS", "MAX_TASK_BYTES", "QUANTISATION_VARIANCE_COUNT2", "SATURATION_MARGIN_COUNTS",
+    "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED", "WGS84_SEMI_MAJOR_AXIS_M", "Alignment",
+    "lines_a_task",
 ]  # fmt: skip
 
 SATURATION_MARGIN_COUNTS = 16
@@ -24,6 +26,11 @@ STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": 
 
 MAX_TASK_BYTES = 24_000_000
 """Output of one task; a larger block costs the allocator a trip to the kernel each time."""
+
+Alignment = Literal["auto", "never", "always"]
+"""When what separates camera and irradiance record is corrected: see `hyperpaint.alignment.align`."""
+ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
+
 MAX_STRAY_LIGHT_U = 0.5
 """Relative standard uncertainty of stray light from which it is not subtracted: it is no more than two of
 them, and not told from none [1]."""

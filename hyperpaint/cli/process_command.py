@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from hyperpaint.base.constants import ALIGNMENTS
+
 from .console import EXISTING_FILE, PLACE, is_watched, say_outcome
 
 __all__ = ["process"]
@@ -35,9 +37,10 @@ Examples:
     "from counts.",
 )  # fmt: skip
 @click.option(
-    "--alignment", type=click.Choice(["auto", "never", "always"]),
-    help="Correct what separates camera and irradiance record in wavelength and width: 'auto' where it is "
-    "significant.  [default: as [alignment] apply of COLLECT.toml, else auto]",
+    "--alignment", type=click.Choice(ALIGNMENTS),
+    help="Correct what separates camera and irradiance record in wavelength and width. 'auto': where "
+    "significant; 'never': report only; 'always': whenever it can be found.  [default: as [alignment] apply "
+    "of COLLECT.toml, else auto]",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
 @click.option(

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from hyperpaint.base.constants import ALIGNMENTS
+
 from .console import EXISTING, EXISTING_FILE, FAILED_CHECK, FOLDER, WRONG_INPUT, is_watched, progress_bar
 
 __all__ = ["run"]
@@ -43,8 +45,10 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
     help="Subtract the sky that clear coats mirror, which contact probes do not see.",
 )  # fmt: skip
 @click.option(
-    "--alignment", type=click.Choice(["auto", "never", "always"]),
-    help="Correct what separates camera and irradiance record.  [default: as COLLECT.toml says, else auto]",
+    "--alignment", type=click.Choice(ALIGNMENTS),
+    help="Correct what separates camera and irradiance record in wavelength and width. 'auto': where "
+    "significant; 'never': report only; 'always': whenever it can be found.  [default: as [alignment] apply "
+    "of COLLECT.toml, else auto]",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a store made from other inputs.")
 @click.option("--quiet", is_flag=True, help="No progress bars.")

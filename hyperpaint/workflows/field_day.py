@@ -12,8 +12,9 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 
@@ -85,7 +86,7 @@ def run_field_day(
     regions: str | os.PathLike[str] | None = None,
     skip: Collection[str] = (),
     specular_sky: bool = False,
-    alignment: Literal["auto", "never", "always"] | None = None,
+    alignment: Alignment | None = None,
     overwrite: bool = False,
     progress: Callable[[str], Progress | None] | None = None,
     say: Callable[[StepOutcome], None] = lambda _: None,
@@ -201,7 +202,7 @@ class _Day:
     regions: Regions | None
     skip: frozenset[str]
     specular_sky: bool
-    alignment: Literal["auto", "never", "always"] | None
+    alignment: Alignment | None
     overwrite: bool
     progress: Callable[[str], Progress | None]
     is_watched: bool

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.groups import INPUTS
@@ -181,7 +182,6 @@ CLUSTER_LINES = 256
 
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
-Alignment = Literal["auto", "never", "always"]
 
 
 def process(
@@ -324,7 +324,7 @@ def _check_words(to: str, reflectance: str, alignment: str | None) -> None:
     for name, value, allowed in (
         ("to", to, ("radiance", "reflectance")),
         ("reflectance", reflectance, ("none", "stored")),
-        ("alignment", alignment or "auto", ("auto", "never", "always")),
+        ("alignment", alignment or "auto", ALIGNMENTS),
     ):
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError, Unavailable
 from hyperpaint.io.files import toml_tables as check
 from hyperpaint.io.files.reading import is_pattern
@@ -77,7 +78,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "calibration": check.table,
         "mount": check.one_of("ground", "aircraft"),
     },
-    "alignment": {"apply": check.one_of("auto", "never", "always")},
+    "alignment": {"apply": check.one_of(*ALIGNMENTS)},
     "flightlines": {
         "id": check.text,
         "cube": check.text,
@@ -163,7 +164,7 @@ class Collect:
     sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
     # Ground [m above the ellipsoid] or dem (a path), and how the camera sits in the platform
     geometry: Mapping[str, Any]
-    alignment: str  # When what separates camera and record is corrected: "auto", "never" or "always"
+    alignment: Alignment  # When what separates camera and record is corrected
     # Names of cubes of one table, a pattern or a folder, in their order, with the id that the table gives
     flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
