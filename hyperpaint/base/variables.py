@@ -149,6 +149,7 @@ _LINE_TABLE = (
     Variable("panel_used", (PANEL, BAND), "1", "float32", "Share of a panel's pixels that panel_factor is the mean of"),
     Variable("panel_state", (PANEL,), "", "uint8", "What was noticed of a panel"),
     Variable("panel_time", (PANEL,), "", "datetime64[ns]", "UTC at which a panel was seen"),
+    Variable("panel_weight", (ALONG_TRACK, PANEL), "1", "float32", "Weight of a panel in the logarithm of the scale of a line; 0 of a refused one"),
     Variable("panel_scale_u", _LINE, "1", "float32", "Relative standard uncertainty of the level that panels give reflectance"),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),

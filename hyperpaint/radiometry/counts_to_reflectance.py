@@ -32,7 +32,16 @@ from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
-from .panels import CLOSURE, Panel, closure_variables, panel_inputs, several_panels
+from .panels import (
+    CLOSURE,
+    Panel,
+    closure_variables,
+    declared_panels,
+    declared_scale,
+    panel_inputs,
+    several_panels,
+    without_panels,
+)
 from .planning import make_plan
 from .stray_light import SHIFT_TIME, STRAY_LIGHT, described
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
@@ -165,7 +174,9 @@ def reflectance(
     panel
         A target of known reflectance in the scene, to which every band is scaled; or several, seen at
         different times, which correct the level of the record between them. What they measure, and what is
-        noticed of them, is stored beside reflectance, see `panel_closure`.
+        noticed of them, is stored beside reflectance, see `panel_closure`. By default the scale that
+        `hyperpaint.process` found by the panels which the line declares (attribute ``panels``), in crops as
+        well; ``dataset.drop_vars("panel_weight")`` does without.
     keep_bits
         Mantissa bits that are kept, rounding to nearest-even; all 23 by default.
 
@@ -187,6 +198,11 @@ def reflectance(
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
         problem is listed. The gain has no absolute scale and there is no
         ``panel``. When computed: values are out of range; or all panels are refused, with the reason.
+
+    Warns
+    -----
+    PaintWarning
+        The line has a scale by panels, and ``irradiance`` is another that it was not found with.
 
     Notes
     -----
@@ -305,29 +321,31 @@ def _reflectance(
                 "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
                 "found 'reflectance' only"
             )
-        stored = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
-        return dataset.assign(schema.require(dataset, stored, "reflectance"))
+        names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
+        return dataset.assign(schema.require(dataset, names, "reflectance"))
+    stored = None if panels else declared_scale(dataset, other_light=irradiance is not None)
     if irradiance is not None:
         dataset = _replace_irradiance(dataset, irradiance)
+    scaling = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
     if "counts" in dataset.variables:
-        _refuse_calibration(dataset, needs_scale=not panels)
+        _refuse_calibration(dataset, needs_scale=not scaling)
     cube, values = _cube_inputs(dataset, "reflectance")
     light = _light_inputs(dataset, attitude, bool(panels))
     # the plan adds how well the pixels of panels, and lines between them, are known
-    own_u = max((panel.uncertainty for panel in panels), default=None)
+    own_u = max((panel.uncertainty for panel in scaling), default=None)
     uncertain = uncertainty_inputs(dataset, own_u) if uncertainty else None
     options = {
         "tilt": attitude,
-        "panel": panel_inputs(dataset, panels, reflectance) | {"refuses": refuses} if panels else None,
+        "panel": panel_inputs(dataset, panels, reflectance) | {"refuses": refuses} if panels else stored,
         "keep_bits": keep_bits,
         "uncertain": uncertain,
     }
     cubes, quality, plan = slabs.calibrated(
         cube, make_plan, cubes=1 if uncertain is None else 3, cube=values, light=light, **options
     )
-    texts = "; ".join(map(str, panels))
+    texts = "; ".join(map(str, scaling))
     notes = {"tilt": str(attitude) if attitude else None, "panel": texts or None}
     # uncertainties of an earlier reflectance are not those of this one
     notes |= _applied(values)
@@ -344,8 +362,10 @@ def _reflectance(
     for name, (values, dim, size) in small.items():
         array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
         result[name] = schema.label(array, name)
+    if stored is not None:
+        return result
     # what an earlier reflectance was scaled by does not belong to this one
-    result = result.drop_vars([name for name in result.variables if str(name).startswith("panel_")])
+    result = without_panels(result)
     return result.assign(closure_variables(plan, len(panels), bands, lines)) if panels else result
 
 

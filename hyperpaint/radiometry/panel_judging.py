@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 
-__all__ = ["PANEL_STATES", "RULES", "PanelClosure", "PanelContext", "PanelRules", "judge_panels"]
+__all__ = ["PANEL_STATES", "REFUSED", "RULES", "PanelClosure", "PanelContext", "PanelRules", "judge_panels"]
 
 
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
 """What is noticed of a panel, in the order of the bits of ``panel_state``."""
-_SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, _REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
+_SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
             f"it measures {low:.3f} to {high:.3f} (median {middle:.3f}) of what irradiance lets expect, with "
             f"a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
-    state |= _REFUSED if reasons else 0
+    state |= REFUSED if reasons else 0
     used = 1.0 - (foreign[:, None, :] | ~valid).mean(axis=(0, 2))
     return _Part(scale, factor, u, mean_u, used, state, tuple(notes), "; ".join(reasons))
 

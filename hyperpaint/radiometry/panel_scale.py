@@ -11,7 +11,7 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 
 from .panel_judging import RULES, PanelClosure
 
-__all__ = ["panel_correction", "scale_of_lines", "usable_panels"]
+__all__ = ["panel_correction", "scale_of_factors", "scale_of_lines", "usable_panels"]
 
 
 def usable_panels(closure: PanelClosure) -> Array:
@@ -64,6 +64,18 @@ def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats
     solved = np.linalg.inv(system) @ right
     variance = -(solved * right).sum(axis=0)
     return scale, np.ascontiguousarray(solved[:-1].T), np.sqrt(np.maximum(variance, 0.0))
+
+
+def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Floats, Floats | None]:
+    """Return the scale of a line (band,) from the factors of its panels, and None.
+
+    ``factor`` (panel, band) and ``weight`` (line, panel) are those that were stored. Where several panels are
+    not ``refused`` (panel,), logarithms of their scales (panel, band) and their weights (line, panel).
+    """
+    own = 1.0 / np.asarray(factor, np.float64)[~refused]
+    if len(own) == 1:
+        return own[0], None
+    return _filled(np.log(own)), np.ascontiguousarray(weight[:, ~refused], np.float64)
 
 
 def _filled(scale: Floats) -> Floats:

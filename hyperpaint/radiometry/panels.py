@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,17 +14,23 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, PANEL, VARIABLES, label, require
 from hyperpaint.base.units import convert, takes_quantities
 
 from . import slabs
 from .panel_judging import PANEL_STATES
 
-__all__ = ["CLOSURE", "Panel", "closure_variables", "declared_panels", "panel_inputs", "several_panels"]
+__all__ = [
+    "CLOSURE", "Panel", "closure_variables", "declared_panels", "declared_scale", "panel_inputs",
+    "several_panels", "without_panels",
+]  # fmt: skip
 
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
 """Variables that say what panels measure."""
+
+_SCALE = ("panel_factor", "panel_state", "panel_weight", "panel_scale_u")
+"""What of them gives a line its scale again, in a crop without any panel as well."""
 
 _STATED = ("radiance_gain_u_systematic", "irradiance_u_systematic")
 """What a line may say of how well its panels are expected to close."""
@@ -103,6 +110,29 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
         raise SchemaError(f"attribute 'panels' declares no panels: {error}") from error
 
 
+def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:
+    """Return what gives a line the scale that was found by the panels it declares; None without.
+
+    Panels are declared by position in the whole line; what was found by them holds in any crop, but not under
+    an irradiance record other than the line's.
+
+    Warns PaintWarning: There is a scale, and it is of another record.
+    """
+    if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
+        return None
+    if other_light:
+        text = "the scale by panels is of the line's own irradiance and is left out: name them by panel="
+        warnings.warn(text, PaintWarning, stacklevel=2)
+        return None
+    arrays = require(dataset, list(_SCALE), "the scale by panels")
+    return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}
+
+
+def without_panels(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a line without what panels measured."""
+    return dataset.drop_vars([name for name in dataset.variables if str(name).startswith("panel_")])
+
+
 def _known(reflectance: Any) -> Any:
     """Return a declared reflectance: a number, or pairs of wavelength [nm] and reflectance."""
     if not isinstance(reflectance, list):
@@ -151,7 +181,7 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
     region = dataset.isel({ALONG_TRACK: panel.along_track})
     columns = {CROSS_TRACK: panel.cross_track}
     # whatever scale the gain has, the panel takes it out
-    region = region.assign_attrs(absolute_scale="of the panel")
+    region = without_panels(region).assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
     if dataset["wavelength"].chunks is not None:
         expected = wavelength.map_blocks(panel.at, dtype=np.float64)
@@ -190,7 +220,7 @@ def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[st
     words = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
     attrs: dict[str, dict[str, Any]] = {"panel_state": {**words, "flag_meanings": " ".join(PANEL_STATES)}}
     variables = {}
-    for name in (*CLOSURE, "panel_scale_u"):
+    for name in (*CLOSURE, "panel_weight", "panel_scale_u"):
         row = VARIABLES[name]
         shape = tuple({PANEL: panels, BAND: bands, ALONG_TRACK: lines}[dim] for dim in row.dims)
         part = dask.delayed(slabs.of_panels, pure=True)(plan, name.removeprefix("panel_"))

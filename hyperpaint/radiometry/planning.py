@@ -20,8 +20,8 @@ from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
-from .panel_judging import RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .panel_scale import panel_correction, usable_panels
+from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
+from .panel_scale import panel_correction, scale_of_factors, usable_panels
 from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .stray_light import check_stray_light, stray_light_of
@@ -98,7 +98,12 @@ def make_plan(
         line_flags |= neighbours.flags
     scale, on_panels = np.ones(bands), _NO_PANELS
     if panel is not None:
-        scale, on_panels = _panel_scale(panel, cube, light, good, lines)
+        if "factor" in panel:  # of panels that were measured before
+            refused = (np.asarray(panel["state"]) & REFUSED) != 0
+            scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), refused)
+            on_panels = _OnPanels(None, weights, np.asarray(panel["scale_u"], np.float64))
+        else:
+            scale, on_panels = _panel_scale(panel, cube, light, good, lines)
         if uncertain is not None and on_panels.u is not None:
             uncertain = {**uncertain, "panel_u": float(np.nanmax(on_panels.u))}
     return Plan(

@@ -185,11 +185,20 @@ def light_of_lines(plan: Plan, name: str) -> Array:
 
 
 def of_panels(plan: Plan, name: str) -> Array:
-    """Return a part of what panels measure, or ``scale_u`` (line,), as the table of variables has it."""
+    """Return a part of what panels measure, ``weight`` (line, panel), or ``scale_u`` (line,).
+
+    In the types of the table of variables.
+    """
     if plan.closure is None or plan.panel_u is None:
         raise SchemaError("no panel was given", expected="panel=")
-    names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
-    array: Array = names[name] if name in names else getattr(plan.closure, name)
+    if name == "weight":
+        array: Array = np.zeros((plan.rate.size, len(plan.closure.reasons)))
+        array[:, [not reason for reason in plan.closure.reasons]] = (
+            1.0 if plan.panel_weights is None else plan.panel_weights
+        )
+    else:
+        names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
+        array = names[name] if name in names else getattr(plan.closure, name)
     return array.astype(np.float32) if array.dtype == np.float64 else array
 
 

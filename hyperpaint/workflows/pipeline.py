@@ -202,8 +202,10 @@ def process(
     ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept, how its light divides
     (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`)
     and a small true-colour ``overview``. Before, camera and irradiance record are compared, and put right
-    where they differ (`hyperpaint.alignment.align`, whose attributes the group keeps). The whole irradiance
-    record, the calibration and the spectra of field spectrometers are archived beside them.
+    where they differ (`hyperpaint.alignment.align`, whose attributes the group keeps). Panels that the
+    collect names (``[[panels]]``) scale their line, and what they measure stands beside it (``panel_factor``
+    and so on, see `hyperpaint.radiometry.panel_closure`). The whole irradiance record, the calibration and
+    the spectra of field spectrometers are archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -217,7 +219,8 @@ def process(
     to
         ``"radiance"`` needs no irradiance, and stores ``radiance``, unrounded, in place of ``reflectance``.
     reflectance
-        ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts.
+        ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts,
+        with the scale of the panels.
     alignment
         What separates camera and irradiance record in wavelength and width is corrected where it is
         significant (``"auto"``), ``"never"``, or whenever it can be found (``"always"``); by default as

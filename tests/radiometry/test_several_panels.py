@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import json
+import warnings
 
 import numpy as np
 import pytest
@@ -135,3 +137,38 @@ def test_a_band_that_one_panel_lacks_is_that_of_the_others_at_its_level() -> Non
     factor = np.array([[1.0, 1.1, np.nan], [1.2, 1.32, 1.44]])
     scale, _, _ = panel_correction(closure(factor, (0.0, 10.0)), closure(factor, (0.0, 10.0)).time)
     np.testing.assert_allclose(np.exp(-scale[0]), [1.0, 1.1, 1.2], rtol=1e-9)
+
+
+def test_declared_panels_scale_counts_again_in_any_crop() -> None:
+    faulty = Laid((14, 22), lean=(5.0, 178.0))
+    right = Laid((4, 12), level=0.9), Laid((24, 32), level=0.95)
+    line = flown_over(faulty, *right, seed=SEED, lines=36)
+    panels = [laid.panel for laid in (faulty, *right)]
+    rows = [
+        {
+            "along_track": [panel.along_track.start, panel.along_track.stop],
+            "cross_track": [panel.cross_track.start, panel.cross_track.stop],
+            "reflectance": panel.reflectance, "uncertainty": 0.0, "tilt": None,
+        }
+        for panel in panels
+    ]  # fmt: skip
+    declared = line.assign_attrs(panels=json.dumps(rows))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        scaled = hp.reflectance(declared, panel=panels).compute()
+        closure = hp.radiometry.panel_closure(scaled, panels).compute()
+    np.testing.assert_array_equal(closure.panel_factor, scaled.panel_factor)  # not of what is scaled already
+    assert (scaled.panel_weight[:, 0] == 0.0).all()
+    np.testing.assert_allclose(scaled.panel_weight.sum("panel"), 1.0, rtol=1e-6)
+    stored = scaled.drop_vars("reflectance")
+    again = hp.reflectance(stored).compute()
+    np.testing.assert_allclose(again.reflectance, scaled.reflectance, rtol=1e-6)
+    assert again.reflectance.attrs["panel"] == scaled.reflectance.attrs["panel"]
+    between = {"along_track": slice(13, 21)}
+    crop = hp.reflectance(stored.isel(between)).reflectance
+    np.testing.assert_allclose(crop, again.reflectance.isel(between), rtol=1e-6)
+    plain = hp.reflectance(line).reflectance
+    np.testing.assert_array_equal(hp.reflectance(stored.drop_vars("panel_weight")).reflectance, plain)
+    light = line[["irradiance", "irradiance_fwhm"]]
+    with pytest.warns(PaintWarning, match="the scale by panels is of the line's own irradiance"):
+        np.testing.assert_array_equal(hp.reflectance(stored, light).reflectance, plain)

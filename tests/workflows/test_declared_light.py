@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
+from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
+from hyperpaint.cli.program import main
 from hyperpaint.radiometry.panels import declared_panels
 
 pytestmark = pytest.mark.filterwarnings(
@@ -120,3 +124,55 @@ def test_an_attribute_that_declares_no_panels(flown: Path) -> None:
     for text in ("[{}]", "7", "{", '[{"along_track": 3}]'):
         with pytest.raises(SchemaError, match="declares no panels"):
             declared_panels(line.assign_attrs(panels=text))
+
+
+@pytest.fixture(scope="module")
+def too_bright(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a flight whose calibration's gain is 8 % too high."""
+    folder = tmp_path_factory.mktemp("gain") / "collect"
+    collect = hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=23)
+    calibration = xr.open_zarr(folder / "calibration.zarr").load()
+    calibration["radiance_gain"] = calibration.radiance_gain * np.float32(1.08)
+    hp.to_store(calibration, folder / "calibration.zarr", overwrite=True)
+    return collect
+
+
+def signatures_of(store: Path, regions: Path, *words: str) -> xr.Dataset:
+    out = store.with_name(f"paints_of_{store.name}")
+    command = ["signatures", str(store), "--regions", str(regions), "--out", str(out), "--no-flags", *words]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.output
+    return xr.open_zarr(out).load()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", ["stored", "none"])
+def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_path: Path, kept: Any) -> None:
+    regions = too_bright.parent / "regions.geojson"
+    truth = xr.open_zarr(too_bright.parent / "truth.zarr")
+    entry = PANEL + "reflectance = 0.5\nuncertainty = 0.02\n"
+    departures = []
+    for name, collect in (("plain", too_bright), ("scaled", with_panels(too_bright, entry))):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "the panel at lines .* measures", PaintWarning)
+            store = hp.process(collect, tmp_path / f"{name}.zarr", reflectance=kept)
+        paints = signatures_of(store, regions)
+        drawn = hp.regions.regions_from(regions)
+        expected = [
+            truth.reflectance.isel(
+                along_track=slice(*each.polygon[[0, 2], 1].astype(int)),
+                cross_track=slice(*each.polygon[[0, 2], 0].astype(int)),
+            ).mean(["along_track", "cross_track"])
+            for each in drawn
+        ]
+        ratio = paints.reflectance / xr.concat(expected, "paint").values
+        departures.append(float(ratio.median()) - 1.0)
+    np.testing.assert_allclose(departures, [0.08, 0.0], atol=0.01)
+    line = hp.open_store(store, "flightlines/raw_0")
+    again = hp.reflectance(line, uncertainty=True)
+    np.testing.assert_allclose(again.panel_scale_u, line.panel_scale_u)
+    assert "panel" in again.reflectance_u_systematic.attrs["components"]
+    # a crop without the panel has its scale as well
+    crop = hp.reflectance(line.isel(along_track=slice(30, 40), cross_track=slice(0, 20)))
+    expected_crop = again.reflectance.isel(along_track=slice(30, 40), cross_track=slice(0, 20))
+    np.testing.assert_array_equal(crop.reflectance, expected_crop)
