@@ -8,9 +8,11 @@ the data; what such an error could do to a line is (`timing_sensitivity`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
@@ -18,7 +20,7 @@ from hyperpaint.base.schema import Quality
 
 from .sun import solar_position
 
-__all__ = ["LineLight", "check_irradiance_times", "line_light", "timing_sensitivity"]
+__all__ = ["LineLight", "check_irradiance_times", "line_light", "replace_record", "timing_sensitivity"]
 
 
 UNSTABLE_CHANGE = 0.02
@@ -194,3 +196,32 @@ def check_irradiance_times(samples: Array) -> None:
             f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
         )
     problems.raise_if_any()
+
+
+def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
+    """Return the line with another irradiance record, and all that belongs to it, in place of its own.
+
+    Raises
+    ------
+    SchemaError
+        It is no such record.
+    """
+    if not isinstance(irradiance, xr.Dataset):
+        raise SchemaError(
+            f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
+            "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+        )
+    names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
+    if "irradiance" not in names:
+        held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
+        raise SchemaError(
+            f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
+        )
+    own = [name for name in dataset.variables if str(name).startswith("irradiance")]
+    of_line = {
+        name: text for name, text in dataset.attrs.items() if not name.startswith(("irradiance", "alignment"))
+    }
+    of_record = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
+    line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
+    line.attrs = {**of_line, **of_record}
+    return line

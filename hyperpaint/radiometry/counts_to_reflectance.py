@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.illumination import Tilt, departure_of_record
-from hyperpaint.light.synchrony import check_irradiance_times
+from hyperpaint.light.synchrony import check_irradiance_times, replace_record
 
 from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
@@ -325,7 +325,7 @@ def _reflectance(
         return dataset.assign(schema.require(dataset, names, "reflectance"))
     stored = None if panels else declared_scale(dataset, other_light=irradiance is not None)
     if irradiance is not None:
-        dataset = _replace_irradiance(dataset, irradiance)
+        dataset = replace_record(dataset, irradiance)
     scaling = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
@@ -448,29 +448,6 @@ def _shape(dataset: xr.Dataset, attr: str) -> str:
     if shape not in schema.SRF_SHAPES:
         raise SchemaError(f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}")
     return shape
-
-
-def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
-    """Return the line with another irradiance record, and all that belongs to it, in place of its own."""
-    if not isinstance(irradiance, xr.Dataset):
-        raise SchemaError(
-            f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
-            "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
-        )
-    names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
-    if "irradiance" not in names:
-        held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
-        raise SchemaError(
-            f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
-        )
-    own = [name for name in dataset.variables if str(name).startswith("irradiance")]
-    of_line = {
-        name: text for name, text in dataset.attrs.items() if not name.startswith(("irradiance", "alignment"))
-    }
-    of_record = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
-    line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
-    line.attrs = {**of_line, **of_record}
-    return line
 
 
 def _applied(values: dict[str, Any]) -> dict[str, str | None]:
