@@ -39,25 +39,32 @@ def align(
     line
         A flight line with what `hyperpaint.reflectance` needs.
     apply
-        ``"auto"``: correct the record where camera and record differ by more than five standard uncertainties
-        and 0.1 % of irradiance. ``"never"``: say so only. ``"always"``: correct whatever was found.
+        ``"auto"``: correct where camera and record differ significantly, and by more than a trifle of
+        irradiance (``significance`` and ``least_effect`` of the rules). ``"never"``: say so only.
+        ``"always"``: correct whatever was found.
     rules
         Thresholds of the comparison.
 
     Returns
     -------
     Dataset
-        The same. Where a correction is applied, ``irradiance_wavelength`` and ``irradiance_fwhm`` are those
-        found, and reflectance, which held for others, is left out; cubes stay lazy. Attributes say what was
-        found: ``alignment`` (a sentence), ``alignment_state`` (``"applied"``, ``"not significant"``,
-        ``"not applied"`` or ``"not compared"``), ``alignment_shift`` and ``alignment_shift_u`` (wavelength of
-        the camera minus that of the record, over what is declared, at 600 nm [nm]), ``alignment_shift_slope``
-        and its ``_u`` (change over 100 nm [nm]), ``alignment_width`` and its ``_u`` (width of the record over
-        the declared one [1], were all of it the record's), ``alignment_effect`` (largest relative change of
-        irradiance [1]) and ``alignment_departure`` (of all together from none, in standard uncertainties).
-        What each instrument has of it, by the sun's lines in the record: ``alignment_record_shift``,
-        ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm] and ``alignment_camera_width`` [1],
-        each with ``_u``.
+        The same; cubes stay lazy. Where a correction is applied, ``irradiance_wavelength`` and
+        ``irradiance_fwhm`` are those found, ``wavelength_shift`` holds what is the camera's where that is
+        significant, and reflectance, which held for others, is left out. Channels of detectors beyond
+        1000 nm, of which the comparison knows nothing, keep the widths declared. Attributes:
+
+        * ``alignment``: a sentence, after those of earlier corrections; ``alignment_state``: ``"applied"``,
+          ``"not significant"``, ``"not applied"`` or ``"not compared"``.
+        * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus that of the record,
+          over what is declared, at 600 nm [nm], and its change over 100 nm [nm]; ``alignment_width``: width
+          of the record over the declared one [1], were all of it the record's. Each with ``_u``.
+        * ``alignment_departure``: of these together from none, in standard uncertainties;
+          ``alignment_effect``: largest relative change of irradiance [1].
+        * ``alignment_residual``, ``alignment_residual_declared``: what stays of the light's lines in radiance
+          over irradiance, as found and as declared: relative, root mean square over bands [1].
+        * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
+          ``alignment_camera_width`` [1]: what each instrument has of it, by the sun's lines in the record.
+          Each with ``_u``.
 
     Raises
     ------
@@ -78,13 +85,13 @@ def align(
     .. math:: \sum_{g, b} \frac{1}{\sigma_g^2}
               \big( (1 - P) \ln (\bar L_{bg} / \bar E_b(\delta, w)) \big)^2
 
-    over windows of 60 to 95 nm, in which :math:`P` projects onto polynomials of degree 5. Surfaces differ
-    between groups: their scatter, and that between bands, is the uncertainty.
+    over the windows of the rules, in which :math:`P` projects onto polynomials. Surfaces differ between
+    groups: their scatter, and that between bands, is the uncertainty.
 
     Only what separates the two shows in reflectance. Which of them is off tell the sun's lines in the record,
-    ten times less well; the camera's ``wavelength_shift`` takes its share where that is above three standard
-    uncertainties, the record the rest. A record that is wider than declared and a camera that is narrower
-    look alike; the record, whose width is seldom measured, takes the correction.
+    much less well; the camera's ``wavelength_shift`` takes its share where that is significant, the record
+    the rest. A record that is wider than declared and a camera that is narrower look alike; the record, whose
+    width is seldom measured, takes the correction.
 
     Examples
     --------
@@ -112,11 +119,17 @@ def align(
         warnings.warn(f"{text}; check wavelengths and widths of both", PaintWarning, stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
-        text = f"irradiance record corrected in flight: {_sentence(found)}"
+        camera = _camera_share(found)
+        moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
+        text = f"irradiance record corrected in flight{moved}: {_sentence(found)}"
         return restated(_corrected(line, found), text, numbers=numbers, state="applied")
     if is_significant:
         text = f"camera and irradiance record differ: {_sentence(found)}"
-        mend = 'correct the collect\'s fwhm_nm and wavelengths, or let [alignment] apply = "auto"'
+        mend = (
+            "correct fwhm_nm and wavelengths of the collect, or let them be corrected: "
+            "hp.alignment.align(line) in Python, --alignment auto on the command line, "
+            '[alignment] apply = "auto" in collect.toml'
+        )
         warnings.warn(f"{text}; {mend}", PaintWarning, stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
     text = f"camera and irradiance record agree: {_sentence(found)}"
@@ -147,6 +160,13 @@ def _instruments(found: Comparison) -> Instruments:
     return divided(shift, width, found.sun, found.declared_fwhm)
 
 
+def _camera_share(found: Comparison) -> float:
+    """Return what the camera's wavelengths are to be moved by [nm]; 0 where that is not significant."""
+    apart = _instruments(found)
+    is_significant = abs(apart.camera_shift) > _CAMERA_SIGNIFICANCE * apart.camera_shift_u
+    return float(f"{apart.camera_shift:.3f}") if is_significant else 0.0
+
+
 def _sentence(found: Comparison) -> str:
     spread = np.sqrt(np.diag(found.covariance))
     places = ", ".join(
@@ -168,9 +188,7 @@ def _corrected(line: xr.Dataset, found: Comparison) -> xr.Dataset:
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
     # a straight line beyond the bands that were compared would run away
     reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
-    apart = _instruments(found)
-    is_camera = abs(apart.camera_shift) > _CAMERA_SIGNIFICANCE * apart.camera_shift_u
-    camera = float(f"{apart.camera_shift:.3f}") if is_camera else 0.0
+    camera = _camera_share(found)
     shifted = channels - found.shift_at(reached) + camera
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
     same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())

@@ -86,7 +86,9 @@ def test_what_was_corrected_is_not_found_again(aligned: xr.Dataset) -> None:
 
 
 def test_never_says_so_and_changes_nothing(told: xr.Dataset) -> None:
-    with pytest.warns(PaintWarning, match="camera minus record"):
+    with pytest.warns(
+        PaintWarning, match=r"camera minus record.*hp\.alignment\.align\(line\).*--alignment auto"
+    ):
         same = hp.alignment.align(told, apply="never")
     assert same.attrs["alignment_state"] == "not applied"
     xr.testing.assert_identical(same.drop_attrs(), told.drop_attrs())
@@ -137,6 +139,7 @@ def test_what_separates_them_is_divided_by_the_suns_lines(told: xr.Dataset, alig
         assert abs(value - truth) < 2.5 * spread < 0.5
     moved = aligned.irradiance_wavelength.values - told.irradiance_wavelength.values
     shift = aligned.wavelength_shift.values - told.wavelength_shift.values
+    assert f"and the camera's wavelength_shift by {shift.mean():+.3f} nm" in found["alignment"]
     # whatever its division, what separates them is the same
     np.testing.assert_allclose(np.median(moved) - shift.mean(), -found["alignment_shift"], atol=0.01)
 
