@@ -67,6 +67,8 @@ class ComparisonRules:
     significance
         Departure over its standard uncertainty from which instruments differ; 5, since bands that lie beside
         each other are not independent and there are three numbers.
+    camera_significance
+        The camera's own shift over its uncertainty from which it takes its share; else all is the record's.
     least_effect
         Relative change of matched irradiance in any band below which nothing is worth a change [1].
     """
@@ -91,6 +93,7 @@ class ComparisonRules:
     least_shift_u_nm: float = 0.003
     least_width_u: float = 0.003
     significance: float = 5.0
+    camera_significance: float = 3.0
     least_effect: float = 1e-3
 
 

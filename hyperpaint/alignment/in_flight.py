@@ -19,7 +19,6 @@ from .sunlines import Instruments, divided
 __all__ = ["align"]
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
-_CAMERA_SIGNIFICANCE = 3.0
 VNIR_END_NM = 1000.0
 """Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm]."""
 
@@ -50,8 +49,9 @@ def align(
     Dataset
         The same; cubes stay lazy. Where a correction is applied, ``irradiance_wavelength`` and
         ``irradiance_fwhm`` are those found, ``wavelength_shift`` holds what is the camera's where that is
-        significant, and reflectance, which held for others, is left out. Channels of detectors beyond
-        1000 nm, of which the comparison knows nothing, keep the widths declared. Attributes:
+        significant (``camera_significance``), and reflectance, which held for others, is left out. Channels
+        of detectors beyond 1000 nm, of which the comparison knows nothing, keep the widths declared.
+        The attributes:
 
         * ``alignment``: a sentence, after those of earlier corrections; ``alignment_state``: ``"applied"``,
           ``"not significant"``, ``"not applied"`` or ``"not compared"``.
@@ -61,7 +61,7 @@ def align(
         * ``alignment_departure``: of these together from none, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
         * ``alignment_residual``, ``alignment_residual_declared``: what stays of the light's lines in radiance
-          over irradiance, as found and as declared: relative, root mean square over bands [1].
+          over irradiance on average, relative, as found and as declared (rms) [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
           ``alignment_camera_width`` [1]: what each instrument has of it, by the sun's lines in the record.
           Each with ``_u``.
@@ -119,10 +119,10 @@ def align(
         warnings.warn(f"{text}; check wavelengths and widths of both", PaintWarning, stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
-        camera = _camera_share(found)
+        camera = _camera_share(found, rules)
         moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
         text = f"irradiance record corrected in flight{moved}: {_sentence(found)}"
-        return restated(_corrected(line, found), text, numbers=numbers, state="applied")
+        return restated(_corrected(line, found, camera), text, numbers=numbers, state="applied")
     if is_significant:
         text = f"camera and irradiance record differ: {_sentence(found)}"
         mend = (
@@ -160,10 +160,10 @@ def _instruments(found: Comparison) -> Instruments:
     return divided(shift, width, found.sun, found.declared_fwhm)
 
 
-def _camera_share(found: Comparison) -> float:
+def _camera_share(found: Comparison, rules: ComparisonRules) -> float:
     """Return what the camera's wavelengths are to be moved by [nm]; 0 where that is not significant."""
     apart = _instruments(found)
-    is_significant = abs(apart.camera_shift) > _CAMERA_SIGNIFICANCE * apart.camera_shift_u
+    is_significant = abs(apart.camera_shift) > rules.camera_significance * apart.camera_shift_u
     return float(f"{apart.camera_shift:.3f}") if is_significant else 0.0
 
 
@@ -181,14 +181,13 @@ def _sentence(found: Comparison) -> str:
     )
 
 
-def _corrected(line: xr.Dataset, found: Comparison) -> xr.Dataset:
-    """Return the line with wavelengths and widths of the record's channels as found."""
+def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset:
+    """Return the line with the record's channels as found; ``camera``: what its wavelengths move by [nm]."""
     dataset = schema.rename_to_roles(line)
     arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
     # a straight line beyond the bands that were compared would run away
     reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
-    camera = _camera_share(found)
     shifted = channels - found.shift_at(reached) + camera
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
     same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())
