@@ -26,6 +26,7 @@ from .plausible_light import check_light, warn_of_lost_bands
 from .slabs import Plan
 from .stray_light import check_stray_light, stray_light_of
 from .tilted_light import direct_share, tilt_factors
+from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms
 
 __all__ = ["darks_of_lines", "make_plan"]
@@ -435,13 +436,12 @@ def _at_panel(
         raise TimeError(f"{panel['name']}: its lines have no time")
     middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
     share = None
-    if light is not None and {"latitude", "longitude"} <= set(cube):
-        places = [np.asarray(cube[name], np.float64) for name in ("latitude", "longitude")]
-        if all(np.isfinite(degrees).any() for degrees in places):
-            place = (float(np.nanmean(places[0])), float(np.nanmean(places[1])))
-            share = direct_share(
-                {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), place
-            )
+    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
+    if light is not None and is_located:
+        place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))
+        share = direct_share(
+            {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), place
+        )
     return {"time": middle, "direct_share": share}
 
 
@@ -454,8 +454,6 @@ def _panel_context(
     gain = np.nanmean(gain, axis=1) if gain.ndim == 2 else gain
     record = stated.get("irradiance_u_systematic", np.asarray(PANEL_RULES.irradiance_u))
     if record.ndim and light is not None:
-        channels = np.asarray(light["irradiance_wavelength"], np.float64)
-        order = np.argsort(channels, kind="stable")
-        record = np.interp(wavelength, channels[order], record[order])
+        record = at_bands(record, light["irradiance_wavelength"], wavelength)
     u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
     return PanelContext(wavelength, good, u, given["has_scale"])
