@@ -32,6 +32,8 @@ _SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (1 << bit for bit i
 class PanelRules:
     """From where on a panel is not what it is taken for.
 
+    Attributes
+    ----------
     outlier_sd
         Robust standard deviations from the median of the pixels, in brightness or colour, from which one
         shows something else [1]. Of 1000 normal pixels none is beyond 6.
@@ -177,25 +179,29 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
     clean = ~saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
     clean &= context.good & (np.nan_to_num(expected) > 0.0)
     brightness, foreign = _pixels(observed, clean)
-    share = float(foreign.mean())
-    if share >= RULES.noticed_share:
+    foreign_share = float(foreign.mean())
+    if foreign_share >= RULES.noticed_share:
         state |= _OTHER
-        notes.append(f"{100 * share:.1f} % of its pixels are shaded or show something else, and are left out")
-        if 1.0 - share < RULES.least_used:
+        notes.append(
+            f"{100 * foreign_share:.1f} % of its pixels are shaded or show something else, and are left out"
+        )
+        if 1.0 - foreign_share < RULES.least_used:
             reasons.append("more than half of its region shows something else")
         wider = _dilated(foreign)
         foreign = wider if 1.0 - wider.mean() >= RULES.least_used else foreign
-    kept = ~foreign[:, None, :]
+    own = ~foreign[:, None, :]
     number, total, error, full = _means(
-        observed, ceiling, saturated, kept, brightness if clean.sum() >= 3 else None
+        observed, ceiling, saturated, own, brightness if clean.sum() >= 3 else None
     )
-    lit = kept & context.good[:, None]
-    share = float((saturated & lit).any(axis=1).sum() / max(kept[:, 0].sum(), 1))
-    if share >= RULES.noticed_share:
+    lit = own & context.good[:, None]
+    saturated_share = float((saturated & lit).any(axis=1).sum() / max(own[:, 0].sum(), 1))
+    if saturated_share >= RULES.noticed_share:
         state |= _SATURATED
         lost = np.isnan(total) & (full > 0)
         what = f", and {lost.sum()} bands are refused" if lost.any() else ""
-        notes.append(f"{100 * share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{what}")
+        notes.append(
+            f"{100 * saturated_share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{what}"
+        )
         if lost[context.good].all():
             reasons.append("more than half of its pixels are saturated in every band")
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -277,16 +283,17 @@ def _means(
     observed: Floats,
     ceiling: Floats,
     saturated: NDArray[np.bool_],
-    kept: NDArray[np.bool_],
+    own: NDArray[np.bool_],
     brightness: Floats | None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return number and sum of the kept pixels, the mean's error, and the share that is saturated (band,).
+    """Return number and sum of a panel's pixels, the mean's error, and the share that is saturated (band,).
 
-    ``brightness`` (line, column): pattern of the panel, where other bands tell it.
+    ``own`` (line, 1, column): which pixels are the panel's; ``brightness`` (line, column):
+    its pattern, where other bands tell it.
     """
-    valid = np.isfinite(observed) & kept
+    valid = np.isfinite(observed) & own
     number = valid.sum(axis=(0, 2))
-    counted = number + (saturated & kept).sum(axis=(0, 2))
+    counted = number + (saturated & own).sum(axis=(0, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
         full = np.where(counted > 0, 1.0 - number / np.maximum(counted, 1), 0.0)
         total = np.where(valid, observed, 0.0).sum(axis=(0, 2))
@@ -297,8 +304,8 @@ def _means(
     cut = np.flatnonzero((full > 0.0) & (full <= RULES.most_saturated))
     if not cut.size:
         return number, total, error, full
-    pattern = np.ones(observed[:, 0].shape) if brightness is None else brightness / _mean(brightness, kept)
-    pixels = kept[:, 0, :] & np.isfinite(pattern)
+    pattern = np.ones(observed[:, 0].shape) if brightness is None else brightness / _mean(brightness, own)
+    pixels = own[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
     values = np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight
     limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
@@ -308,8 +315,8 @@ def _means(
     return number, total, error, full
 
 
-def _mean(brightness: Floats, kept: NDArray[np.bool_]) -> float:
-    return float(np.nanmean(brightness[kept[:, 0, :]]))
+def _mean(brightness: Floats, own: NDArray[np.bool_]) -> float:
+    return float(np.nanmean(brightness[own[:, 0, :]]))
 
 
 def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
@@ -350,13 +357,13 @@ def _change_by_attitude(
     fitted to medians of neighbouring bands, with :math:`w` the direct share of the sky that fits best.
     """
     best = None
-    for share in () if direct_share is None else direct_share:
-        usable = context.good & np.isfinite(factor) & np.isfinite(share)
+    for direct in () if direct_share is None else direct_share:
+        usable = context.good & np.isfinite(factor) & np.isfinite(direct)
         places = np.flatnonzero(usable)[np.argsort(context.wavelength[usable], kind="stable")]
-        if places.size < 5 or np.ptp(share[places]) < RULES.least_contrast:
+        if places.size < 5 or np.ptp(direct[places]) < RULES.least_contrast:
             continue
         groups = np.array_split(places, min(16, places.size))
-        design, shape = (np.array([np.median(each[group]) for group in groups]) for each in (share, factor))
+        design, shape = (np.array([np.median(each[group]) for group in groups]) for each in (direct, factor))
         fit = _Line.through(design, shape)
         best = fit if best is None or fit.rest < best.rest else best
     if best is None:

@@ -57,8 +57,8 @@ def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats
     system = np.ones((number + 1, number + 1))
     system[:-1, :-1] = -0.5 * walk * np.abs(ticks[:, None] - ticks) + np.diag(error**2)
     system[-1, -1] = 0.0
-    known = ~np.isnat(time)
-    at = np.where(known, time - closure.time[0], np.timedelta64(0, "ns")) / np.timedelta64(1, "s")
+    dated = ~np.isnat(time)
+    at = np.where(dated, time - closure.time[0], np.timedelta64(0, "ns")) / np.timedelta64(1, "s")
     right = np.ones((number + 1, at.size))
     right[:-1] = -0.5 * walk * np.abs(at - ticks[:, None])
     solved = np.linalg.inv(system) @ right
