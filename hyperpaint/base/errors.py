@@ -189,6 +189,13 @@ class Problems:
         """Note one problem: what was found, what was expected, how to mend it; see `Problem`."""
         self._problems.append(Problem(found, expected, mend, option))
 
+    def add_error(self, subject: str, error: Exception) -> None:
+        """Note an error on a subject as one problem, with its mend in Python and on the command line."""
+        if isinstance(error, PaintError) and not error.problems:
+            self._problems.append(error.about(subject)._own)
+        else:
+            self.add(f"{subject}: {error}")
+
     def __len__(self) -> int:
         return len(self._problems)
 

@@ -26,6 +26,9 @@ def usable_panels(closure: PanelClosure) -> Array:
             mend="see hyperpaint.radiometry.panel_closure; outline another part of it, name its attitude, "
             "Panel(..., tilt=(angle, azimuth)), or how far it may be off, Panel(..., uncertainty=0.05), or "
             "do without panel=",
+            option="under [[panels]] of the collect.toml name another part of it (along_track, cross_track), "
+            "its attitude, tilt = [angle, azimuth], or how far it may be off, uncertainty = 0.05, or leave "
+            "it out",
         )
     if refused:
         text = f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}"

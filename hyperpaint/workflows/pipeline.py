@@ -432,7 +432,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
             except StoreError:  # of the cluster, not of the data
                 raise
             except (PaintError, OSError) as error:
-                problems.add(f"/{name}: {error}")
+                problems.add_error(f"/{name}", error)
     problems.raise_if_any()
 
 

@@ -101,22 +101,35 @@ def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
     collect = with_panels(flown, "\n[[panels]]\nline = 'raw_0'\nalong_track = [11, 7]\nreflectance = 0.5\n")
     with pytest.raises(CollectError) as error:
         hp.open_collect(collect)
-    for text in ("cross_track missing", "along_track = [11, 7], expected two whole numbers"):
+    for text in (
+        "cross_track missing: found line, along_track, expected line",
+        "along_track = [11, 7], expected two whole numbers",
+    ):
         assert text in str(error.value)
     collect = with_panels(flown, PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n")
-    with pytest.raises(CollectError, match="expected a reflectance, or the file of a certificate"):
+    with pytest.raises(
+        CollectError, match="certificate and reflectance, expected a reflectance, or the file of a"
+    ):
         hp.open_collect(collect)
     collect = with_panels(flown, PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n")
     with pytest.raises(CollectError, match="expected one of raw_0"):
         hp.open_collect(collect)
+    collect = with_panels(flown, PANEL + "reflectance = 50\nuncertainty = 5\n")
+    with pytest.raises(CollectError, match="reflectance = 50, expected a fraction") as error:
+        hp.open_collect(collect)
+    assert "uncertainty = 5, expected a fraction from 0 to below 1, such as 0.02 for 2 %" in str(error.value)
 
 
 def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: Path) -> None:
     # grass and asphalt
     collect = with_panels(flown, PANEL.replace("[44, 48]", "[0, 40]") + "reflectance = 0.5\n")
     refused = pytest.raises(CollectError, match="/flightlines/raw_0: the panel is refused")
-    with pytest.warns(PaintWarning, match="show something else"), refused:
+    with pytest.warns(PaintWarning, match="show something else"), refused as error:
         hp.process(collect, tmp_path / "out.zarr")
+    assert "Panel(..., tilt=(angle, azimuth))" in str(error.value)
+    text = error.value.text(on_command_line=True)
+    assert "under [[panels]] of the collect.toml" in text
+    assert "Panel(" not in text
 
 
 def test_an_attribute_that_declares_no_panels(flown: Path) -> None:

@@ -96,9 +96,9 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "line": check.text,
         "along_track": check.first_and_stop,
         "cross_track": check.first_and_stop,
-        "reflectance": check.positive,
+        "reflectance": check.reflectance,
         "certificate": check.text,
-        "uncertainty": check.not_negative,
+        "uncertainty": check.fraction,
         "tilt": check.two_numbers,
     },
 }
@@ -272,8 +272,8 @@ def _cubes(
     if not (is_folder or is_pattern(text)):
         yield _flightline(reader, place, table, reader.path(place, "cube", text), shared)
         return
-    found = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
-    headers = [path for path in found if path.suffix.lower() == ".hdr"] or list(found)
+    files = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
+    headers = [path for path in files if path.suffix.lower() == ".hdr"] or list(files)
     headers.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
     if "id" in table and not _is_id(reader, place, table["id"]):
         return
@@ -344,8 +344,8 @@ def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[s
     beside = {"frame_index": frame_index_beside(cube)}
     if not given & {"nav", "gps_time", "date"}:
         beside["nav"] = navigation_beside(cube)
-    found = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
-    return {**table, **found, "?": given | set(found)}
+    paths = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
+    return {**table, **paths, "?": given | set(paths)}
 
 
 def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
@@ -421,15 +421,22 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
         place = f"[[panels]] {number + 1}"
         absent = [key for key in needed if key not in table["?"]]
         if absent:
-            reader.problems.add(f"{place} {' and '.join(absent)} missing")
-        if len({"reflectance", "certificate"} & table["?"]) != 1:
-            reader.problems.add(f"{place} expected a reflectance, or the file of a certificate")
-        known = reader.path(place, "certificate", table.get("certificate")) or table.get("reflectance")
-        if known is None or not set(needed) <= set(table):
+            given = ", ".join(key for key in needed if key in table["?"]) or "none of them"
+            reader.problems.add(
+                f"{place} {' and '.join(absent)} missing: found {given}, expected {', '.join(needed)}"
+            )
+        stated = sorted({"reflectance", "certificate"} & table["?"])
+        if len(stated) != 1:
+            reader.problems.add(
+                f"{place} found {' and '.join(stated) or 'no reflectance'}, expected a reflectance, or the "
+                "file of a certificate"
+            )
+        factor = reader.path(place, "certificate", table.get("certificate")) or table.get("reflectance")
+        if factor is None or not set(needed) <= set(table):
             continue
         along, across = (tuple(table[key]) for key in needed[1:])
         tilt = tuple(table["tilt"]) if "tilt" in table else None
-        yield PanelEntry(table["line"], along, across, known, table.get("uncertainty", 0.0), tilt)
+        yield PanelEntry(table["line"], along, across, factor, table.get("uncertainty", 0.0), tilt)
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:

@@ -200,6 +200,13 @@ text = _expect("a text", _is_text)
 number = _expect("a number", _is_number)
 positive = _expect("a positive number", lambda value: _is_number(value) and value > 0)
 not_negative = _expect("a number from 0 on", lambda value: _is_number(value) and value >= 0)
+reflectance = _expect(
+    "a fraction above 0, at most 1.2, such as 0.5 for 50 %",
+    lambda value: _is_number(value) and 0 < value <= 1.2,
+)
+fraction = _expect(
+    "a fraction from 0 to below 1, such as 0.02 for 2 %", lambda value: _is_number(value) and 0 <= value < 1
+)
 flag = _expect("true or false", lambda value: isinstance(value, bool))
 table = _expect("a table of texts", lambda value: isinstance(value, dict))
 #: Or text that spells one.
