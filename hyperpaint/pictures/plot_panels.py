@@ -52,6 +52,16 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
         matplotlib is not installed.
     SchemaError
         There are no factors of panels.
+
+    Examples
+    --------
+    >>> import hyperpaint as hp
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> whole = hp.Panel(slice(None), slice(None), 0.4)
+    >>> closure = hp.radiometry.panel_closure(worked_example(), whole)
+    >>> figure = panel_figure(closure, "panels.png")                              # doctest: +SKIP
+    >>> len(panel_figure(closure).axes[0].lines)  # one panel, and where it closes
+    2
     """
     if not set(CLOSURE) <= set(closure.variables):
         raise SchemaError(
