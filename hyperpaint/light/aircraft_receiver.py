@@ -103,6 +103,10 @@ class _Sensor(NamedTuple):
         return np.asarray((1.0 - diffuse) * beam[:, None] + self.of_sky() * sky)
 
 
+_LEVELLED = "aircraft, corrected to level"
+"""What the attribute ``irradiance_mount`` of a levelled record begins with."""
+
+
 @takes_quantities(ground_reflectance="1")
 def level_irradiance(
     irradiance: xr.Dataset,
@@ -186,6 +190,10 @@ def level_irradiance(
     """
     import xarray as xr
 
+    if str(irradiance.attrs.get("irradiance_mount", "")).startswith(_LEVELLED):
+        raise SchemaError(
+            "this record is corrected to level already (attribute irradiance_mount); open it anew"
+        )
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
@@ -217,7 +225,7 @@ def level_irradiance(
     levelled = irradiance.assign(
         irradiance=schema.label(level, "irradiance"), irradiance_tilt=schema.label(tilt, "irradiance_tilt")
     )
-    return levelled.assign_attrs(irradiance_mount=f"aircraft, corrected to level: {words}")
+    return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {words}")
 
 
 def _factor(

@@ -49,6 +49,8 @@ class PanelRules:
         Share of pixels that must be panel [1]: with fewer, the median may be what is not.
     most_error
         Standard error of the mean of the pixels from which on they are uneven [1].
+    refused_error
+        The same, above which it is refused [1]: half of a panel in a shade of 40 % has 0.025.
     least_lean
         Change of the light by a panel's attitude from which on it is said [1].
     lean_significance
@@ -76,6 +78,7 @@ class PanelRules:
     most_saturated: float = 0.5
     least_used: float = 0.5
     most_error: float = 0.01
+    refused_error: float = 0.02
     least_lean: float = 0.01
     lean_significance: float = 5.0
     lean_misfit: float = 0.3
@@ -210,7 +213,10 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
     usual = mean_u[context.good & np.isfinite(mean_u)]
     if usual.size and np.median(usual) > RULES.most_error:
         state |= _UNEVEN
-        notes.append(f"its pixels differ so much that their mean is good to {100 * np.median(usual):.1f} %")
+        text = f"its pixels differ so much that their mean is good to {100 * np.median(usual):.1f} %"
+        notes.append(text)
+        if np.median(usual) > RULES.refused_error:
+            reasons.append(f"{text}: part of it may be shaded")
     u = factor * np.sqrt(context.u**2 + panel["uncertainty"] ** 2 + mean_u**2)
     change, level = _change_by_attitude(factor, panel["direct_share"], context)
     if change:

@@ -47,6 +47,13 @@ def test_a_level_sensor_reads_what_it_reads() -> None:
     np.testing.assert_allclose(level.irradiance, flown.record.irradiance, rtol=1e-6)
 
 
+def test_a_record_is_levelled_once() -> None:
+    flown = leaning(50.0, seed=64)
+    level = level_irradiance(flown.record, flown.attitude)
+    with pytest.raises(SchemaError, match="level already"):
+        level_irradiance(level, flown.attitude)
+
+
 def test_angles_are_what_the_convention_says() -> None:
     flown = leaning(50.0, seed=64)
     expected = level_irradiance(flown.record, flown.attitude).irradiance

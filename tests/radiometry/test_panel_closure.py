@@ -85,6 +85,16 @@ def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]
     assert bias(laid, Laid()) < 2e-3
 
 
+def test_a_panel_of_which_half_is_in_shade_is_refused() -> None:
+    """Which half is the panel, nothing tells."""
+    _, names, said = closure_of(Laid(shaded=0.5))
+    assert "refused" in names
+    assert "its pixels differ so much" in said
+    line = flown_over(Laid(shaded=0.5), seed=SEED)
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="the panel is refused"):
+        hp.reflectance(line, panel=Laid(shaded=0.5).panel).compute()
+
+
 @pytest.mark.parametrize("towards", [178.0, 358.0, 223.0])
 @pytest.mark.parametrize("sun_zenith", [25.0, 50.0])
 def test_a_panel_that_leans_is_refused(sun_zenith: float, towards: float) -> None:
