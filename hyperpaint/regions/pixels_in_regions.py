@@ -179,7 +179,7 @@ def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
     """Return a flight line with the places that regions of a map need: located where it has poses alone.
 
-    Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.locate`.
+    Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.geometry.locate`.
     """
     from hyperpaint.geometry.georeference import locate
     from hyperpaint.geometry.georeference.poses import POSE

@@ -162,7 +162,8 @@ def _table(source: xr.Dataset) -> tuple[Any, Any]:
     if name is None:
         raise SchemaError(
             "the line has neither look_across nor look_angle (cross_track) [degree]; "
-            "give camera=hp.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the angles"
+            "give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the "
+            "angles"
         )
     across = convert(source[name], "degree").data.astype(np.float64)
     if "look_along" not in source.variables:

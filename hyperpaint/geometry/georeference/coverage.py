@@ -28,7 +28,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     Parameters
     ----------
     located
-        What `hyperpaint.locate` has returned.
+        What `hyperpaint.geometry.locate` has returned.
     crs
         Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
 
@@ -85,7 +85,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     Parameters
     ----------
     located
-        What `hyperpaint.locate` has returned.
+        What `hyperpaint.geometry.locate` has returned.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     coordinates = require(located, ["east", "north"], "what a line covers")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
-        raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.locate")
+        raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.geometry.locate")
     east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
     return np.asarray(east), np.asarray(north), crs
 

@@ -127,7 +127,7 @@ def locate(
         own ``latitude longitude altitude roll pitch heading`` (along_track).
     navigation
         Record to take the poses from, with the same variables on ``navigation_time`` [UTC]; see
-        `hyperpaint.interpolate_pose`.
+        `hyperpaint.geometry.interpolate_pose`.
     boresight
         Roll, pitch and heading of the camera in the body [degree], a rotation as that of the body itself:
         first heading, then pitch, then roll; by default the line's attribute ``boresight``, else zero.
@@ -144,8 +144,9 @@ def locate(
     crs
         Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
     camera
-        `hyperpaint.PinholeCamera`, or the angles of the columns as a dataset: ``look_across`` (positive to
-        the right) and ``look_along`` (positive forward) (cross_track) [degree]; by default those of the line,
+        `hyperpaint.geometry.PinholeCamera`, or the angles of the columns as a dataset: ``look_across``
+        (positive to the right) and ``look_along`` (positive forward) (cross_track) [degree]; by default those
+        of the line,
         else its ``look_angle``.
     clock_offset_s
         Added to ``time`` to have the time of the navigation's clock [s].
@@ -154,7 +155,7 @@ def locate(
         ``navigation``, or of the line, declare. ``column_order`` is needed for a pinhole alone, and is also
         taken from the attributes of the line.
     max_gap_s, interpolation
-        See `hyperpaint.interpolate_pose`.
+        See `hyperpaint.geometry.interpolate_pose`.
 
     Returns
     -------
@@ -179,7 +180,7 @@ def locate(
 
     See Also
     --------
-    hyperpaint.orthorectify, hyperpaint.footprint, hyperpaint.spacing
+    hyperpaint.geometry.orthorectify, hyperpaint.geometry.footprint, hyperpaint.geometry.spacing
 
     Notes
     -----

@@ -74,7 +74,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         problems.add(
             "it lies turned on its map, as the GeoTransform of spatial_ref says, so that x and y are no map "
             "coordinates; bring it to a grid with north up (rioxarray's reproject, or "
-            "hyperpaint.orthorectify onto such a grid)"
+            "hyperpaint.geometry.orthorectify onto such a grid)"
         )
     crs = _crs_text(dem)
     if crs is None:

@@ -63,9 +63,9 @@ def mosaic(
     Parameters
     ----------
     lines
-        Flight lines by their names, located or to be located with the options of `hyperpaint.locate`; or maps
-        with north up, as `hyperpaint.geometry.orthorectify` returns them, on grids that fit. Lines of a
-        sequence are numbered.
+        Flight lines by their names, located or to be located with the options of
+        `hyperpaint.geometry.locate`; or maps with north up, as `hyperpaint.geometry.orthorectify`
+        returns them, on grids that fit. Lines of a sequence are numbered.
     gsd
         Edge of a cell [m]; by default that of the maps, else the largest spacing of the pixels of any line.
     rule
@@ -86,7 +86,7 @@ def mosaic(
         Called with slabs looked at and to do, for every line.
     **options
         ``method``, ``multi_hit`` and ``max_stretch`` of `hyperpaint.geometry.orthorectify`, and options of
-        `hyperpaint.locate`, which hold for all lines.
+        `hyperpaint.geometry.locate`, which hold for all lines.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def mosaic(
         No lines, or ones on different maps or grids, of different wavelengths, units or types, or without
         what the rule needs; options that do not exist; all of a kind are listed.
     TimeError, UnitsError, MissingExtraError
-        As `hyperpaint.locate`.
+        As `hyperpaint.geometry.locate`.
 
     See Also
     --------

@@ -71,7 +71,8 @@ def find_tie_points(
     Parameters
     ----------
     lines
-        Flight lines by their names, located or to be located with the options of `hyperpaint.locate`.
+        Flight lines by their names, located or to be located with the options of
+        `hyperpaint.geometry.locate`.
     gsd
         Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
     search_m
@@ -85,7 +86,7 @@ def find_tie_points(
     progress
         Called with pairs of lines done and to do.
     **location
-        Options of `hyperpaint.locate`.
+        Options of `hyperpaint.geometry.locate`.
 
     Returns
     -------
@@ -155,7 +156,7 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     if not cubes or "ground_height" not in line.variables:
         raise SchemaError(
             "a line has no counts, radiance or reflectance to look at, or no ground_height",
-            mend="locate lines with hyperpaint.locate before",
+            mend="locate lines with hyperpaint.geometry.locate before",
         )
     number = line.sizes[BAND] // 2 if band is None else band
     seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)

@@ -144,8 +144,8 @@ def check_conventions(
     convention
         What is declared; by default what the attributes say.
     camera, boresight, lever_arm
-        See `hyperpaint.locate`; a boresight may be left out where it is about a degree or less: one of
-        several degrees, not given, leaves everything undecided.
+        See `hyperpaint.geometry.locate`; a boresight may be left out where it is about a degree or less: one
+        of several degrees, not given, leaves everything undecided.
     ground
         Height of the ground above the ellipsoid, to some tenths of the height above it [m]; by default
         that of a located line.
@@ -292,7 +292,10 @@ def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools)
     offset = float(offsets[np.nanargmin(own)])
     if abs(offset) <= RULES.clock_step_s:
         return ""
-    return f"clocks {offset:+.2f} s apart explain the picture as well; see hyperpaint.estimate_clock_offset"
+    return (
+        f"clocks {offset:+.2f} s apart explain the picture as well; see "
+        "hyperpaint.geometry.estimate_clock_offset"
+    )
 
 
 # --- what changes little by little -------------------------------------------------------------------------

@@ -70,8 +70,8 @@ class ClockOffset:
     ----------
     offset_s
         From navigation: to be added to the ``time`` of lines to have navigation's, ``clock_offset_s`` of
-        `hyperpaint.locate`. From irradiance: to be added to the stamps of the irradiance record to have the
-        camera's, ``clock_offset_s`` of a collect's ``[irradiance]`` [s].
+        `hyperpaint.geometry.locate`. From irradiance: to be added to the stamps of the irradiance record to
+        have the camera's, ``clock_offset_s`` of a collect's ``[irradiance]`` [s].
     uncertainty_s
         Standard uncertainty [s].
     method
@@ -127,9 +127,9 @@ def estimate_clock_offset(
     max_uncertainty_s
         Uncertainty beyond which an offset is refused [s]; by default 0.05 from navigation, 1 from irradiance.
     convention, camera, ground, boresight, lever_arm, crs
-        See `hyperpaint.locate`; for navigation alone.
+        See `hyperpaint.geometry.locate`; for navigation alone.
     image, lines
-        See `hyperpaint.check_conventions`; for irradiance all lines are looked at by default.
+        See `hyperpaint.geometry.check_conventions`; for irradiance all lines are looked at by default.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def estimate_clock_offset(
     if not ATTITUDE.min_amplitude < size < 1.0 / ATTITUDE.min_amplitude:
         _refuse(
             f"at the best offset, {offsets[best]:+.2f} s, shifts are {size:.2f} of those expected; look "
-            "farther, or at signs and units with hyperpaint.check_conventions"
+            "farther, or at signs and units with hyperpaint.geometry.check_conventions"
         )
     fitted = fit_clock(setting.seen, poses, view, used, float(offsets[best]))
     limit = max_uncertainty_s or 0.05

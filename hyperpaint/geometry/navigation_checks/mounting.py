@@ -60,12 +60,12 @@ class BoresightSolution:
     Attributes
     ----------
     boresight
-        Roll, pitch, heading of the camera in the body [degree], as `hyperpaint.locate` takes them.
+        Roll, pitch, heading of the camera in the body [degree], as `hyperpaint.geometry.locate` takes them.
     height_offset_m
-        To be added to the altitude of the record; to the same end `hyperpaint.locate` is given a ``ground``
-        lower by as much [m].
+        To be added to the altitude of the record; to the same end `hyperpaint.geometry.locate` is given a
+        ``ground`` lower by as much [m].
     clock_offset_s
-        To be added to the time of lines, as `hyperpaint.locate` takes it [s].
+        To be added to the time of lines, as `hyperpaint.geometry.locate` takes it [s].
     covariance : (parameter, other_parameter)
         Of what was solved, in the units of these.
     points
@@ -138,10 +138,10 @@ def solve_boresight(
     control_points
         ``along_track_pixel``, ``cross_track_pixel`` where a point is seen, fractions of a pixel from the
         centre of the first; ``east``, ``north`` and ``height`` above the ellipsoid [m] where it is (point);
-        with several lines ``flightline``. See `hyperpaint.read_control_points`. Or tie points (point, side),
-        whose place is not known, as `hyperpaint.geometry.find_tie_points` returns them.
+        with several lines ``flightline``. See `hyperpaint.io.read_control_points`. Or tie points (point,
+        side), whose place is not known, as `hyperpaint.geometry.find_tie_points` returns them.
     navigation
-        See `hyperpaint.locate`; one of all lines, or one of each by its name.
+        See `hyperpaint.geometry.locate`; one of all lines, or one of each by its name.
     solve
         Which of ``"roll"``, ``"pitch"``, ``"heading"``, ``"height"`` (added to the record's altitude) and
         ``"clock"`` (added to the lines' time); the others stay as given. By default all of control points,
@@ -149,7 +149,7 @@ def solve_boresight(
     boresight, lever_arm, clock_offset_s
         Where to begin; ``lever_arm`` is not solved for.
     camera, convention
-        See `hyperpaint.locate`.
+        See `hyperpaint.geometry.locate`.
     crs
         Map of ``east`` and ``north``; by default the attribute ``crs`` of the points.
     largest_picking_sd
@@ -239,7 +239,7 @@ def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
     missing = [name for name in _FIELDS if name not in points.variables or points[name].dims != ("point",)]
     if missing:
         problems.add(
-            f"control points have no {', '.join(missing)} (point); see hyperpaint.read_control_points"
+            f"control points have no {', '.join(missing)} (point); see hyperpaint.io.read_control_points"
         )
     problems.raise_if_any()
     if not all(np.isfinite(points[name].values).all() for name in _FIELDS):

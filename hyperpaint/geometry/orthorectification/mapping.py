@@ -76,8 +76,8 @@ def orthorectify(
     Parameters
     ----------
     line
-        A flight line; one that is located (``east``, ``north``, as `hyperpaint.locate` adds them) or one that
-        can be, with the options of ``location``.
+        A flight line; one that is located (``east``, ``north``, as `hyperpaint.geometry.locate` adds them) or
+        one that can be, with the options of ``location``.
     gsd
         Edge of a cell [m]; by default the larger of the spacings across and along the track, as medians over
         lines. Finer cells repeat pixels, coarser ones leave pixels out: nothing is averaged.
@@ -108,7 +108,7 @@ def orthorectify(
     progress
         Called with slabs looked at and to do.
     **location
-        Options of `hyperpaint.locate`, for a line that is not located.
+        Options of `hyperpaint.geometry.locate`, for a line that is not located.
 
     Returns
     -------
@@ -130,11 +130,11 @@ def orthorectify(
         Options that do not exist or fit; nothing of the line is placed on the ground; variables are missing;
         all of a kind are listed.
     TimeError, UnitsError, MissingExtraError
-        As `hyperpaint.locate`.
+        As `hyperpaint.geometry.locate`.
 
     See Also
     --------
-    hyperpaint.locate, hyperpaint.map_report
+    hyperpaint.geometry.locate, hyperpaint.geometry.map_report
 
     Notes
     -----
@@ -372,7 +372,7 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     Parameters
     ----------
     made
-        What `hyperpaint.orthorectify` has returned.
+        What `hyperpaint.geometry.orthorectify` has returned.
 
     Returns
     -------

@@ -59,7 +59,8 @@ class Lean(NamedTuple):
 def height_model_of(line: xr.Dataset) -> HeightModel | None:
     """Return the heights that a line has; None where it has none.
 
-    As `hyperpaint.locate` writes ``east``, ``north`` and ``ground_height`` with a ``dem`` of surfaces.
+    As `hyperpaint.geometry.locate` writes ``east``, ``north`` and ``ground_height`` with a ``dem`` of
+    surfaces.
     """
     names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
     if not all(name in line.variables and set(line[name].dims) == set(dims) for name in names):

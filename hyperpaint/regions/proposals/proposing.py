@@ -175,8 +175,8 @@ def propose_regions(
       along. What the coat mirrors of the
       sky is uncertain, too, by the more the hazier it is. The property ``level_uncertainty`` says it; a roof
       is refused above 4.2 %, near the lobe of flakes 5.5 %, or 0.0026 in reflectance where that is more.
-      Where the line has the heights of surfaces, as `hyperpaint.locate` adds them from a ``dem`` that shows
-      cars, the lean and where the roof is level follow from them, too.
+      Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
+      that shows cars, the lean and where the roof is level follow from them, too.
     * Under broken clouds a car is judged where the record had free sun for 10 s around, and a shadow beside
       the car says that the sun was free there, too.
     * ``finish`` is "metallic" where its light changes with lean more than any solid paint's, or where what
