@@ -27,7 +27,7 @@ import xarray as xr
 
 _ENVIRONMENT = {**os.environ, "PYTHONHASHSEED": "0"}
 _FLIGHT = "--lines 256 --bands 64 --columns 192 --samples 4 --seed 11 --smile 1.0 --fleet solid"
-_SWEPT = "--lines 16 --bands 64 --columns 24 --scene plan --seed 3 --sweep"
+_SWEPT = "--lines 16 --bands 136 --columns 24 --scene plan --seed 3 --sweep"
 _CAMERA = "--ground 152.4 --field-of-view 18.9 --column-order left_to_right"
 #: What differs from run to run: places, moments and identifiers.
 _RUN = re.compile(
