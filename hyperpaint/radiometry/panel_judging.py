@@ -50,7 +50,8 @@ class PanelRules:
     most_error
         Standard error of the mean of the pixels from which on they are uneven [1].
     refused_error
-        The same, above which it is refused [1]: half of a panel in a shade of 40 % has 0.025.
+        The same, above which it is refused unless it may be off by as much [1]: half of a panel in a shade of
+        40 % has 0.025.
     least_lean
         Change of the light by a panel's attitude from which on it is said [1].
     lean_significance
@@ -215,7 +216,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
         state |= _UNEVEN
         text = f"its pixels differ so much that their mean is good to {100 * np.median(usual):.1f} %"
         notes.append(text)
-        if np.median(usual) > RULES.refused_error:
+        if np.median(usual) > max(RULES.refused_error, RULES.coverage * panel["uncertainty"]):
             reasons.append(f"{text}: part of it may be shaded")
     u = factor * np.sqrt(context.u**2 + panel["uncertainty"] ** 2 + mean_u**2)
     change, level = _change_by_attitude(factor, panel["direct_share"], context)

@@ -107,7 +107,9 @@ def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no
     line = stored(hard_line, tmp_path / "line.zarr")
     assert line.time.chunks is not None  # non-index coordinates are lazy too
     with no_compute():
-        made = reflectance(line, panel=Panel(slice(0, 4), slice(0, 3), 0.4), tilt=(3.0, 90.0))
+        made = reflectance(
+            line, panel=Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=0.1), tilt=(3.0, 90.0)
+        )
         calibrated = line.paint.radiance()
         for name, array in (("reflectance", made), ("radiance", calibrated)):
             assert array[name].dtype == np.float32
@@ -160,7 +162,9 @@ def test_graph_of_a_long_line_computes_nothing(no_compute: Any) -> None:
 @pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 def test_inputs_are_never_changed(hard_line: xr.Dataset) -> None:
     before = hard_line.copy(deep=True)
-    reflectance(hard_line, tilt=(2.0, 10.0), panel=Panel(slice(0, 4), slice(0, 3), 0.4)).compute()
+    reflectance(
+        hard_line, tilt=(2.0, 10.0), panel=Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=0.1)
+    ).compute()
     radiance(hard_line).compute()
     xr.testing.assert_identical(hard_line, before)
 

@@ -188,7 +188,12 @@ def test_masks_survive() -> None:
 @pytest.mark.parametrize("smile", [None, SHIFT, np.broadcast_to(SHIFT, (12, 6)) + 0.1])
 @pytest.mark.parametrize(
     "options",
-    [{}, {"keep_bits": 12}, {"tilt": (5.0, 180.0)}, {"panel": Panel(slice(0, 4), slice(0, 3), 0.4)}],
+    [
+        {},
+        {"keep_bits": 12},
+        {"tilt": (5.0, 180.0)},
+        {"panel": Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=0.1)},
+    ],
     ids=lambda o: next(iter(o), "plain"),
 )
 def test_reflectance_is_the_same_bit_for_bit(smile: Any, options: dict[str, Any]) -> None:
