@@ -88,35 +88,23 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
                 at = first + x
                 block[band, x] = (net[band, at] - total[at]) * stray.level[band, at]
         for term in range(stray.take.shape[0]):
-            collect_term(block, stray.take[term], sums[term])
+            sum_rows(block, stray.take[term], sums[term])
         for band in range(bands):
             own = block[band]
-            give_terms(sums, stray.give[band], own)
+            sum_rows(sums, stray.give[band], own)
             for x in range(width):
                 out[band, first + x] = own[x] / stray.level[band, first + x] + total[first + x]
 
 
 @borrowing_kernel
-def collect_term(net: Array, take: Array, total: Array) -> None:
-    """Write the sum of bands (band, column) times ``take`` (band,), both padded to whole fours."""
-    total[:] = _NOTHING
-    for band in range(0, take.size, 4):
-        a, b, c, d = take[band], take[band + 1], take[band + 2], take[band + 3]
-        for x in range(total.size):
-            total[x] += (a * net[band, x] + b * net[band + 1, x]) + (
-                c * net[band + 2, x] + d * net[band + 3, x]
-            )
-
-
-@borrowing_kernel
-def give_terms(sums: Array, give: Array, out: Array) -> None:
-    """Write the sum of terms (term, column) times ``give`` (term,), padded to whole fours."""
+def sum_rows(rows: Array, weights: Array, out: Array) -> None:
+    """Write the sum of rows (row, column) times ``weights`` (row,), which are padded to whole fours."""
     out[:] = _NOTHING
-    for term in range(0, give.size, 4):
-        a, b, c, d = give[term], give[term + 1], give[term + 2], give[term + 3]
+    for row in range(0, weights.size, 4):
+        a, b, c, d = weights[row], weights[row + 1], weights[row + 2], weights[row + 3]
         for x in range(out.size):
-            out[x] += (a * sums[term, x] + b * sums[term + 1, x]) + (
-                c * sums[term + 2, x] + d * sums[term + 3, x]
+            out[x] += (a * rows[row, x] + b * rows[row + 1, x]) + (
+                c * rows[row + 2, x] + d * rows[row + 3, x]
             )
 
 

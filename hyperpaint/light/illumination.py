@@ -20,13 +20,13 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.units import convert, takes_quantities
 
-from .responses import Matching, Responses, log_slope, matching_operator, misfit_through
+from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
 __all__ = [
     "ALIGNED_AT_NM", "ALIGNED_PER_NM", "RecordDeparture", "Smile", "Tilt", "departure_of_record",
-    "match_irradiance", "matched_series", "smile_cells",
+    "imager_of", "match_irradiance", "matched_series", "smile_cells",
 ]  # fmt: skip
 
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
@@ -364,6 +364,20 @@ class RecordDeparture(NamedTuple):
     def shift_at(self, wavelength: Floats) -> Floats:
         """Return the shift at wavelengths [nm]."""
         return np.asarray(self.shift_nm + self.slope_nm * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
+
+
+def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
+    """Return what `matched_series` asks of the bands, from a line's small variables by name."""
+    gain = arrays.get("radiance_gain")
+    return {
+        "wavelength": np.asarray(arrays["wavelength"], np.float64),
+        "fwhm": np.asarray(arrays["fwhm"], np.float64),
+        "spacing": arrays.get("band_spacing"),
+        "srf_shape": srf_shape,
+        "srf_offset": arrays.get("srf_offset"),
+        "srf": arrays.get("srf"),
+        "responsivity": None if gain is None else mean_responsivity(gain),
+    }
 
 
 def matched_series(

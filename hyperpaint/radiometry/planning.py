@@ -15,8 +15,7 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import Quality
-from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cells
-from hyperpaint.light.responses import mean_responsivity
+from hyperpaint.light.illumination import Smile, Tilt, imager_of, matched_series, smile_cells
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
@@ -343,15 +342,7 @@ def _illuminate(
     used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
     before, after = places.reshape(2, -1)
     check_light(cube, spectra[used], channels, stamps[used])
-    imager = {
-        "wavelength": np.asarray(cube["wavelength"], np.float64),
-        "fwhm": np.asarray(cube["fwhm"], np.float64),
-        "spacing": cube.get("band_spacing"),
-        "srf_shape": light["srf_shape"],
-        "srf_offset": cube.get("srf_offset"),
-        "srf": cube.get("srf"),
-        "responsivity": mean_responsivity(cube["radiance_gain"]) if "radiance_gain" in cube else None,
-    }
+    imager = imager_of(cube, light["srf_shape"])
     matched, misfit = matched_series(
         spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes,
         light.get("as_found"),

@@ -10,8 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.light.illumination import matched_series
-from hyperpaint.light.responses import mean_responsivity
+from hyperpaint.light.illumination import imager_of, matched_series
 
 __all__ = ["INTERPOLATED", "USUAL_SHARE", "MatchedNoise", "at_bands", "matched_noise", "noise_of_record"]
 
@@ -49,16 +48,7 @@ def matched_noise(arrays: Mapping[str, Any]) -> MatchedNoise:
     spectra = np.asarray(record[some], np.float64)
     known = np.isfinite(spectra)
     mean = np.where(known, spectra, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    gain = arrays.get("radiance_gain")
-    imager = {
-        "wavelength": np.asarray(arrays["wavelength"], np.float64),
-        "fwhm": np.asarray(arrays["fwhm"], np.float64),
-        "spacing": arrays.get("band_spacing"),
-        "srf_shape": arrays["srf_shape"],
-        "srf_offset": arrays.get("srf_offset"),
-        "srf": arrays.get("srf"),
-        "responsivity": None if gain is None else mean_responsivity(gain),
-    }
+    imager = imager_of(arrays, arrays["srf_shape"])
     # matching is linear: spectra of one noisy channel each say what the bands see of its noise
     noise = mean * np.broadcast_to(np.asarray(arrays.get("irradiance_u_random", 0.0), np.float64), mean.shape)
     channels = np.asarray(arrays["irradiance_wavelength"], np.float64)
