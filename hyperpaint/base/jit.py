@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+from numba.core.caching import FunctionCache
 from numba.core.cpu import CPUTargetOptions
+
+from hyperpaint.base.errors import PaintWarning
 
 __all__ = ["borrowing_kernel", "kernel"]
 
@@ -22,7 +27,7 @@ def kernel(function: Function) -> Function:
 
     What is compiled is kept on disk, for every later process: in ``NUMBA_CACHE_DIR``, else beside the
     package, else, where that must not be written, in the user's cache folder. Where none can be written
-    (a container with a read-only disk) every process compiles for itself.
+    (a container with a read-only disk, a full disk) every process compiles for itself.
     """
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
@@ -39,10 +44,39 @@ def borrowing_kernel(function: Function) -> Function:
     return _compiled(function, options)
 
 
+class _OptionalCache(FunctionCache):  # type: ignore[misc]
+    """A cache on disk that may be full, read-only or damaged: then a kernel is compiled, and works."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return a compiled kernel, or None: numba then compiles it."""
+        try:
+            return super().load_overload(sig, target_context)
+        except OSError:
+            return None
+        except Exception:  # what a torn pickle raises has no common class
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled kernel where that can be done."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            warnings.warn(
+                f"compiled kernels cannot be kept in {self.cache_path} ({error.strerror or error}), so that "
+                "every process compiles them again; set NUMBA_CACHE_DIR to a folder with room",
+                PaintWarning,
+                stacklevel=2,
+            )
+
+
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
     """Compile, and keep the result on disk where there is a folder for it."""
-    try:
-        compiled: Function = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # numba has found no folder for it
-        compiled = numba.njit(**options)(function)
+    compiled: Function = numba.njit(**options)(function)
+    if hasattr(compiled, "_cache"):  # not where NUMBA_DISABLE_JIT leaves plain Python
+        try:
+            compiled._cache = _OptionalCache(function)
+        except RuntimeError:  # numba has no folder for it
+            return compiled
     return compiled

@@ -1,0 +1,98 @@
+"""Compiled kernels are kept on disk where that can be done; a kernel works wherever it cannot."""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+from numba.core.caching import IndexDataCacheFile
+
+from hyperpaint.base.errors import PaintWarning
+
+SOURCE = """
+from hyperpaint.base.jit import kernel
+
+@kernel
+def doubled(value):
+    return 2 * value
+"""
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+
+
+@pytest.fixture
+def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Any]]:
+    """Return what imports the same kernel anew, as another process would."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    source = tmp_path / "doubling.py"
+    source.write_text(SOURCE)
+
+    def imported() -> Any:
+        spec = importlib.util.spec_from_file_location("doubling", source)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module.doubled
+
+    yield imported
+    sys.modules.pop("doubling", None)
+
+
+def _files(folder: Path, ending: str) -> list[Path]:
+    return sorted(folder.rglob(f"*.{ending}"))
+
+
+def test_the_second_process_compiles_nothing(doubled: Callable[[], Any], tmp_path: Path) -> None:
+    assert doubled()(3) == 6
+    assert len(_files(tmp_path, "nbc")) == 1
+    again = doubled()
+    assert again(4) == 8
+    assert list(again.stats.cache_hits.values()) == [1]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT])
+def test_a_full_or_read_only_cache_is_said_and_the_kernel_works(
+    number: int, doubled: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", refuse)
+    with pytest.warns(PaintWarning, match=rf"cannot be kept in .*{os.strerror(number)}.*NUMBA_CACHE_DIR"):
+        assert doubled()(3) == 6
+
+
+def test_no_folder_for_a_cache_is_no_error(
+    doubled: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> None:
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr("hyperpaint.base.jit._OptionalCache.__init__", refuse)
+    assert doubled()(3) == 6
+    assert not _files(tmp_path, "nb[ci]")
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"", b"torn", None])
+def test_a_damaged_cache_is_made_anew(
+    ending: str, content: bytes | None, doubled: Callable[[], Any], tmp_path: Path
+) -> None:
+    assert doubled()(3) == 6
+    (file,) = _files(tmp_path, ending)
+    file.write_bytes(file.read_bytes()[:-9] if content is None else content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert doubled()(4) == 8
+    again = doubled()
+    assert again(5) == 10
+    assert list(again.stats.cache_hits.values()) == [1]
