@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from hyperpaint.workflows.pipeline import Outcome
 
 __all__ = [
-    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "WRONG_INPUT", "beside",
-    "given_of", "is_watched", "progress_bar", "say_outcome",
+    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "SIGNALLED", "WRONG_INPUT",
+    "beside", "given_of", "is_watched", "progress_bar", "say_outcome",
 ]  # fmt: skip
 
 PLACE = click.Path(path_type=Path)
@@ -26,6 +26,9 @@ EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 FAILED_CHECK, WRONG_INPUT = 1, 2
 """Exit status of a command: the data fail a check, or the call or an input is wrong."""
+
+SIGNALLED = 128
+"""Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
 
 
 def is_watched(quiet: bool) -> bool:

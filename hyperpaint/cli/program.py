@@ -3,12 +3,15 @@
 Thin: options in, one function of the package, text out; a file a command, loaded when it is asked for.
 What is heavy is imported inside a command.
 
-Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.
+Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C, 143 by
+SIGTERM.
 """
 
 from __future__ import annotations
 
 import contextlib
+import signal
+import threading
 import warnings
 from collections.abc import Iterator
 from importlib import import_module
@@ -19,7 +22,7 @@ import click
 from hyperpaint import __version__
 from hyperpaint.base.errors import PaintError, PaintWarning
 
-from .console import WRONG_INPUT
+from .console import SIGNALLED, WRONG_INPUT, is_watched
 
 __all__ = ["main"]
 
@@ -35,7 +38,7 @@ COMMANDS = {
 class Program(click.Group):
     """A group of commands, each in a file of its own that is loaded when the command is asked for.
 
-    Their errors are one readable message, and their warnings are one line each.
+    Their errors are one readable message, and their warnings are one line each; so is what Ctrl-C says.
     """
 
     def list_commands(self, _ctx: click.Context) -> list[str]:
@@ -52,9 +55,19 @@ class Program(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""
-        with _short_warnings():
+        with _short_warnings(), _stopped_by_signals():
             try:
                 return super().invoke(ctx)
+            except KeyboardInterrupt as stop:
+                number = stop.args[0] if stop.args else signal.SIGINT
+                if is_watched(quiet=False):  # the line of a progress bar ends here
+                    click.echo(err=True)
+                click.echo(
+                    f"stopped by {signal.Signals(number).name}: what is finished stays, and the same command "
+                    "goes on from there",
+                    err=True,
+                )
+                ctx.exit(SIGNALLED + number)
             except (PaintError, OSError) as error:
                 texts = (
                     [error.text(on_command_line=True), *error.notes(on_command_line=True)]
@@ -63,6 +76,30 @@ class Program(click.Group):
                 )
                 click.echo("error: " + "\n".join(texts), err=True)
                 ctx.exit(WRONG_INPUT)
+
+
+@contextlib.contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end a command in order, once; a second one ends the process where it is."""
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def stop(number: int, _: Any) -> None:
+        for each in before:
+            signal.signal(each, signal.SIG_DFL)
+        raise KeyboardInterrupt(number)
+
+    # what a shell or nohup told to ignore a signal goes on ignoring it
+    caught = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
+    try:
+        for number in caught:
+            signal.signal(number, stop)
+        yield
+    finally:
+        for number in caught:
+            signal.signal(number, before[number])
 
 
 @contextlib.contextmanager
@@ -121,7 +158,8 @@ Then, in Python:
 Commands and options are completed by the shell, after this in its start file:
   eval "$(_HYPERPAINT_COMPLETE=bash_source hyperpaint)"     zsh_source for zsh
 
-Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.""",
+Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C,
+143 by SIGTERM; the same command then goes on from what is finished.""",
 )
 @click.version_option(__version__, prog_name="hyperpaint")
 def main() -> None:

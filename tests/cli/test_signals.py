@@ -1,0 +1,79 @@
+"""Ctrl-C and SIGTERM: one line, a status that says which, and a store that the same command completes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+from hyperpaint.workflows import pipeline
+
+
+@pytest.fixture(scope="module")
+def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("collect")
+    hp.simulate_collect(folder, scene="plan", lines=40, bands=20, columns=8, seed=1)
+    return folder / "collect.toml"
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_process_goes_on_where_it_was(
+    number: signal.Signals, status: int, collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    store_group = pipeline.store_group
+
+    def stop_at_the_second(dataset: xr.Dataset, out: Path, name: str, **options: Any) -> None:
+        if written:
+            os.kill(os.getpid(), number)
+        store_group(dataset, out, name, **options)
+        written.append(name)
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "store_group", stop_at_the_second)
+        stopped = CliRunner().invoke(main, call)
+    assert stopped.exit_code == status
+    assert stopped.stderr.splitlines()[-1].startswith(f"stopped by {number.name}: ")
+    assert "Traceback" not in stopped.output
+    assert len(written) == 1
+    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
+
+    again = CliRunner().invoke(main, call)
+    assert again.exit_code == 0, again.output
+    assert f"/{written[0]} there already" in again.output
+    assert hp.verify(tmp_path / "lot.zarr").ok
+    assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
+
+
+def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def stubborn(*_: Any, **__: Any) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
+
+    monkeypatch.setattr("hyperpaint.io.store.verify", stubborn)
+    monkeypatch.setattr("hyperpaint.verify", stubborn)
+    assert CliRunner().invoke(main, ["verify", "."]).exit_code == 130
+    assert seen == [signal.SIG_DFL, signal.SIG_DFL]
+
+
+def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        assert CliRunner().invoke(main, ["verify", "."]).exit_code != 143
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
