@@ -28,7 +28,7 @@ from .mutation import mutated
 from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
 from .whole_files import prepare, sixs_text
 
-__all__ = ["PARSERS", "Parser", "campaign", "prepare", "run_part"]
+__all__ = ["PARSERS", "Parser", "campaign", "complaint", "prepare", "run_part"]
 
 COUNT = 200_000
 SHARED_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -336,6 +336,20 @@ def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException
     return raised, seconds, max(_resident("VmHWM") - before, 0)
 
 
+def _complaint(parser: Parser, raised: BaseException | None, seconds: float, memory: int) -> str:
+    """Return what is wrong with how a parser took an input; empty where nothing is."""
+    if raised is not None and not (type(raised) in parser.errors and str(raised)):
+        return f"{type(raised).__name__}: {raised}"
+    if seconds > MOST_SECONDS or memory > MOST_BYTES:
+        return f"{seconds:.2f} s, {memory / 2**20:.0f} MB"
+    return ""
+
+
+def complaint(parser: Parser, path: Path) -> str:
+    """Read a file and return what is wrong with how the parser took it; empty where nothing is."""
+    return _complaint(parser, *_measured(parser.read, path))
+
+
 def run_part(name: str, folder: Path, numbers: range) -> Outcome:
     """Mutate, read and judge inputs ``numbers`` of one parser."""
     parser = PARSERS[name]
@@ -352,11 +366,8 @@ def run_part(name: str, folder: Path, numbers: range) -> Outcome:
             raised, seconds, memory = _measured(parser.read, path)
             made.count += 1
             made.notes["read" if raised is None else "refused"] += 1
-            if raised is not None and not (type(raised) in parser.errors and str(raised)):
-                text = str(raised).replace(own, "")
-                made.wrong.append(f"{name} input {number}: {type(raised).__name__}: {text:.200}")
-            elif seconds > MOST_SECONDS or memory > MOST_BYTES:
-                made.wrong.append(f"{name} input {number}: {seconds:.2f} s, {memory / 2**20:.0f} MB")
+            wrong = _complaint(parser, raised, seconds, memory).replace(own, "")
+            made.wrong += [f"{name} input {number}: {wrong:.200}"] if wrong else []
             made.seconds = max(made.seconds or 0.0, seconds)
             made.memory = max(made.memory or 0, memory)
         return made
