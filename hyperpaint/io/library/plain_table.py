@@ -23,6 +23,9 @@ __all__ = ["read_plain_table"]
 _MOST_PREAMBLE = 500
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
+#: A heading's unit is no part of a paint's name, by which it is paired with what a field spectrometer saw.
+_UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IGNORECASE)
+
 
 @dataclass(frozen=True)
 class _Dialect:
@@ -131,6 +134,9 @@ def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
     """Return the names of the spectra; ``spread`` as `spread_columns` returns it."""
     paints = np.flatnonzero(spread != IS_SPREAD)
     names = [headings[at + 1].strip() for at in paints.tolist()] if headings else []
+    without_units = [_UNIT.sub("", name) for name in names]
+    if len(set(without_units)) == len(set(names)):
+        names = without_units
     if paints.size == 1:
         return [stem if not names or _GENERIC.fullmatch(names[0]) else names[0]]
     names = names or [""] * paints.size

@@ -172,8 +172,12 @@ def test_tables__separators_units_and_headings(tmp_path: Path, text: str, encodi
     library = hp.open_library(write_text(tmp_path, text, "both.csv", encoding))
     np.testing.assert_allclose(library["wavelength"].values, [450.0, 550.0, 650.0])
     np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
-    names = [name.split(" (")[0] for name in library["paint"].values]
-    assert names == ["red", "blue"]
+    assert library["paint"].values.tolist() == ["red", "blue"]
+
+
+def test_tables__units_stay_in_names_that_would_be_alike(tmp_path: Path) -> None:
+    library = hp.open_library(write_text(tmp_path, "nm,red (%),red (1)\n450,10,40\n550,20,50\n650,30,60\n"))
+    assert library["paint"].values.tolist() == ["red (%)", "red (1)"]
 
 
 def test_tables__one_spectrum_is_named_by_its_file_or_heading(tmp_path: Path) -> None:
