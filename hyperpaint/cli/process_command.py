@@ -47,6 +47,10 @@ Examples:
     "--memory-limit", metavar="SIZE",
     help="Most memory of the process, or of each worker, such as '2 GiB'.  [default: 80% of the available]",
 )  # fmt: skip
+@click.option(
+    "--accept", metavar="NAME", multiple=True,
+    help="Go on with this finding of `hyperpaint check`; may be given several times.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def process(collect: Path, out: Path | None, quiet: bool, **options: Any) -> None:

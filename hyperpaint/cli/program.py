@@ -27,8 +27,8 @@ from .console import SIGNALLED, WRONG_INPUT, is_watched
 __all__ = ["main"]
 
 COMMANDS = {
-    **{name: name for name in ("calibrate", "demo", "export", "info", "init", "process", "render", "run")},
-    **{name: name for name in ("simulate", "validate", "verify")},
+    **{name: name for name in ("calibrate", "check", "demo", "export", "info", "init", "process")},
+    **{name: name for name in ("render", "run", "simulate", "validate", "verify")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures",
 }  # fmt: skip
@@ -134,6 +134,7 @@ Examples:
 Step by step:
   hyperpaint info flight/raw_0.hdr                    what is this file?
   hyperpaint info collect.toml                        does everything open, and what would be done?
+  hyperpaint check collect.toml                       can what it names be true?
   hyperpaint calibrate sweep.zarr                     a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?

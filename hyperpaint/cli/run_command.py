@@ -50,6 +50,10 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
     "significant; 'never': report only; 'always': whenever it can be found.  [default: as [alignment] apply "
     "of COLLECT.toml, else auto]",
 )  # fmt: skip
+@click.option(
+    "--accept", metavar="NAME", multiple=True,
+    help="Go on with this finding of `hyperpaint check`; may be given several times.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a store made from other inputs.")
 @click.option("--quiet", is_flag=True, help="No progress bars.")
 @click.pass_context

@@ -87,6 +87,7 @@ def run_field_day(
     skip: Collection[str] = (),
     specular_sky: bool = False,
     alignment: Alignment | None = None,
+    accept: Collection[str] = (),
     overwrite: bool = False,
     progress: Callable[[str], Progress | None] | None = None,
     say: Callable[[StepOutcome], None] = lambda _: None,
@@ -111,8 +112,8 @@ def run_field_day(
     specular_sky
         Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`:
         what a field spectrometer with a contact probe, or a sphere, does not see.
-    alignment
-        Correct what separates camera and irradiance record, see `hyperpaint.process`.
+    alignment, accept
+        See `hyperpaint.process`: what is corrected between camera and record, findings to go on with.
     overwrite
         Replace a store of other inputs, and products that were not written by a run.
     progress
@@ -158,6 +159,7 @@ def run_field_day(
         skip=frozenset(skip),
         specular_sky=specular_sky,
         alignment=alignment,
+        accept=tuple(accept),
         overwrite=overwrite,
         progress=progress or (lambda _: None),
         is_watched=progress is not None,
@@ -203,6 +205,7 @@ class _Day:
     skip: frozenset[str]
     specular_sky: bool
     alignment: Alignment | None
+    accept: tuple[str, ...]
     overwrite: bool
     progress: Callable[[str], Progress | None]
     is_watched: bool
@@ -373,8 +376,8 @@ class _Day:
         from .pipeline import run
 
         done = run(
-            self.settings.path, self.store, alignment=self.alignment, overwrite=self.overwrite,
-            progress=self.is_watched,
+            self.settings.path, self.store, alignment=self.alignment, accept=self.accept,
+            overwrite=self.overwrite, progress=self.is_watched,
         )  # fmt: skip
         state = "done" if done.written else "unchanged"
         corrected = [f"{name}: {text}" for name, text in done.corrected.items()]

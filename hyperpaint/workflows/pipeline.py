@@ -8,7 +8,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +17,8 @@ from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.groups import INPUTS
+
+from .collect_check import check_accepted, refuse_findings
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -193,6 +195,7 @@ def process(
     alignment: Alignment | None = None,
     scheduler: str | None = None,
     memory_limit: str | int | None = None,
+    accept: Collection[str] = (),
     overwrite: bool = False,
     progress: bool = False,
 ) -> Path:
@@ -232,6 +235,8 @@ def process(
         Most memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``. By default 80 % of
         what is available. The peak is computed before the run; where it would be larger, fewer lines a task
         and fewer threads are taken.
+    accept
+        Names of findings of `hyperpaint check` to go on with; inputs that cannot be true are refused.
     overwrite
         Replace groups that were made from other inputs or parameters.
     progress
@@ -246,7 +251,8 @@ def process(
     CollectError
         The collect, or anything it names, cannot be used; all problems of all files are listed.
     SchemaError
-        ``to``, ``reflectance`` or ``alignment`` is none of the words above, or ``memory_limit`` is no size.
+        ``to``, ``reflectance``, ``alignment`` or ``accept`` is none of the words that there are, or
+        ``memory_limit`` is no size.
     StoreError
         ``out`` is a URL; the store holds something else, is being written, or cannot be written; or memory
         or disk would not suffice, of which the message names the needed figure before anything is written; or
@@ -267,14 +273,14 @@ def process(
     """
     return run(
         collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,
-        memory_limit=memory_limit, overwrite=overwrite, progress=progress,
+        memory_limit=memory_limit, accept=accept, overwrite=overwrite, progress=progress,
     ).path  # fmt: skip
 
 
 def run(
     collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
     alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
-    overwrite: bool = False, progress: bool = False,
+    accept: Collection[str] = (), overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `process` does, and return what was written; the arguments are those of `process`."""
     import xarray as xr
@@ -284,7 +290,7 @@ def run(
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.writer import check_room
 
-    _check_words(to, reflectance, alignment)
+    _check_words(to, reflectance, alignment, accept)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
     parameters = {"to": to, "reflectance": reflectance, "alignment": alignment}
@@ -297,6 +303,7 @@ def run(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
         )
         pending = [name for name in groups if name not in complete]
+        refuse_findings(opened, pending, accept)
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
@@ -322,7 +329,7 @@ def run(
     return Outcome(out, tuple(products), tuple(complete), corrected)
 
 
-def _check_words(to: str, reflectance: str, alignment: str | None) -> None:
+def _check_words(to: str, reflectance: str, alignment: str | None, accept: Collection[str]) -> None:
     problems = Problems("cannot process", SchemaError)
     for name, value, allowed in (
         ("to", to, ("radiance", "reflectance")),
@@ -331,6 +338,7 @@ def _check_words(to: str, reflectance: str, alignment: str | None) -> None:
     ):
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
+    check_accepted(accept, problems)
     problems.raise_if_any()
 
 

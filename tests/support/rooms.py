@@ -14,6 +14,7 @@ ROOMS = (
     "alignment",
     "surroundings",
     "geometry",
+    "plausibility",
     "regions",
     "paints",
     "validation",

@@ -1,0 +1,27 @@
+"""Counts that the camera's converter does not give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .cube_sample import CubeSample
+from .finding import KINDS, Finding
+
+__all__ = ["judge_range"]
+
+
+def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:
+    """Find counts above the last of a converter; a ``saturation_count`` above it says where that is."""
+    last = max(2**bit_depth - 1, int(saturation_count))
+    most = int(sample.most.max())
+    if most <= last:
+        return
+    share = float(np.mean(sample.most > last))
+    multiple = f", all multiples of {sample.divisor}: left-justified" if sample.divisor > 1 else ""
+    yield Finding(
+        KINDS["counts-over-range"], name,
+        f"counts up to {most}{multiple}, above {last} in {100 * share:.3g} % of the elements",
+        f"at most {last}, of {bit_depth} bits",
+    )  # fmt: skip

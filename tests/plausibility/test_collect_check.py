@@ -1,0 +1,69 @@
+"""Collects that cannot be true, from the file to the refusal and on."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hyperpaint.base.errors import CollectError, SchemaError
+from hyperpaint.cli.program import main
+from hyperpaint.plausibility import KINDS
+from hyperpaint.simulation import simulate_collect
+from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.pipeline import process
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    simulate_collect(folder, scene="plan", lines=40, bands=40, columns=24, seed=3, truth=False)
+    return folder
+
+
+@pytest.fixture
+def collect(flown: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(flown, tmp_path / "collect") / "collect.toml"
+
+
+def _change(cube: Path, change: object) -> None:
+    counts = np.fromfile(cube, "<u2")
+    np.asarray(change(counts), "<u2").tofile(cube)  # type: ignore[operator]
+
+
+def test_all_findings_are_shown_at_once(collect: Path) -> None:
+    assert CliRunner().invoke(main, ["check", str(collect)]).output.endswith("nothing found\n")
+    _change(collect.parent / "flight/raw_0", lambda counts: counts * 16)
+    _change(collect.parent / "dark/raw_0", np.zeros_like)
+    done = CliRunner().invoke(main, ["check", str(collect)])
+    assert done.exit_code == 1
+    assert "raw_0: counts-over-range: counts up to" in done.output
+    assert "multiples of 16: left-justified, above 4095" in done.output
+    assert "raw_0: dark-of-zeros: 100 % of the dark" in done.output
+
+
+def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp_path: Path) -> None:
+    _change(collect.parent / "dark/raw_0", np.zeros_like)
+    assert [finding.kind.name for finding in check_collect(collect)] == ["dark-of-zeros"]
+    with pytest.raises(CollectError, match=r"dark-of-zeros.*accept=\['dark-of-zeros'\]"):
+        process(collect, tmp_path / "lot.zarr", reflectance="none")
+    assert not (tmp_path / "lot.zarr").exists()
+    call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
+    refused = CliRunner().invoke(main, call)
+    assert refused.exit_code == 2
+    assert "--accept dark-of-zeros" in refused.output
+    assert CliRunner().invoke(main, [*call, "--accept", "dark-of-zeros"]).exit_code == 0
+
+
+def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="accept='all', expected some of counts-over-range"):
+        process(collect, tmp_path / "lot.zarr", accept=["all"])
+
+
+def test_every_finding_is_listed() -> None:
+    done = CliRunner().invoke(main, ["check", "--list"])
+    assert done.exit_code == 0
+    assert all(f"{name}  (" in done.output for name in KINDS)
