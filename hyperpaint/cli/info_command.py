@@ -11,6 +11,7 @@ import click
 import numpy as np
 
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
+from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
@@ -49,7 +50,7 @@ _HEAD = 4096
 
 def facts_of_path(path: str | Path) -> dict[str, str]:
     """Return what `describe_path` says, by name; what is empty is not known."""
-    path = Path(path)
+    path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"no such file or folder: {path}")
     return dict(_folder(path) if path.is_dir() else _file(path))
@@ -298,11 +299,7 @@ def _is_pose_table(path: Path) -> bool:
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
-    try:
-        with open(path, "rb") as file:
-            head = file.read(_HEAD)
-    except OSError:  # the reader of its kind says so
-        return False
+    head = head_of(path, _HEAD)
     if path.suffix.lower() == ".out":
         return b"\0" in head
     return is_nmea(head) or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))

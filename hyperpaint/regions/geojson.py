@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, StoreError
-from hyperpaint.io.files.reading import read_limited
+from hyperpaint.base.input_files import read_limited
 
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, MissingExtraError
-from hyperpaint.io.files.reading import head_of
+from hyperpaint.base.input_files import open_input
 
 __all__ = ["VECTOR_FILES", "features_of"]
 
@@ -28,8 +28,9 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     """
     magic = VECTOR_FILES[path.suffix.lower()]
-    if not head_of(path, len(magic)) == magic or path.stat().st_size > _MOST_BYTES:
-        raise FormatError(f"{path}: no {path.suffix[1:]} file of some regions; check what the file is")
+    with open_input(path, "regions", _MOST_BYTES) as file:
+        if file.read(len(magic)) != magic:
+            raise FormatError(f"{path}: no {path.suffix[1:]} file of some regions; check what the file is")
     installed = [name for name in ("pyogrio", "fiona") if importlib.util.find_spec(name)]
     if not installed:
         raise MissingExtraError(

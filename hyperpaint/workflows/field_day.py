@@ -350,7 +350,7 @@ class _Day:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
     def _record(self) -> dict[str, Any]:
-        from hyperpaint.io.files.reading import read_limited
+        from hyperpaint.base.input_files import read_limited
 
         path = self.out / RECORD
         if not path.is_file():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.input_files import input_path
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def read_spectra(path: Path) -> Any:
     A file of two columns is (wavelength [nm], reflectance) in double precision; all else is a library.
     Raises `FormatError` or `StoreError` as `read_paints`.
     """
-    if path.is_file() and path.suffix.lower() in _PLAIN:
+    if input_path(path, "spectra").is_file() and path.suffix.lower() in _PLAIN:
         try:
             return read_spectrum_csv(path)
         except FormatError as plain:

@@ -15,10 +15,10 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_folder
-from hyperpaint.io.files.reading import read_limited
 
 from .emissivity_files import CURVE_BEGIN, ColumnText, emissivity_head
 from .instructions import THERMAL, glist_text, material_section, readme_text

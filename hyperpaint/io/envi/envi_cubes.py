@@ -22,6 +22,7 @@ from xarray.core import indexing
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, UnitsError
+from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
 from .envi_header import EnviHeader, MapInfo, read_header
@@ -50,7 +51,7 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     Raises `FormatError`: The other file is missing, or could be one of several. Raises `FileNotFoundError`:
     There is no such file.
     """
-    path = Path(path)
+    path = input_path(path, "an ENVI header, or the data file beside it")
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
     if path.suffix.lower() == ".hdr":
@@ -84,7 +85,7 @@ def _existing(candidates: list[Path]) -> list[Path]:
     """Return the files among the candidates; two spellings of one file count once."""
     files: list[Path] = []
     for path in candidates:
-        if path.is_file() and not any(path.samefile(other) for other in files):
+        if is_plain_file(path) and not any(path.samefile(other) for other in files):
             files.append(path)
     return files
 

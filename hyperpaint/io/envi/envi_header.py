@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
+from hyperpaint.base.input_files import open_input
 from hyperpaint.io.files.reading import decoded_text
 
 from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
@@ -127,7 +128,7 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
     Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
     problems are listed. Raises `OSError`: The file cannot be read.
     """
-    with open(path, "rb") as file:
+    with open_input(path, "an ENVI header") as file:
         # read() sets aside all it is allowed to read
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"

@@ -9,19 +9,19 @@ import contextlib
 import fnmatch
 import os
 import re
-import stat
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperpaint.base.errors import FormatError
+from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "decoded_text", "head_of", "is_pattern", "load_netcdf", "matching_files", "number", "numbers",
-    "read_limited", "read_limited_text", "unique_names",
+    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "number", "numbers",
+    "read_limited_text", "unique_names",
 ]  # fmt: skip
 
 LONGEST_LINE = 2**20
@@ -31,25 +31,6 @@ _LINE = re.compile(rb"[^\r\n]+")
 
 MOST_NETCDF_BYTES = 2**30
 """Bytes of all variables of a netCDF file that is loaded at once."""
-
-
-def read_limited(path: Path, limit: int, expected: str) -> bytes:
-    """Return the bytes of a file that is read whole; ``expected`` names the kind of file in messages.
-
-    Raises `FormatError`: The file cannot be read, or is larger than ``limit`` bytes.
-    """
-    try:
-        status = path.stat()
-        size = status.st_size
-        if stat.S_ISREG(status.st_mode) and size <= limit:
-            with open(path, "rb") as file:
-                # read() sets aside all it is allowed to read
-                return file.read(size)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    if not stat.S_ISREG(status.st_mode):
-        raise FormatError(f"{path}: a folder, pipe or device, expected {expected}; check the path")
-    raise FormatError(f"{path}: {size} bytes, expected {expected} of at most {limit} bytes; check the path")
 
 
 def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
@@ -67,17 +48,6 @@ def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
                 f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
             )
     return data
-
-
-def head_of(path: Path, count: int) -> bytes:
-    """Return the first bytes of a file; none of what is no plain file, or cannot be read."""
-    try:
-        if path.is_file():  # a pipe would wait
-            with path.open("rb") as stream:
-                return stream.read(count)
-    except OSError:
-        pass
-    return b""
 
 
 def decoded_text(data: bytes) -> str:
@@ -151,7 +121,7 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     """
     import xarray as xr
 
-    if not path.is_file():
+    if not is_plain_file(input_path(path, "a netCDF file")):
         raise FormatError(f"{path}: expected a netCDF file; check the path")
     with xr.open_dataset(os.fspath(path), group=group) as dataset:
         if dataset.nbytes > MOST_NETCDF_BYTES:

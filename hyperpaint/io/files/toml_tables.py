@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.input_files import read_limited
 
-from .reading import is_pattern, matching_files, read_limited
+from .reading import is_pattern, matching_files
 
 UNKNOWN = "?"
 """Stands where a value is still to be filled in."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
     BAND,
     CROSS_TRACK,
@@ -138,7 +139,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
 def _read(
     path: Path, group: str | None, what: str, open_zarr: Callable[[Path, str | None], xr.Dataset]
 ) -> xr.Dataset:
-    if not path.exists():
+    if not input_path(path, f"a {what} in a Zarr store or netCDF file").exists():
         raise FormatError(f"{path}: no such {what}; expected a Zarr store or a netCDF file")
     try:
         return open_zarr(path, group) if path.is_dir() else load_netcdf(path, group)

@@ -19,6 +19,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers
@@ -171,9 +172,8 @@ class _Owner:
 def _cells(path: Path) -> Iterator[list[str]]:
     """Yield the rows as texts."""
     try:
-        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            raise FormatError(f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a paint library")
-        with open(path, encoding="utf-8-sig", newline="") as file:
+        opened = open_input(path, "a paint library", _MOST_BYTES)
+        with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
         raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error

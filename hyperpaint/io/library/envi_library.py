@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_grammar import bare, braced
@@ -93,7 +94,7 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
     """Yield the records of the data file, some at a time, each lot with the number of its first."""
     step = max(1, _BLOCK_BYTES // header.line_bytes)
-    with open(path, "rb") as file:
+    with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
         for first in range(0, header.lines, step):
             count = min(step, header.lines - first)
@@ -228,11 +229,9 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
     """
     table = path.with_suffix(".csv")
     try:
-        if not table.is_file() or table.stat().st_size > _MOST_CLASSES_BYTES:
-            return {}
-        text = table.read_bytes().decode("utf-8-sig", "replace")
+        text = read_limited(table, _MOST_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
         rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
-    except (OSError, csv.Error):
+    except (FormatError, csv.Error):
         return {}
     if not rows or rows[0][0].strip().lower() != "spectra names" or len(rows) != len(names) + 1:
         return {}

@@ -18,8 +18,8 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import BAND, PAINT, quality_attrs
-from hyperpaint.io.files.reading import read_limited
 
 from .library_spectra import text_column
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
+from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
-from hyperpaint.io.files.reading import head_of
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 
 from .column_quantities import warn_of_light

@@ -19,8 +19,8 @@ from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_
 
 __all__ = ["is_usgs", "is_usgs_axis", "read_usgs", "read_usgs_axis"]
 
-_TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:\s*(.*?)\s*$", re.IGNORECASE)
-_SPECTRUM = re.compile(r"(.*?)\s+(\S+)\s+([A-Z]{4})$")
+_TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
+_MEASUREMENT = re.compile(r"[A-Z]{4}")
 _AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
 _MOST_CANDIDATES = 64
@@ -51,9 +51,8 @@ def read_usgs(
     source = path.name
     title, values = _column(path)
     record = _TITLE.match(title)
-    heading = record[3] if record else title.strip()
-    parts = _SPECTRUM.fullmatch(heading)
-    name, spectrometer, measurement = parts.groups() if parts else (heading, "", "")
+    heading = record[3].strip() if record else title.strip()
+    name, spectrometer, measurement = _parts(heading)
     if is_usgs_axis(title):
         raise FormatError(f"{source}: {heading[:60]!r} is no spectrum; pass the file as wavelength= or fwhm=")
     if measurement == "TRAN":
@@ -75,6 +74,14 @@ def read_usgs(
         reflectance=reflectances(values[None, :], source, said=None, given=scale),
         columns={key: text_column([value]) for key, value in columns.items()}, notes=notes,
     )  # fmt: skip
+
+
+def _parts(heading: str) -> tuple[str, str, str]:
+    """Return the name, the spectrometer and the kind of measurement, such as AREF, that a heading says."""
+    words = heading.rsplit(None, 2)
+    if len(words) < 3 or not _MEASUREMENT.fullmatch(words[2]):
+        return heading, "", ""
+    return words[0], words[1], words[2]
 
 
 def _column(path: Path) -> tuple[str, Floats]:

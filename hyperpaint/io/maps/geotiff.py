@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError, StoreError
+from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
-from hyperpaint.io.files.reading import head_of
 
 from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
 

@@ -18,13 +18,13 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from pathlib import Path
 
 import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.input_files import open_input
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 from hyperpaint.io.flightline.headwall import Table, name_rows, read_text, table_of
@@ -83,20 +83,15 @@ def read_sbet(path: str | Path) -> PoseRecord:
 
 
 def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    try:
-        with open(path, "rb") as file:
-            status = os.fstat(file.fileno())
-            count, rest = divmod(status.st_size, _SBET_RECORD.itemsize)
-            if not stat.S_ISREG(status.st_mode) or status.st_size > _MAX_SBET_BYTES:
-                raise FormatError(f"{path}: no file of at most 4 GB, expected an SBET file; check the path")
-            if rest or not count:
-                raise FormatError(
-                    f"{path}: {status.st_size} bytes, expected records of {_SBET_RECORD.itemsize} bytes: "
-                    f"{count} whole ones and {rest} bytes more; it is cut short, or of another kind: copy it"
-                )
-            records = np.fromfile(file, _SBET_RECORD, count)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
+        count, rest = divmod(size, _SBET_RECORD.itemsize)
+        if rest or not count:
+            raise FormatError(
+                f"{path}: {size} bytes, expected records of {_SBET_RECORD.itemsize} bytes: "
+                f"{count} whole ones and {rest} bytes more; it is cut short, or of another kind: copy it"
+            )
+        records = np.fromfile(file, _SBET_RECORD, count)
     if records.size != count:
         raise FormatError(f"{path}: became shorter while it was read")
     return records
@@ -189,7 +184,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
     _refuse_others(header, header_path, data_path)
-    with open(data_path, "rb") as file:
+    with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
     if stored.size != header.lines * header.bands:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
+from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
@@ -197,15 +198,12 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
     Raises FormatError: It cannot be read, or is of none of them.
     """
-    path = Path(path)
+    path = input_path(path, "a navigation record")
     suffix = path.suffix.lower()
-    if suffix == ".hdr" or path.with_name(path.name + ".hdr").is_file():
+    if suffix == ".hdr" or is_plain_file(path.with_name(path.name + ".hdr")):
         return "eph_att"
-    try:
-        with open(path, "rb") as file:
-            head = file.read(_HEAD)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    with open_input(path, "a navigation record") as file:
+        head = file.read(_HEAD)
     if suffix == ".sbet" or (suffix == ".out" and b"\0" in head):
         return "sbet"
     if suffix == ".lcf":

@@ -16,8 +16,8 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import VARIABLES, label
-from hyperpaint.io.files.reading import head_of
 
 from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text

@@ -22,7 +22,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.files.reading import read_limited
+from hyperpaint.base.input_files import read_limited
 
 __all__ = ["AsdCalibration", "AsdFile", "AsdGps", "Cursor", "is_asd", "nominal_integration_ms", "read_asd"]
 

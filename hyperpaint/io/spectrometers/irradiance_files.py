@@ -16,6 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarning
+from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbers, read_limited_text
 
 __all__ = [
@@ -144,7 +145,7 @@ _FILES = ("zarr.json", ".zgroup", ".zattrs")
 
 def is_store(path: Path) -> bool:
     """Tell whether a path is a Zarr or netCDF store, by its name or by what is in it."""
-    return path.suffix.lower() in _SUFFIXES or any((path / name).exists() for name in _FILES)
+    return path.suffix.lower() in _SUFFIXES or any(os.path.lexists(path / name) for name in _FILES)
 
 
 def stored_series(path: Path) -> xr.Dataset:
@@ -153,6 +154,7 @@ def stored_series(path: Path) -> xr.Dataset:
     from hyperpaint.io.store.location import Location
 
     group, ours = None, False
+    path = input_path(path, "an irradiance series")
     try:
         if not path.is_dir():
             return _of_hypernets(load_netcdf(path))

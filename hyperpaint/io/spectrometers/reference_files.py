@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems
+from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.io.files.reading import read_limited_text
 
 from .spectrum_files import find_paths
@@ -31,7 +32,7 @@ def open_references(paths: Sequence[str | os.PathLike[str]]) -> list[xr.Dataset]
     Raises FormatError: Files are missing, damaged or of no kind known; all are named.
     Raises StoreError: A store was never finished, or is damaged.
     """
-    stores = [Path(path) for path in paths if (Path(path) / "zarr.json").is_file()]
+    stores = [Path(path) for path in paths if is_plain_file(Path(path) / "zarr.json")]
     others = [path for path in paths if Path(path) not in stores]
     datasets = [dataset for store in stores for dataset in _of_store(store)]
     if others:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError
+from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import is_pattern, matching_files, unique_names
 
 __all__ = [
@@ -41,7 +42,7 @@ def find_paths(
     problems = Problems("spectra cannot be opened", FormatError)
     files: list[Path] = []
     for entry in paths:
-        path = Path(entry)
+        path = input_path(entry, expected)
         if path.is_dir():
             # what only looks like a file is kept: to read it is an error that names it, and none goes missing
             inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))

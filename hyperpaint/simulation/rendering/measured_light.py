@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.light.sky_fit import fit_sky
@@ -137,11 +138,7 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
     """Return the headings and the numbers of a text file, shape (row, column)."""
-    with path.open("rb") as file:
-        content = file.read(_MOST_BYTES + 1)
-    if len(content) > _MOST_BYTES:
-        problems.add(f"it is larger than {_MOST_BYTES // 2**20} MiB; a spectrum needs no more")
-        problems.raise_if_any()
+    content = read_limited(path, _MOST_BYTES, "the table of an atmosphere")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
 from .mesh_formats import RawTriangles, parse_obj, read_glb, read_ply
@@ -115,13 +116,7 @@ def read_mesh(
 
 
 def _contents(file: Path) -> bytes:
-    try:
-        size = file.stat().st_size
-        if size > _MAX_BYTES:
-            raise FormatError(f"{file.name}: {size} bytes, expected at most {_MAX_BYTES}; simplify the mesh")
-        data = file.read_bytes()
-    except OSError as error:
-        raise FormatError(f"{file}: cannot be read ({error.strerror})") from error
+    data = read_limited(file, _MAX_BYTES, "a mesh")
     if not data.strip():
         raise FormatError(f"{file.name}: the file is empty, expected a mesh")
     return data

@@ -1,0 +1,132 @@
+"""The one way to open a file from outside: its name is checked, it is a plain file, its size is bounded.
+
+A pipe would wait for ever, a device never end, a socket cannot be read, and a URL may reach another machine.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from .errors import FormatError, PaintError
+
+__all__ = ["head_of", "input_path", "is_plain_file", "open_input", "read_limited"]
+
+MOST_NAME_BYTES = 255
+"""Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows."""
+
+MOST_PATH_BYTES = 4096
+"""Bytes of a path: PATH_MAX of Linux."""
+
+#: ``https://...``, ``dask::...``; pathlib makes one slash of two. A drive of Windows has one letter.
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
+#: Neither waits for the writer of a pipe, nor becomes the terminal of this process.
+_FLAGS = os.O_RDONLY | sum(
+    getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
+)
+_KINDS = {
+    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}  # fmt: skip
+
+
+def input_path(
+    path: str | os.PathLike[str], expected: str = "a file", error: type[PaintError] = FormatError
+) -> Path:
+    """Return a path that names a local file or folder, or nothing yet; its name and kind are checked.
+
+    ``expected`` names what is looked for in messages, raised as ``error``: the name holds a NUL, is longer
+    than systems allow, or is a URL; or a pipe, device or socket is there.
+
+    Examples
+    --------
+    >>> input_path("https://example.org/sky.csv", "an irradiance series")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.FormatError: https://example.org/sky.csv: a URL, expected an irradiance series on \
+a local disk; download it, and give the path of the copy
+    """
+    text = os.fsdecode(path)
+    shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
+    if "\0" in text:
+        raise error(
+            f"{shown!r}: a name with a NUL character, expected the path of {expected}; check the path"
+        )
+    if len(os.fsencode(text)) > MOST_PATH_BYTES or any(
+        len(os.fsencode(part)) > MOST_NAME_BYTES for part in text.split(os.sep)
+    ):
+        raise error(
+            f"{shown}: a path of {len(text)} characters, expected {expected} under names of at most"
+            f" {MOST_NAME_BYTES} bytes, {MOST_PATH_BYTES} in all; check the path"
+        )
+    if _URL.match(text):
+        raise error(
+            f"{shown}: a URL, expected {expected} on a local disk; download it, and give the path of the copy"
+        )
+    try:
+        mode = os.stat(text).st_mode
+    except OSError:
+        return Path(text)  # who opens it says why it cannot be read
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise error(f"{shown}: {_kind(mode)}, expected {expected}; check the path")
+    return Path(text)
+
+
+def _kind(mode: int) -> str:
+    return _KINDS.get(stat.S_IFMT(mode), "no plain file")
+
+
+def is_plain_file(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path names a plain file; no name, however strange, is an error."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BinaryIO:
+    """Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
+
+    What is open is what was judged: the file may be exchanged while it is looked at.
+
+    Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
+    bytes.
+    """
+    place = input_path(path, expected)
+    try:
+        descriptor = os.open(place, _FLAGS)
+    except OSError as error:
+        raise FormatError(f"{place}: cannot be read ({error.strerror or error}); check the path") from error
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISREG(status.st_mode):
+        raise FormatError(
+            f"{place}: {status.st_size} bytes, expected {expected} of at most {limit} bytes; check the path"
+        )
+    raise FormatError(f"{place}: {_kind(status.st_mode)}, expected {expected}; check the path")
+
+
+def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> bytes:
+    """Return the bytes of a file that is read whole; ``expected`` names the kind of file in messages.
+
+    Raises `FormatError`: As `open_input`.
+    """
+    with open_input(path, expected, limit) as file:
+        # read() sets aside all it is allowed to read
+        try:
+            return file.read(os.fstat(file.fileno()).st_size)
+        except OSError as error:
+            raise FormatError(f"{path}: cannot be read ({error.strerror or error}); copy it again") from error
+
+
+def head_of(path: str | os.PathLike[str], count: int) -> bytes:
+    """Return the first bytes of a file; none of what is no plain file, or cannot be read."""
+    try:
+        with open_input(path, "a file") as file:
+            return file.read(count)
+    except (FormatError, OSError):
+        return b""

@@ -1,0 +1,198 @@
+"""Names that no door may open: each is refused in words, at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, PaintError
+from hyperpaint.base.input_files import head_of, input_path, open_input, read_limited
+
+
+def _navigation(kind: str) -> Callable[[Any], object]:
+    return lambda path: hp.open_navigation(path, format=kind, week=2158, date="2021-05-20")
+
+
+def _flightline(name: str) -> Callable[[Any], object]:
+    def read(path: Any) -> object:
+        given = {"cube": "raw_0.hdr", "frame_index": None, "nav": None, "dark": None, "calibration": None}
+        given |= {name: path}
+        return hp.open_flightline(given.pop("cube"), **given)
+
+    return read
+
+
+def _light(path: Any) -> object:
+    from hyperpaint.simulation.rendering.measured_light import read_table
+
+    return read_table(path)
+
+
+def _mesh(path: Any) -> object:
+    from hyperpaint.simulation.rendering.mesh_files import read_mesh
+
+    return read_mesh(path)
+
+
+def _info(path: Any) -> object:
+    from hyperpaint.cli.info_command import describe_path
+
+    return describe_path(path)
+
+
+def _of(module: str, name: str, **options: Any) -> Callable[[Any], object]:
+    def read(path: Any) -> object:
+        return getattr(__import__(f"hyperpaint.{module}", fromlist=[name]), name)(path, **options)
+
+    return read
+
+
+#: Every function that opens what a user names: by name, with the suffix of such files.
+DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
+    "open_asd": (hp.open_asd, ".asd"),
+    "open_asd of text": (hp.open_asd, ".txt"),
+    "open_svc": (hp.open_svc, ".sig"),
+    "open_irradiance": (hp.open_irradiance, ".csv"),
+    "open_irradiance of netCDF": (hp.open_irradiance, ".nc"),
+    "open_library": (hp.open_library, ".txt"),
+    "open_library of csv": (hp.open_library, ".csv"),
+    "open_library of ENVI": (hp.open_library, ".hdr"),
+    "open_library of DIRSIG": (hp.open_library, ".ems"),
+    "wavelength= of open_library": (lambda path: hp.open_library("x.txt", wavelength=path), ".txt"),
+    "references": (_of("io.spectrometers.reference_files", "read_pairs"), ".csv"),
+    "open_references": (lambda path: _references(path), ".sig"),
+    "radcal": (_of("io", "read_radcal"), ".txt"),
+    "certificate": (_of("io", "read_certificate"), ".csv"),
+    "materials": (_of("io.dirsig", "read_materials"), ".mat"),
+    "emissivity": (_of("io.dirsig", "open_emissivity"), ".ems"),
+    "uvspec": (_of("io", "read_uvspec", sun_zenith=60.0, units="mW m-2 nm-1"), ".out"),
+    "tape7": (_of("io", "read_tape7", sun_zenith=60.0, ground=0.3), ""),
+    "6S": (lambda path: hp.io.read_sixs([path], sun_zenith=60.0), ".txt"),
+    "sky csv": (_of("io", "read_sky_csv"), ".csv"),
+    **{f"{kind} navigation": (_navigation(kind), f".{kind}")
+       for kind in ("imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea")},
+    "open_navigation": (hp.open_navigation, ".txt"),
+    "gps_time": (_of("io.navigation.navigation_records", "read_gps_time"), ".txt"),
+    "control points": (_of("io", "read_control_points"), ".csv"),
+    "frame index": (_of("io.flightline.headwall", "read_frame_index"), ".txt"),
+    "settings": (_of("io.flightline.headwall", "read_settings"), ".txt"),
+    "cube of a flight line": (_flightline("cube"), ".hdr"),
+    "ENVI header": (lambda path: xr.open_dataset(path, engine="envi"), ".hdr"),
+    "ENVI data": (lambda path: xr.open_dataset(path, engine="envi"), ".img"),
+    "engine asd": (lambda path: xr.open_dataset(path, engine="asd"), ".asd"),
+    "engine svc": (lambda path: xr.open_dataset(path, engine="svc"), ".sig"),
+    "calibration": (_of("io.flightline.calibration_store", "open_calibration"), ".nc"),
+    "sweep": (_of("io.flightline.calibration_store", "open_sweep"), ".nc"),
+    "open_collect": (hp.open_collect, ".toml"),
+    "process": (lambda path: hp.process(path, "never.zarr"), ".toml"),
+    "scene": (_of("workflows.scene_files", "read_scene_file"), ".toml"),
+    "spectra of a scene": (_of("workflows.render_libraries", "read_spectra"), ".txt"),
+    "regions": (hp.read_regions, ".geojson"),
+    "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
+    "light table": (_light, ".csv"),
+    **{f"mesh {suffix}": (_mesh, suffix) for suffix in (".obj", ".glb", ".ply")},
+    "info": (_info, ".txt"),
+    "info of a header": (_info, ".hdr"),
+    "info of a folder of none": (_info, ""),
+    "store": (hp.open_store, ".zarr"),
+    "verify a store": (hp.verify, ".zarr"),
+}  # fmt: skip
+
+
+def _references(path: Any) -> object:
+    from hyperpaint.io.spectrometers.reference_files import open_references
+
+    return open_references([path])
+
+
+WORDS = {
+    "pipe": "pipe", "device": "device", "socket": "socket", "NUL": "NUL", "over-long": "at most 255 bytes",
+    "chained": "URL", "URL": "URL",
+}  # fmt: skip
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], str]]:
+    """Return what gives the name of a kind with a suffix, in a folder where short names suffice."""
+    monkeypatch.chdir(tmp_path)
+    sockets = []
+
+    def place(kind: str, suffix: str) -> str:
+        name = f"bait{suffix}"
+        if kind == "pipe":
+            os.mkfifo(name)
+        elif kind == "device":
+            os.symlink("/dev/zero", name)
+        elif kind == "socket":
+            sockets.append(socket.socket(socket.AF_UNIX))
+            sockets[-1].bind(name)
+        elif kind == "NUL":
+            return f"ba\0it{suffix}"
+        elif kind == "over-long":
+            return "b" * 300 + suffix
+        else:
+            return f"{'dask::memory' if kind == 'chained' else 'https'}://127.0.0.1:9/bait{suffix}"
+        return name
+
+    yield place
+    for each in sockets:
+        each.close()
+
+
+@pytest.fixture
+def _impatient() -> Iterator[None]:
+    def stop(*_: Any) -> None:
+        raise TimeoutError("it waits")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, 10.0)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("_impatient")
+@pytest.mark.parametrize("kind", WORDS)
+@pytest.mark.parametrize("door", DOORS)
+def test_a_door_refuses_what_is_no_plain_file(
+    door: str, kind: str, places: Callable[[str, str], str]
+) -> None:
+    read, suffix = DOORS[door]
+    with pytest.raises(PaintError) as caught:
+        read(places(kind, suffix))
+    assert str(caught.value)
+    # stores may be URLs, and have words of their own
+    assert WORDS[kind] in str(caught.value) or "store" in door or (kind == "URL" and "library" in door)
+
+
+def test_a_plain_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "sky.csv"
+    path.write_bytes(b"time,550\n")
+    assert input_path(path) == path
+    assert read_limited(path, 9, "a series") == b"time,550\n"
+    assert head_of(path, 4) == b"time"
+    with pytest.raises(FormatError, match=r"9 bytes, expected a series of at most 8 bytes"):
+        read_limited(path, 8, "a series")
+    with pytest.raises(FormatError, match=r"a folder, expected a series"):
+        open_input(tmp_path, "a series")
+    with pytest.raises(FormatError, match="No such file"):
+        open_input(tmp_path / "other.csv", "a series")
+
+
+def test_a_file_that_turns_into_a_pipe_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    monkeypatch.setattr("hyperpaint.base.input_files.input_path", lambda path, _: Path(path))
+    with pytest.raises(FormatError, match="a pipe, expected a series"):
+        open_input(pipe, "a series")
+    assert head_of(pipe, 4) == b""
