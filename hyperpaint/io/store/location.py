@@ -55,6 +55,10 @@ class Location:
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
         text = os.fspath(path)
+        if "::" in text or "\0" in text:
+            # dask:: would start a cluster, and others copy or unpack what they are given
+            what = "a chained URL" if "::" in text else "a name with a NUL character"
+            raise StoreError(f"{text!r:.200}: {what}, expected a folder or a plain URL; check the path")
         try:
             fs, root = url_to_fs(text)
         except ImportError as error:
