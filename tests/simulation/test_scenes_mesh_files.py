@@ -325,7 +325,7 @@ def test_a_file_too_large_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "large.obj"
     with path.open("wb") as file:
         file.truncate(2**30 + 1)  # sparse
-    with pytest.raises(FormatError, match="expected at most 1073741824"):
+    with pytest.raises(FormatError, match="expected a mesh of at most 1073741824"):
         read_mesh(path)
 
 

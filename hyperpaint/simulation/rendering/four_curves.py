@@ -349,8 +349,6 @@ class Atmosphere:
             The table is not as described; all problems are listed.
         SchemaError
             The sun is not above the horizon.
-        OSError
-            The file cannot be read.
         """
         from .measured_light import read_sky, read_table
 
