@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems, UnitsError
+from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.flightline.headwall import name_rows, table_of
 
@@ -33,16 +33,18 @@ _ALIASES = {
     **dict.fromkeys(("flightline", "flight_line", "image"), "flightline"),
     **dict.fromkeys(("name", "point", "id", "label"), "name"),
 }
-_UNIT = re.compile(r"\s*[\[(][^\])]*[\])]\s*$|_m$")
+_SUFFIXES = ("m", "ft", "km", "cm", "mm", "feet", "px")
+_PIXELS = ("", "1", "px", "pixel", "pixels")
 
 
 def read_control_points(path: str | Path) -> xr.Dataset:
     r"""Read ground control points from a table of text.
 
     The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
-    at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, all
-    in metres; and, where they are of several lines, ``flightline``; ``name`` is kept. Cells are parted by
-    commas, semicolons or tabs. A comment ``# crs: EPSG:32617`` before the header names the map.
+    at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, in
+    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft``; and, where they are of
+    several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A comment
+    ``# crs: EPSG:32617`` before the header names the map.
 
     Parameters
     ----------
@@ -59,8 +61,8 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     Raises
     ------
     FormatError
-        The file cannot be read; columns are missing or doubled; cells are no finite numbers; all problems,
-        up to a few, are listed.
+        The file cannot be read; columns are missing or doubled, or in a unit that is none of length; cells
+        are no finite numbers; all problems, up to a few, are listed.
 
     Examples
     --------
@@ -83,13 +85,18 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     if len(rows) < 2 or len(rows) > _MOST_ROWS:
         raise FormatError(f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}")
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
-    header = [_ALIASES.get(_plain(cell), "") for cell in _cells(rows[0][1], mark)]
+    headings = [_heading(cell) for cell in _cells(rows[0][1], mark)]
+    header = [_ALIASES.get(name, "") for name, _ in headings]
+    units = dict(zip(header, (unit for _, unit in headings), strict=True))
     for name in _NUMBERS:
         if header.count(name) != 1:
             problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
-    numbers = {name: limited_numbers(table, name, _LARGEST, problems) for name in _NUMBERS}
+    numbers = {
+        name: limited_numbers(table, name, _LARGEST, problems) * _factor(name, units[name], problems)
+        for name in _NUMBERS
+    }
     for name, values in numbers.items():
         if np.isnan(values).any():
             problems.add(f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}")
@@ -121,5 +128,32 @@ def _cells(line: str, mark: str) -> list[str]:
         return []
 
 
-def _plain(cell: str) -> str:
-    return _UNIT.sub("", cell.strip()).strip().lower().replace(" ", "_")
+def _heading(cell: str) -> tuple[str, str]:
+    """Return the name of a column, and the unit that follows it; empty without one.
+
+    Examples
+    --------
+    >>> _heading("Easting [m]"), _heading("height_ft"), _heading("Flight line")
+    (('easting', 'm'), ('height', 'ft'), ('flight_line', ''))
+    """
+    text, unit = cell.strip(), ""
+    place = max(text.rfind("["), text.rfind("("))
+    if place >= 0 and text.endswith(("]", ")")):
+        text, unit = text[:place].strip(), text[place + 1 : -1].strip()
+    name = text.lower().replace(" ", "_")
+    if not unit and name.rpartition("_")[2] in _SUFFIXES:
+        name, _, unit = name.rpartition("_")
+    return name, unit
+
+
+def _factor(name: str, unit: str, problems: Problems) -> float:
+    """Return the metres, or pixels, of one unit of a column; 1 where none is given."""
+    if name.endswith("_track"):
+        if unit.lower() not in _PIXELS:
+            problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
+        return 1.0
+    try:
+        return conversion_factor(unit or "m", "m")
+    except UnitsError:
+        problems.add(f"column {name!r} in {unit!r:.40}, expected a unit of length, such as [m] or [ft]")
+        return 1.0

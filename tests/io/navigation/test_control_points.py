@@ -49,6 +49,27 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
         read_control_points(path)
 
 
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("[ft]", 0.3048), ("(feet)", 0.3048), ("[km]", 1000.0)],
+)
+def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: float) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"line,sample,east {unit},north_m,height_ft\n1,2,3,4,50\n")
+    points = read_control_points(path)
+    assert points.east.item() == pytest.approx(3 * metres, rel=1e-11)
+    assert (points.north.item(), points.height.item()) == (4.0, 50 * 0.3048)
+
+
+@pytest.mark.parametrize(("heading", "told"), [("east [s]", "'east' in 's'"), ("east (UTM 17)", "'UTM 17'")])
+def test_a_unit_of_something_else_is_refused(tmp_path: Path, heading: str, told: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"line [m],sample,{heading},north,height\n1,2,3,4,50\n")
+    with pytest.raises(FormatError, match=r"'along_track' in 'm', expected pixels") as caught:
+        read_control_points(path)
+    assert told in str(caught.value)
+
+
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read"):
         read_control_points(tmp_path / "none.csv")
