@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Literal, get_args
 
 __all__ = [
-    "ALIGNMENTS", "MAX_TASK_BYTES", "QUANTISATION_VARIANCE_COUNT2", "SATURATION_MARGIN_COUNTS",
-    "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED", "WGS84_SEMI_MAJOR_AXIS_M", "Alignment",
-    "lines_a_task",
+    "ALIGNMENTS", "MAX_TASK_BYTES", "NUMERICS_VERSION", "QUANTISATION_VARIANCE_COUNT2",
+    "SATURATION_MARGIN_COUNTS", "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED",
+    "WGS84_SEMI_MAJOR_AXIS_M", "Alignment", "lines_a_task",
 ]  # fmt: skip
 
 SATURATION_MARGIN_COUNTS = 16
@@ -23,6 +23,12 @@ WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
 """From what a frame's time stamp marks to the middle of its exposure, in exposures."""
+
+NUMERICS_VERSION = 1
+"""Version of the numbers that `process` and `render` store. Raise it with every change after which the same
+inputs and settings may give other bits (a formula, a constant, a threshold, an order of summation); not for
+speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums that go with it. Stores
+made by another version say so, and are computed again on request."""
 
 MAX_TASK_BYTES = 24_000_000
 """Output of one task; a larger block costs the allocator a trip to the kernel each time."""

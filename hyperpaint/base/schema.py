@@ -45,8 +45,9 @@ __all__ = [
     "label", "numbers_of", "quality_attrs", "rename_to_roles", "require", "with_numbers",
 ]  # fmt: skip
 
-FORMAT_VERSION = 1
-"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``."""
+FORMAT_VERSION = 2
+"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``. 2 keeps a record of the
+groups that a store is to hold; 1, of hyperpaint 0.1, does not."""
 
 CHUNK_LINES = 32
 """Lines in one storage chunk, and in one task on threads (see the design decisions in the README)."""

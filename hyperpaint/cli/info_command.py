@@ -415,6 +415,8 @@ def _within(folder: Path, path: Path) -> str:
 
 def _store(path: Path) -> Facts:
     from hyperpaint.io.store import list_groups
+    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.root_record import set_state
 
     groups = list_groups(path)
     if groups == [""]:
@@ -422,17 +424,20 @@ def _store(path: Path) -> Facts:
         yield from _group(path, "")
         return
     yield "is", f"Zarr store, {counted(len(groups), 'group')} with arrays"
+    state = set_state(Location.of(path), groups)
+    yield "NOT WHOLE", "\n".join(state.problems)
+    yield "note", "\n".join(state.notes)
     for name in groups:
         yield f"/{name}", _joined(_group(path, name))
 
 
 def _group(path: Path, name: str) -> Facts:
     """Yield what a group holds, or why it must not be read."""
-    from hyperpaint.io.store import open_store, open_unverified
+    from hyperpaint.io.store import open_group, open_unverified
     from hyperpaint.io.store.record import COMPLETE
 
     try:
-        group = open_store(path, name)
+        group = open_group(path, name)
         yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
     except IncompleteStoreError as error:
         group = open_unverified(path, name)

@@ -11,12 +11,15 @@ import sys
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
-from hyperpaint.base.constants import ALIGNMENTS, Alignment
+from hyperpaint.base.constants import ALIGNMENTS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.io.files.sampled_content import sampled_digest
 from hyperpaint.io.store.groups import INPUTS
+from hyperpaint.io.store.record import SETTINGS
 
 from .collect_check import check_accepted, refuse_findings
 
@@ -27,9 +30,11 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
     from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.record import GroupRecord
 
 __all__ = [
-    "Outcome", "computing_on", "kept_groups", "local_folder", "process", "run", "store_group", "token_of",
+    "Outcome", "computing_on", "finishing_command", "kept_groups", "local_folder", "process", "run",
+    "token_of",
 ]  # fmt: skip
 
 
@@ -76,8 +81,7 @@ def kept_groups(
 
     Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
     """
-    from hyperpaint.io.store import is_complete, open_store
-    from hyperpaint.io.store.groups import groups_above, problems_above
+    from hyperpaint.io.store.groups import groups_above, has_all_chunks, problems_above
     from hyperpaint.io.store.location import Location
 
     if not out.exists():
@@ -90,13 +94,13 @@ def kept_groups(
     problems.raise_if_any()
     complete = []
     for name in location.groups():
-        same = is_complete(out, name) and open_store(out, name).attrs.get(INPUTS)
+        record, same = _finished(location, name)
         if name not in groups:
             if only is not None and name.startswith(only[0]):
                 problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
         elif same == groups[name].attrs[INPUTS]:
             # a chunk that is missing is made again by `to_store`, with all others of its group
-            if _has_all_chunks(location, name):
+            if record is not None and has_all_chunks(location, name, record):
                 complete.append(name)
         elif not overwrite:
             state = "with other inputs or parameters" if same else f"never finished, or not by {command}"
@@ -109,12 +113,16 @@ def kept_groups(
     return complete
 
 
-def _has_all_chunks(location: Location, group: str) -> bool:
-    from hyperpaint.io.store.groups import has_all_chunks
+def _finished(location: Location, group: str) -> tuple[GroupRecord | None, str]:
+    """Return the record of a finished group, and what names its inputs; nothing of another."""
+    from hyperpaint.io.store import is_complete
     from hyperpaint.io.store.record import read_record
 
+    if not is_complete(location.url, group):
+        return None, ""
     record = read_record(location, group)
-    return record is not None and has_all_chunks(location, group, record)
+    attributes = (location.metadata(group) or {}).get("attributes", {})
+    return record, str(attributes.get(INPUTS, ""))
 
 
 # --- where it is computed ---
@@ -168,12 +176,14 @@ def token_of(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
-def store_group(dataset: xr.Dataset, out: Path, name: str, *, overwrite: bool, progress: bool) -> None:
-    """Write a group that names its inputs; bars go to stderr, so that stdout holds results only."""
-    from hyperpaint.io.store import to_store
+def finishing_command(command: str, options: Mapping[str, Any]) -> str:
+    """Return the command line that finishes an interrupted run, ``{store}`` in place of the store.
 
-    with contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext():
-        to_store(dataset, out, name, overwrite=overwrite, progress=progress, source_token=token_of(dataset))
+    ``options``: by their names; those that are None or False were not given.
+    """
+    given = (f" {name}" if value is True else f" {name} {quote(str(value))}"
+             for name, value in options.items() if value is not None and value is not False)  # fmt: skip
+    return f"hyperpaint {command} --out {{store}}{''.join(given)}"
 
 
 KEPT_BITS = 12
@@ -283,11 +293,10 @@ def run(
     accept: Collection[str] = (), overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `process` does, and return what was written; the arguments are those of `process`."""
-    import xarray as xr
-
-    from hyperpaint.io.store import to_store
     from hyperpaint.io.store.budget import limited_threads, parse_size
     from hyperpaint.io.store.computing import errors_of_the_cluster
+    from hyperpaint.io.store.root_record import Member
+    from hyperpaint.io.store.store_runs import whole_run
     from hyperpaint.io.store.writer import check_room
 
     _check_words(to, reflectance, alignment, accept)
@@ -314,13 +323,22 @@ def run(
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()})
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
+        members = {
+            name: Member(token_of(dataset), dataset.attrs[SETTINGS]) for name, dataset in groups.items()
+        }
+        again = {
+            "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
+            "--reflectance": None if reflectance == "stored" else reflectance,
+        }  # fmt: skip
+        command = finishing_command(f"process {quote(str(opened.settings.path))}", again)
+        turn = stack.enter_context(
+            whole_run(out, members, products, opened.tree.attrs, command=command, overwrite=overwrite)
+        )
         for name, dataset in products.items():
             if progress and name in lines:
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
-            store_group(dataset, out, name, overwrite=overwrite, progress=progress)
-        root = xr.DataTree(xr.Dataset(attrs=opened.tree.attrs))
-        to_store(root, out, overwrite=overwrite)
+            turn.write(name, dataset, progress=progress)
     corrected = {
         name: str(line.attrs["alignment"])
         for name, line in aligned.items()
@@ -366,20 +384,26 @@ def _opened(
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        digest = _digest(dataset, cubes.get(name, ()), own if name in cubes else {})
-        groups[name] = dataset.assign_attrs({INPUTS: digest})
+        settings = _settings(own if name in cubes else {})
+        digest = _digest(dataset, cubes.get(name, ()), settings)
+        groups[name] = dataset.assign_attrs({INPUTS: digest, SETTINGS: settings})
     return opened, groups
 
 
-def _digest(dataset: xr.Dataset, cubes: tuple[Path, ...], parameters: Mapping[str, Any]) -> str:
-    """Return a digest of all values but the cubes', of the cubes' sizes and times, and of the parameters."""
+def _settings(parameters: Mapping[str, Any]) -> str:
+    """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
+    text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
+    return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def _digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
+    """Return a digest of all values but the cubes', of samples of the cubes' content, and of the settings."""
     import dask
     import numpy as np
 
-    digest = hashlib.sha256(json.dumps([FORMAT_VERSION, KEPT_BITS, parameters], sort_keys=True).encode())
+    digest = hashlib.sha256(settings.encode())
     for cube in cubes:
-        status = cube.stat()
-        digest.update(f"{cube.name} {status.st_size} {status.st_mtime_ns}".encode())
+        digest.update(f"{cube.name} {sampled_digest(cube)}".encode())
     digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
         digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())

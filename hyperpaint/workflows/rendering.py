@@ -36,6 +36,7 @@ import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
@@ -44,7 +45,7 @@ from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
-from .pipeline import Outcome, computing_on, kept_groups, local_folder, store_group, token_of
+from .pipeline import Outcome, computing_on, finishing_command, kept_groups, local_folder, token_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -155,10 +156,10 @@ def run(
     scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
-    import xarray as xr
-
-    from hyperpaint.io.store import open_store, to_store
+    from hyperpaint.io.store import open_group
     from hyperpaint.io.store.computing import errors_of_the_cluster
+    from hyperpaint.io.store.root_record import Member
+    from hyperpaint.io.store.store_runs import whole_run
     from hyperpaint.io.store.writer import check_room
 
     from .scene_files import read_scene_file
@@ -184,17 +185,25 @@ def run(
         pending = [name for name in planned if name not in complete]
         tokens = {name: token_of(planned[name]) for name in pending}
         check_room({name: planned[name] for name in pending}, out, tokens)
+        attrs = {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")}
+        members = {name: Member(token_of(dataset)) for name, dataset in planned.items()}
+        writing = {name: planned[name] for name in pending}
+        again = {
+            "--samples": samples, "--to": to, "--paints": paints, "--overwrite": overwrite,
+            "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
+        }  # fmt: skip
+        command = finishing_command(f"render {quote(str(path))}", again)
+        turn = stack.enter_context(
+            whole_run(out, members, writing, attrs, command=command, overwrite=overwrite)
+        )
         for name in pending:
             dataset = traced
             if name != TRANSPORT:  # of the scene as it is stored
-                stored = open_store(out, TRANSPORT)
+                stored = open_group(out, TRANSPORT)
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:
                 sys.stderr.write(_announcement(name, file))
-            store_group(dataset, out, name, overwrite=overwrite, progress=progress)
-        text = file.path.read_text(encoding="utf-8")
-        root = xr.DataTree(xr.Dataset(attrs={"name": file.name, "scene_file": text}))
-        to_store(root, out, overwrite=True)
+            turn.write(name, dataset, progress=progress)
     return Outcome(out, tuple(pending), tuple(complete))
 
 

@@ -8,7 +8,7 @@ user.
 from __future__ import annotations
 
 from .layout import encoding
-from .reader import is_complete, list_groups, load_unverified, open_store, open_unverified
+from .reader import is_complete, list_groups, load_unverified, open_group, open_store, open_unverified
 from .verification import StoreReport, verify
 from .writer import to_store
 
@@ -18,6 +18,7 @@ __all__ = [
     "is_complete",
     "list_groups",
     "load_unverified",
+    "open_group",
     "open_store",
     "open_unverified",
     "to_store",

@@ -9,7 +9,7 @@ import contextlib
 import itertools
 import json
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,11 @@ from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import METADATA, Location, is_temporary, sync
 from .record import (
-    ATTRIBUTES,
     CHUNKS,
     COMPLETE,
+    OWN_ATTRS,
+    PLACE,
+    SET,
     GroupRecord,
     metadata_checksum,
     read_record,
@@ -30,7 +32,7 @@ from .record import (
 if TYPE_CHECKING:
     import xarray as xr
 
-VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", ATTRIBUTES, COMPLETE)
+VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
 """Attributes that say when, not what: they do not make another content."""
 
 INPUTS = "inputs_digest"
@@ -51,7 +53,7 @@ def stamped(attrs: Any, action: str) -> dict[str, Any]:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     line = f"{now} hyperpaint {version_of_program()}: {action}"
     return {
-        **{key: value for key, value in attrs.items() if key != COMPLETE},
+        **{key: value for key, value in attrs.items() if key not in OWN_ATTRS},
         "Conventions": "CF-1.11",
         "hyperpaint_format": FORMAT_VERSION,
         "hyperpaint_version": version_of_program(),
@@ -121,26 +123,38 @@ def _write_group(group: str, attributes: Mapping[str, Any], location: Location) 
         sync((location.local / group).absolute().parent)
 
 
-def unlist(group: str, location: Location) -> None:
-    """Drop consolidated metadata that lists a group about to be replaced: they would describe the old one."""
-    document = location.read_json("", METADATA) if group else None
-    if location.local is None or document is None:
+def announce(text: str, groups: Collection[str], location: Location) -> None:
+    """Write the root record into the root, before the first of ``groups`` gets its place.
+
+    Consolidated metadata that list one of them are dropped: they would describe the old one.
+    """
+    document = location.read_json("", METADATA)
+    if document is None:
+        _write_group("", {**stamped({}, "created"), SET: text}, location)
         return
     listed = (document.get("consolidated_metadata") or {}).get("metadata", {})
-    if group in listed:
-        del document["consolidated_metadata"]
-        location.write_json(document, METADATA)
+    others = {key: value for key, value in document.items() if key != "consolidated_metadata"}
+    kept = document if listed.keys().isdisjoint(groups) else others
+    announced = {**kept, "attributes": {**kept.get("attributes", {}), SET: text}}
+    if announced != document:
+        location.write_json(announced, METADATA)
 
 
-def finish_root(attrs: Mapping[str, dict[str, Any]], location: Location) -> None:
-    """Set the attributes of groups without variables (by group), then list all metadata in the root."""
+def finish_root(attrs: Mapping[str, dict[str, Any]], text: str, location: Location) -> None:
+    """Set the attributes of groups without variables (by group), then list all metadata in the root.
+
+    ``text`` is the root record, empty where the root holds the only group.
+    """
     for group, wanted in attrs.items():
         make_groups_above(group, location)
         node = location.metadata(group)
         if node is None or not _has_attrs(node, wanted):
             stored = (node or {}).get("attributes", {})
             _write_group(group, {**stored, **stamped({**stored, **_plain(wanted)}, "to_store")}, location)
-    location.write_json(_consolidated(location), METADATA)
+    document = _consolidated(location)
+    if text:
+        document["attributes"] = {**document.get("attributes", {}), SET: text}
+    location.write_json(document, METADATA)
 
 
 def _consolidated(location: Location) -> dict[str, Any]:
@@ -244,12 +258,17 @@ def occupant(group: str, token: str, location: Location) -> str:
         metadata, record = {}, None
     if metadata is None and not _entries(location, group):
         return ""
-    if record is not None and record.token == token:
+    if record is not None and record.token == token and _lies_at(metadata, group):
         return "same" if has_all_chunks(location, group, record) else "lacks chunks"
     below = (f"{group}/{child}" if group else child for child in location.folders(group))
     if not all(_is_array(location, path) for path in below):
         return "parent"
     return "was never finished or is damaged" if record is None else "with other content"
+
+
+def _lies_at(metadata: Mapping[str, Any] | None, group: str) -> bool:
+    """Tell whether a group's own record says that it belongs where it is."""
+    return ((metadata or {}).get("attributes") or {}).get(PLACE) == f"/{group}"
 
 
 def _is_foreign(location: Location) -> bool:

@@ -7,13 +7,16 @@ Whoever wrote a store, nothing of it is decoded before its metadata (`documents`
 from __future__ import annotations
 
 import os
+import warnings
 from typing import TYPE_CHECKING, Any, overload
 
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
 
 from .documents import check_node
 from .location import Location, clean_group
 from .record import (
+    PLACE,
+    SET,
     GroupRecord,
     attributes_checksum,
     metadata_checksum,
@@ -21,6 +24,7 @@ from .record import (
     read_seal,
     recorded_form,
 )
+from .root_record import check_member, check_set, is_misplaced
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,9 +70,11 @@ def open_store(path: str | os.PathLike[str], group: None = None, **kwargs: Any) 
 def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> Any:
     """Open a finished group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
-    The group must be sealed and its metadata those recorded; each chunk must be there and hold what was
-    recorded for it, which shows when it is read. A group that is replaced while it is open is not read any
-    further: open it again. All chunks at once are checked by `hyperpaint.verify`.
+    The store must hold the groups that it is to hold, by its root record: none unfinished, deleted, swapped
+    or foreign, none of other settings (of a single group its own part of that is looked at, and that the
+    store is finished). The group must be sealed and its metadata those recorded; each chunk must be there and
+    hold what was recorded for it, which shows when it is read. A group that is replaced while it is open is
+    not read any further: open it again. All chunks at once are checked by `hyperpaint.verify`.
 
     Parameters
     ----------
@@ -88,15 +94,46 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     Raises
     ------
     IncompleteStoreError
-        The group was never finished, or its metadata are damaged; on reading values, a chunk is missing or is
-        not what was written, or the group was replaced since.
+        The store is not whole, the group was never finished, or its metadata are damaged; on reading values,
+        a chunk is missing or is not what was written, or the group was replaced since.
     StoreError
         There is no such store or group (those that exist are listed); or it holds what is not read: codecs,
         data types, sizes or links that no store of ours has.
+
+    Warns
+    -----
+    PaintWarning
+        The store was written by hyperpaint 0.1, which kept no record of its groups.
+
+    See Also
+    --------
+    open_group : A finished group of a store that is still being written.
     """
     location, name = Location.of(path), clean_group(group)
     if group is None and (groups := location.groups()) and "" not in groups:
+        _warn(check_set(location, groups))
         return _opened_tree(path, groups, **kwargs)
+    if (node := location.metadata(name)) is not None:
+        _warn(check_member(location, name, node))
+    return open_group(path, name, **kwargs)
+
+
+def _warn(notes: tuple[str, ...]) -> None:
+    for note in notes:
+        warnings.warn(note, PaintWarning, stacklevel=3)
+
+
+def open_group(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Dataset:
+    """Open a finished group as `open_store` does, also while others of its store are still being written.
+
+    So a run can be followed, line by line. Whether the store holds all that it is to hold is not looked at.
+
+    Raises
+    ------
+    IncompleteStoreError, StoreError
+        As `open_store`, of this group.
+    """
+    location, name = Location.of(path), clean_group(group)
     before = read_seal(location, name)
     try:
         record = _complete_record(location, name)
@@ -117,7 +154,7 @@ def _opened_tree(path: str | os.PathLike[str], groups: list[str], **kwargs: Any)
     opened: dict[str, xr.Dataset | xr.DataTree] = {}
     for group in groups:
         try:
-            opened[group] = open_store(path, group, **kwargs)
+            opened[group] = open_group(path, group, **kwargs)
         except IncompleteStoreError as error:
             problems.add(str(error), mend="open the others by open_store(path, group)")
     problems.raise_if_any()
@@ -179,6 +216,7 @@ def _opened(
     for name, variable in opened.variables.items():
         variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
     opened.encoding["source"] = location.url
+    opened.attrs.pop(SET, None)
     return opened
 
 
@@ -189,6 +227,11 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
     if node is None or node.get("node_type") != "group":
         others = ", ".join("/" + name for name in location.groups()) or "none"
         raise StoreError(f"there is no {where}; groups found: {others}")
+    if is_misplaced(node, location, group):
+        place = node["attributes"][PLACE]
+        raise IncompleteStoreError(
+            f"{where} was swapped or copied: by its own record it is {place!s:.200}; write the group again"
+        )
     record = read_record(location, group)
     if record is None:
         raise IncompleteStoreError(

@@ -36,8 +36,21 @@ COMPLETE = "hyperpaint_complete"
 ATTRIBUTES = "hyperpaint_attributes"
 """Attribute of a group without arrays, which has no completion record: the checksum of the others."""
 
+SET = "hyperpaint_set"
+"""Attribute of a root: the groups that the store is to hold. It has a checksum of its own, and is in no
+other."""
+
+PLACE = "hyperpaint_group"
+"""Attribute of a group: its path, with a slash before it."""
+
+SETTINGS = "hyperpaint_settings"
+"""Attribute of a group that a run of several groups made: names the run's settings."""
+
+OWN_ATTRS = (ATTRIBUTES, COMPLETE, SET, PLACE, SETTINGS)
+"""Attributes that the writer gives a group: what a dataset brings along of them is of another."""
+
 _MOST_DIMS = 32
-_SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes=([0-9a-f]{8})")
+SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes=([0-9a-f]{8})")
 
 
 @dataclass(frozen=True)
@@ -49,11 +62,12 @@ class ArrayRecord:
     # crc32c of the decoded samples of every chunk, little-endian, in C order of the grid; what an edge chunk
     # holds beyond the array does not count
     chunks: tuple[int, ...]
+    version: int = FORMAT_VERSION  # Of the layout with which it was written
 
     def to_document(self) -> dict[str, Any]:
         """Return the content of the array's file."""
         return {
-            "hyperpaint_format": FORMAT_VERSION,
+            "hyperpaint_format": self.version,
             "metadata": self.metadata,
             "grid": list(self.grid),
             "crc32c": list(self.chunks),
@@ -62,11 +76,10 @@ class ArrayRecord:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> ArrayRecord:
         """Return the record that a parsed file holds; any of four errors where it holds none."""
-        if int(document["hyperpaint_format"]) > FORMAT_VERSION:
-            raise ValueError(
-                f"format {document['hyperpaint_format']} is newer than {FORMAT_VERSION}; update hyperpaint"
-            )
-        record = cls(document["metadata"], tuple(document["grid"]), tuple(document["crc32c"]))
+        version = int(document["hyperpaint_format"])
+        if version > FORMAT_VERSION:
+            raise ValueError(f"format {version} is newer than {FORMAT_VERSION}; update hyperpaint")
+        record = cls(document["metadata"], tuple(document["grid"]), tuple(document["crc32c"]), version)
         if len(record.grid) > _MOST_DIMS or not all(
             type(number) is int and 0 <= number < 2**32
             for number in (record.metadata, *record.grid, *record.chunks)
@@ -119,7 +132,7 @@ def read_record(location: Location, group: str) -> GroupRecord | None:
     if seal is None:
         return None
     where = f"group {'/' + group!r} of {location.url}"
-    match = _SEAL.fullmatch(str(seal))
+    match = SEAL.fullmatch(str(seal))
     if match is None:
         raise IncompleteStoreError(
             f"the completion record of {where} is damaged: {COMPLETE} = {seal!r:.80}; write it again"
@@ -171,15 +184,16 @@ def recorded_form(location: Location, group: str, name: str, record: ArrayRecord
 
 
 def attributes_checksum(node: Mapping[str, Any]) -> int:
-    """Return the crc32c of the attributes in a group's ``zarr.json``, without the seal."""
+    """Return the crc32c of the attributes in a group's ``zarr.json``, without the seals."""
     attributes = node.get("attributes") or {}
-    return metadata_checksum({key: value for key, value in attributes.items() if key != COMPLETE})
+    return metadata_checksum({key: value for key, value in attributes.items() if key not in (COMPLETE, SET)})
 
 
 def sealed_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes of a group without arrays with their checksum among them."""
     others = {key: value for key, value in attributes.items() if key not in (ATTRIBUTES, COMPLETE)}
-    return {**others, ATTRIBUTES: f"crc32c={metadata_checksum(others):08x}"}
+    checked = {key: value for key, value in others.items() if key != SET}
+    return {**others, ATTRIBUTES: f"crc32c={metadata_checksum(checked):08x}"}
 
 
 def has_sealed_attributes(node: Mapping[str, Any]) -> bool:

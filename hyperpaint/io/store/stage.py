@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import stat
 import time
@@ -40,6 +41,7 @@ _PATIENCE_S = 3.0
 _EMPTY_AGE_S = 30.0
 """Age from which an empty lock is taken for what a power failure left: a writer fills it at once."""
 _TRIES = 20
+_BUILD = re.compile(r"build-(.+)-[0-9A-Za-z_]+-[0-9a-f]{12}")
 
 
 class Staging:
@@ -57,6 +59,13 @@ class Staging:
         """Return what earlier attempts built of a group with the same content."""
         prefix = _build_prefix(group, content)
         return [entry for entry in self._entries() if entry.name.startswith(prefix)]
+
+    def discard_others(self, group: str, content: str) -> None:
+        """Remove what earlier attempts built of a group with other content."""
+        prefix = _build_prefix(group, content)
+        for entry in self._entries():
+            if _group_of_build(entry.name) == group and not entry.name.startswith(prefix):
+                discard(entry)
 
     def close(self, build: Path, group: str, content: str) -> Path:
         """Give what has been built another name, and return that.
@@ -110,22 +119,21 @@ class Staging:
             raise
         return old
 
-    def recover(self, wanted: Collection[tuple[str, str]] = ()) -> None:
+    def recover(self, wanted: Collection[str] = ()) -> None:
         """Undo a replacement that was cut short, and remove half-built groups but for those wanted.
 
         StoreError where there is what no writer leaves: links, or names that lead out of the store.
         """
-        prefixes = tuple(_build_prefix(group, content) for group, content in wanted)
         entries = self._entries()
         replaced = {entry: self._group_of(entry) for entry in entries if entry.name.startswith("replaced-")}
         for entry in entries:
             if entry in replaced:
                 self._put_back(entry, replaced[entry])
             elif entry.name.startswith("discarded-") or (
-                entry.name.startswith("build-") and not entry.name.startswith(prefixes)
+                entry.name.startswith("build-") and _group_of_build(entry.name) not in wanted
             ):
                 discard(entry)
-        above = {name for group, _ in wanted for name in groups_above(group)}
+        above = {name for group in wanted for name in groups_above(group)}
         for leftover in _temporaries(self.store, above):
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(leftover)
@@ -214,6 +222,12 @@ def _quoted(group: str) -> str:
     return quote(group, safe="") or _ROOT
 
 
+def _group_of_build(name: str) -> str | None:
+    """Return the group that a folder was built for, None where its name is of no build."""
+    match = _BUILD.fullmatch(name)
+    return None if match is None else "" if match[1] == _ROOT else unquote(match[1])
+
+
 def _build_prefix(group: str, content: str) -> str:
     return f"build-{_quoted(group)}-{content}-"
 
@@ -282,10 +296,10 @@ def _being_written(lock: Path, store: Path) -> StoreError:
 
 
 @contextlib.contextmanager
-def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[Staging]:
+def staging(store: Path, wanted: Collection[str] = ()) -> Iterator[Staging]:
     """Open the staging folder of a store, as its only writer, else a StoreError.
 
-    What earlier attempts built of the groups and contents ``wanted``, which are about to be written, is kept.
+    What earlier attempts built of the groups ``wanted``, which are about to be written, is kept.
     """
     stage = Staging(store)
     if stage.folder.is_symlink():

@@ -24,6 +24,7 @@ from .record import (
     read_record,
     recorded_form,
 )
+from .root_record import set_state
 
 #: Most names without a node, and most strays of a folder, that are listed one by one.
 _MOST_LISTED = 20
@@ -48,12 +49,18 @@ class StoreReport:
         Number of chunks that were read and compared.
     problems
         One line each; empty where all is well.
+    notes
+        What could not be checked.
+    resume
+        What finishes an unfinished store on the command line, where that is known.
     """
 
     path: str
     groups: tuple[str, ...]
     chunks: int
     problems: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    resume: str = ""
 
     @property
     def ok(self) -> bool:
@@ -64,16 +71,18 @@ class StoreReport:
         state = counted(len(self.problems), "problem") if self.problems else "whole"
         held = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
         head = f"{self.path}: {held}, {state}"
-        return "\n  ".join([head, *self.problems])
+        return "\n  ".join([head, *self.problems, *(f"note: {note}" for note in self.notes)])
 
 
 def verify(path: str | os.PathLike[str]) -> StoreReport:
     """Read every chunk of a store and compare it with the completion records.
 
-    Finds groups that were never finished, chunks that are missing, damaged, exchanged, stale or not of the
-    store, metadata that were changed, and groups that are listed but gone. Safe on a store from any source:
-    what may not be read (foreign codecs and data types, chunks that would not decode to what is declared,
-    links) is reported and not touched; plain `xarray.open_zarr` has no such guard.
+    Finds what the store lacks of the groups that it is to hold, or has in their place (unfinished, deleted,
+    swapped, foreign, mixed settings); groups that were never finished, chunks that are missing, damaged,
+    exchanged, stale or not of the store, metadata that were changed, and groups that are listed but gone.
+    Safe on a store from any source: what may not be read (foreign codecs and data types, chunks that would
+    not decode to what is declared, links) is reported and not touched; plain `xarray.open_zarr` has no such
+    guard.
 
     Parameters
     ----------
@@ -100,7 +109,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     """
     location = _location(path)
     groups = location.groups()
-    problems = list(_until_error(_root_problems(location, groups)))
+    state = set_state(location, groups)
+    problems = [*state.problems, *_until_error(_root_problems(location, groups))]
     chunks = 0
     for group in groups:
         try:
@@ -113,7 +123,9 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             continue
         chunks += sum(len(array.chunks) for array in record.arrays.values())
         problems.extend(_until_error(_group_problems(location, group, record)))
-    return StoreReport(location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)))
+    return StoreReport(
+        location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)), state.notes, state.resume
+    )
 
 
 def _location(path: str | os.PathLike[str]) -> Location:
@@ -153,7 +165,8 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     )
     for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
         yield from _until_error(_folder_problems(location, group))
-    gone = [name for name in listed if name not in nodes]
+    # what is in a group that is gone is gone with it
+    gone = [name for name in listed if name not in nodes and (_above(name) in nodes or not _above(name))]
     for name in gone[:_MOST_LISTED]:
         yield f"/{name[:200]}: listed in the root's metadata but not there"
     if len(gone) > _MOST_LISTED:
@@ -164,6 +177,10 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     for group in groups:
         if group and group not in listed:
             yield f"/{group}: not listed in the root's consolidated metadata; run the writer again"
+
+
+def _above(name: str) -> str:
+    return name.rpartition("/")[0]
 
 
 def _folder_problems(location: Location, group: str) -> Iterator[str]:

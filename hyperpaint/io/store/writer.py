@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,13 +13,15 @@ from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.base.units import takes_quantities
 
-from . import chunks, computing, layout
+from . import computing, layout
 from .budget import check_memory, limited_threads
-from .chunks import adopt, is_mendable
-from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
+from .chunks import is_mendable
+from .disk import check_disk, disk_needed, errors_of_the_system
+from .group_writing import Job, seal_group, write_arrays
 from .groups import (
     INPUTS,
     VOLATILE_ATTRS,
+    announce,
     damaged_groups,
     finish_root,
     groups_above,
@@ -31,25 +32,13 @@ from .groups import (
     problems_above,
     reads_from,
     rebuild_groups,
-    stamped,
-    unlist,
-    version_of_program,
-    without_known_warnings,
 )
 from .location import METADATA, Location, clean_group
-from .record import (
-    CHUNKS,
-    COMPLETE,
-    ArrayRecord,
-    GroupRecord,
-    attributes_checksum,
-    checksum,
-    metadata_checksum,
-)
+from .record import OWN_ATTRS
+from .root_record import Intention, Member, intention, read_set
 from .stage import Staging, clear_up, discard, staging
 
 if TYPE_CHECKING:
-    import numpy as np
     import xarray as xr
 
 PathT = TypeVar("PathT", str, Path)
@@ -132,53 +121,135 @@ def to_store(
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         _refuse_own_source(jobs, location)
         above = _groups_without_arrays(jobs, attrs)
-        pending = _pending(jobs, above, location, overwrite=overwrite)
+        pending = refused_jobs(jobs, above, location, overwrite=overwrite)
         damaged = damaged_groups(above, location)
-        if not pending and not damaged and is_listed([job.group for job in jobs], attrs, location):
+        wanted = {job.group: job.member for job in jobs}
+        done = not pending and not damaged and is_sealed(wanted, location)
+        if done and is_listed(wanted, attrs, location):
             if location.local is not None:
-                clear_up(_folder(location.local))
+                clear_up(real_folder(location.local))
             return path
-        threads = _check_room(pending, location)
-        with _opened(location, pending) as stage, limited_threads(threads):
+        _check_room(pending, location)
+        with Turn.at(location, wanted, [job.group for job in pending], above, overwrite=overwrite) as turn:
             # what another writer finished while we waited counts
-            pending = _pending(jobs, above, location, overwrite=overwrite)
-            rebuild_groups(damaged_groups(above, location), location)
-            for job in pending:
-                _write_group(job, location, stage, progress=progress)
-            finish_root(attrs, location)
+            for job in refused_jobs(jobs, above, location, overwrite=overwrite):
+                turn.write(job, progress=progress)
+            turn.finish(attrs)
     return path
 
 
-def _groups_without_arrays(jobs: list[_Job], attrs: Iterable[str]) -> list[str]:
+def is_sealed(wanted: Mapping[str, Member], location: Location) -> bool:
+    """Tell whether a store's record names these groups, and nothing is under way."""
+    record = read_set(location)
+    if record is None:
+        return not any(wanted)
+    return record.finished and all(record.groups.get(group) == each for group, each in wanted.items())
+
+
+class Turn:
+    """One writer's turn at a store: groups get their places one by one, then the root record is sealed.
+
+    Made by `Turn.at`. Other writers are refused meanwhile.
+    """
+
+    def __init__(
+        self, location: Location, stage: Staging | None, intended: Intention, pending: Collection[str]
+    ) -> None:
+        self._location, self._stage, self._intended, self._pending = location, stage, intended, pending
+        self._announced = False
+
+    @classmethod
+    @contextlib.contextmanager
+    def at(
+        cls,
+        location: Location,
+        wanted: Mapping[str, Member],
+        pending: Collection[str],
+        above: Collection[str],
+        *,
+        command: str | None = None,
+        overwrite: bool = False,
+    ) -> Iterator[Turn]:
+        """Hold a store to write the groups ``pending``, after which it is to hold those ``wanted``.
+
+        ``above``: groups without arrays around them; ``command``: see `intention`.
+        """
+        with _held(location, pending) as stage:
+            rebuild_groups(damaged_groups(above, location), location)
+            intended = intention(location, wanted, pending, command=command, overwrite=overwrite)
+            turn = cls(location, stage, intended, pending)
+            if not location.has("", METADATA) and len(pending) > 1 and "" not in pending:
+                turn.announce()
+            yield turn
+
+    @property
+    def _record(self) -> str:
+        """The root record's text; empty where the root is the only group."""
+        return self._intended.record.text if any(self._intended.record.groups) else ""
+
+    def announce(self) -> None:
+        """Write into the root what the store is to hold, unless that has been done."""
+        if self._record and not self._announced:
+            announce(self._record, self._pending, self._location)
+        self._announced = True
+
+    def write(self, job: Job, *, progress: bool = False) -> None:
+        """Write a group, and put it in its place."""
+        with limited_threads(_check_room([job], self._location)):
+            if self._stage is None:
+                self._write_in_place(job, progress=progress)
+            else:
+                self._write_beside(job, self._stage, progress=progress)
+
+    def _write_in_place(self, job: Job, *, progress: bool) -> None:
+        location = self._location
+        if job.group:
+            self.announce()
+        # without its seal the group is incomplete from here on
+        if location.has(job.group):
+            location.fs.rm(location.key(job.group), recursive=True)
+        place = Location.of(location.group_url(job.group))
+        seal_group(job, place, write_arrays(job, place, [], progress=progress), self._record)
+        make_groups_above(job.group, location)
+
+    def _write_beside(self, job: Job, stage: Staging, *, progress: bool) -> None:
+        stage.discard_others(job.group, job.content)
+        leftovers = stage.leftovers(job.group, job.content)
+        folder = stage.build(job.group, job.content)
+        try:
+            sums = write_arrays(job, Location.of(folder), leftovers, progress=progress)
+            folder = stage.close(folder, job.group, job.content)
+            seal_group(job, Location.of(folder), sums, self._record)
+            if job.group:
+                self.announce()
+            make_groups_above(job.group, self._location)
+            stage.publish(folder, job.group)
+        except BaseException as error:
+            if not is_mendable(error):
+                for built in (folder, *leftovers):
+                    discard(built)
+            raise
+
+    def finish(self, attrs: Mapping[str, dict[str, Any]]) -> None:
+        """Set the attributes of groups without arrays (by group), and seal the root record."""
+        record = self._intended.sealed(self._location)
+        finish_root(attrs, record.text if any(record.groups) else "", self._location)
+
+
+def _groups_without_arrays(jobs: list[Job], attrs: Iterable[str]) -> list[str]:
     """Return the groups that a call makes around those it writes."""
     above = (each for job in jobs for each in groups_above(job.group))
     return list(dict.fromkeys((*above, *(each for group in attrs for each in (*groups_above(group), group)))))
 
 
-def _folder(local: Path) -> Path:
+def real_folder(local: Path) -> Path:
     """Return the folder itself, where a link leads to it: what is renamed must lie on one disk."""
     return Path(os.path.realpath(local))
 
 
-@dataclass(frozen=True)
-class _Job:
-    """One group to write."""
-
-    group: str
-    dataset: xr.Dataset
-    token: str
-
-    @property
-    def content(self) -> str:
-        """Names what is built: one group is never made by two versions of the program."""
-        from dask.base import tokenize
-
-        return str(tokenize(self.token, version_of_program()))
-
-
 def _plan(
     data: xr.Dataset | xr.DataTree, group: str, source_token: str | None
-) -> tuple[list[_Job], dict[str, dict[str, Any]]]:
+) -> tuple[list[Job], dict[str, dict[str, Any]]]:
     """Return the groups to write, and the attributes of groups without variables."""
     import xarray as xr
 
@@ -196,10 +267,15 @@ def _plan(
         dataset = _without_foreign_inputs(node, source_token)
         prepared = layout.prepare(dataset, name)
         if is_tree and not dataset.variables:
-            attrs[name] = dict(prepared.attrs)
+            attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
         else:
-            jobs.append(_Job(name, prepared, _token(dataset, source_token)))
+            jobs.append(Job(name, prepared, _token(dataset, source_token)))
     return jobs, attrs
+
+
+def job_of(group: str, dataset: xr.Dataset, member: Member) -> Job:
+    """Return what is to be written of a group of a run, which says itself what it is made from."""
+    return Job(group, layout.prepare(dataset, group), _token(dataset, member.identity), member.settings)
 
 
 def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
@@ -237,7 +313,7 @@ def _content(variable: xr.Variable) -> Any:
     return uuid.uuid4().hex
 
 
-def _refuse_own_source(jobs: list[_Job], location: Location) -> None:
+def _refuse_own_source(jobs: list[Job], location: Location) -> None:
     problems = Problems(f"cannot write {location.url}", StoreError)
     for job in jobs:
         if names := reads_from(job.dataset, location, job.group):
@@ -249,7 +325,7 @@ def _refuse_own_source(jobs: list[_Job], location: Location) -> None:
     problems.raise_if_any()
 
 
-def _pending(jobs: list[_Job], above: list[str], location: Location, *, overwrite: bool) -> list[_Job]:
+def refused_jobs(jobs: list[Job], above: list[str], location: Location, *, overwrite: bool) -> list[Job]:
     """Return the jobs that are not done yet; refuse those that would touch what must stay."""
     problems = Problems(f"cannot write {location.url}", StoreError)
     for text in problems_above(above, location, overwrite=overwrite):
@@ -278,12 +354,13 @@ def _pending(jobs: list[_Job], above: list[str], location: Location, *, overwrit
 
 
 @contextlib.contextmanager
-def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
+def _held(location: Location, groups: Collection[str]) -> Iterator[Staging | None]:
+    """Be the only writer of a store; where that is a folder, what was built of ``groups`` before is kept."""
     if location.local is None:
         yield None
         return
     location.local.parent.mkdir(parents=True, exist_ok=True)
-    with staging(_folder(location.local), [(job.group, job.content) for job in jobs]) as stage:
+    with staging(real_folder(location.local), groups) as stage:
         yield stage
 
 
@@ -292,151 +369,22 @@ def check_room(groups: Mapping[str, xr.Dataset], path: str | Path, tokens: Mappi
 
     ``tokens`` are their source tokens; the error gives the figures.
     """
-    jobs = [_Job(name, dataset, _token(dataset, tokens[name])) for name, dataset in groups.items()]
+    jobs = [Job(name, dataset, _token(dataset, tokens[name])) for name, dataset in groups.items()]
     _check_disk(jobs, Location.of(path))
 
 
-def _check_disk(jobs: list[_Job], location: Location) -> None:
+def _check_disk(jobs: list[Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
-    stage = Staging(_folder(location.local))
+    stage = Staging(real_folder(location.local))
     begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.content)]
     check_disk(location.local, sum(disk_needed(job.dataset) for job in jobs), begun)
 
 
-def _check_room(jobs: list[_Job], location: Location) -> int | None:
+def _check_room(jobs: list[Job], location: Location) -> int | None:
     """Refuse what disk or memory will not hold; return how many threads it may take, None for any."""
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
         return None  # the memory is that of the workers
     threads = [check_memory(job.dataset, f"group {'/' + job.group!r}") for job in jobs]
     return min((count for count in threads if count is not None), default=None)
-
-
-def _write_group(job: _Job, location: Location, stage: Staging | None, *, progress: bool) -> None:
-    if stage is None:
-        # in place: without its seal the group is incomplete from here on
-        if location.has(job.group):
-            location.fs.rm(location.key(job.group), recursive=True)
-        place = Location.of(location.group_url(job.group))
-        _seal(job, place, _write_arrays(job, place, [], progress=progress))
-        make_groups_above(job.group, location)
-        return
-    leftovers = stage.leftovers(job.group, job.content)
-    folder = stage.build(job.group, job.content)
-    try:
-        sums = _write_arrays(job, Location.of(folder), leftovers, progress=progress)
-        folder = stage.close(folder, job.group, job.content)
-        _seal(job, Location.of(folder), sums)
-        unlist(job.group, location)
-        make_groups_above(job.group, location)
-        stage.publish(folder, job.group)
-    except BaseException as error:
-        if not is_mendable(error):
-            for built in (folder, *leftovers):
-                discard(built)
-        raise
-
-
-def _seal(job: _Job, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]) -> None:
-    """Write the records of a group's chunks, flush all of it to the disk, and write the seal last."""
-    _remove_hidden(place)
-    arrays = _records(job.dataset, place, sums)
-    for name, array in arrays.items():
-        place.write_json(array.to_document(), name, CHUNKS)
-    if place.local is not None:
-        flush_group(place.local, _chunk_files(job.dataset, place.local, arrays))
-    document = place.metadata("") or {}
-    record = GroupRecord(job.token, attributes_checksum(document), arrays)
-    document["attributes"] = {**document.get("attributes", {}), COMPLETE: record.seal}
-    place.write_json(document, METADATA)
-
-
-def _write_arrays(
-    job: _Job, place: Location, leftovers: list[Path], *, progress: bool
-) -> dict[str, np.ndarray[Any, Any]]:
-    """Write a group's metadata and the chunks that no leftover has; return the chunks' checksums."""
-    import zarr
-
-    dataset = job.dataset
-    variables = {str(name): variable for name, variable in dataset.variables.items()}
-    streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
-    with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
-        _write_metadata(dataset.assign_attrs(stamped(dataset.attrs, "to_store")), list(streamed), place.url)
-        node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
-        targets = {name: _target(node, name, variable, place) for name, variable in streamed.items()}
-        finished = _taken_up(targets, leftovers)
-        lazy = {
-            name: chunks.lazy_checksums(variable, targets[name], finished[name])
-            for name, variable in streamed.items()
-        }
-        return computing.compute(lazy, targets, group=job.group, progress=progress)
-
-
-def _records(
-    dataset: xr.Dataset, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]
-) -> dict[str, ArrayRecord]:
-    """Return the records of all arrays; checksums that are not given are those of the values."""
-    import numpy as np
-    import zarr
-
-    node = zarr.open_group(place.url, mode="r", zarr_format=3, use_consolidated=False)
-    records = {}
-    for name in map(str, dataset.variables):
-        array = node[name]
-        if name in sums:
-            grid, checksums = sums[name].shape, sums[name].ravel().tolist()
-        else:
-            # what xarray wrote is small: it is read again, which also proves that it can be
-            grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
-            pieces = (chunks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
-            checksums = [checksum(np.asarray(array[piece])) for piece in pieces]
-        metadata = metadata_checksum(place.metadata("", name) or {})
-        records[name] = ArrayRecord(metadata, grid, tuple(checksums))
-    return records
-
-
-def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRecord]) -> Iterator[Path]:
-    """Yield the files of all chunks that blocks were written to."""
-    import numpy as np
-
-    for name, array in arrays.items():
-        if chunks.is_streamed(dataset.variables[name]):
-            for position in np.ndindex(array.grid):
-                yield folder.joinpath(name, "c", *map(str, position))
-
-
-def _target(node: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
-    import zarr
-
-    config: Any = {"write_empty_chunks": True}
-    array = zarr.open_array(node.store_path / name, mode="r+", zarr_format=3, config=config)
-    folder = None if place.local is None else place.local / name
-    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
-
-
-def _taken_up(
-    targets: Mapping[str, chunks.Target], leftovers: list[Path]
-) -> dict[str, dict[tuple[int, ...], int]]:
-    """Take the finished chunks out of what earlier attempts left; return the checksums of each array's."""
-    finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
-    for leftover in leftovers:
-        for name, target in targets.items():
-            adopt(leftover / name, target, finished[name])
-        discard(leftover)
-    return finished
-
-
-def _remove_hidden(place: Location) -> None:
-    """Remove the chunks' records, and the files of tasks that died while they wrote."""
-    for hidden in place.local.rglob(".*") if place.local is not None else ():
-        hidden.unlink(missing_ok=True)
-
-
-def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
-    """Let xarray write the metadata of all variables and the values of those that are not streamed."""
-    holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
-    template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
-    template, encoding = template[list(dataset.variables)], layout.encoding(dataset)
-    with without_known_warnings():
-        template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)

@@ -111,7 +111,7 @@ def content(path: Path) -> dict[str, Any]:
 def _timeless(document: Any) -> Any:
     if not isinstance(document, dict):
         return document
-    volatile = ("created", "history", "hyperpaint_attributes", "hyperpaint_complete")
+    volatile = ("created", "history", "hyperpaint_attributes", "hyperpaint_complete", "hyperpaint_set")
     return {key: _timeless(value) for key, value in document.items() if key not in volatile}
 
 
@@ -206,7 +206,7 @@ def test_stopped_just_before_the_end(
 ) -> None:
     path = tmp_path / "lot.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer._remove_hidden", interrupt)
+        patch.setattr("hyperpaint.io.store.group_writing._remove_hidden", interrupt)
         with pytest.raises(KeyboardInterrupt):
             to_store(line(), path, GROUP, source_token=TOKEN)
     asked.clear()
@@ -221,7 +221,7 @@ def test_stopped_while_it_is_taken_up(
     path = tmp_path / "lot.zarr"
     left = cut_short(path)
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.discard", interrupt)
+        patch.setattr("hyperpaint.io.store.group_writing.discard", interrupt)
         with pytest.raises(KeyboardInterrupt):
             to_store(line(), path, GROUP, source_token=TOKEN)
     assert len(list(partial(path).iterdir())) == 2
@@ -324,7 +324,7 @@ def test_leftovers_of_another_version_are_discarded(
 ) -> None:
     path = tmp_path / "lot.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.version_of_program", lambda: "0.0")
+        patch.setattr("hyperpaint.io.store.group_writing.version_of_program", lambda: "0.0")
         cut_short(path)
     to_store(line(), path, GROUP, source_token=TOKEN)
     assert sorted(asked) == list(range(BLOCKS))

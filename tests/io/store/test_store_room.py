@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
+from hyperpaint.io.store import budget, chunks, disk, group_writing, is_complete, to_store, verify, writer
 from hyperpaint.io.store.disk import check_disk, disk_needed
 
 CUBE = ("along_track", "band", "cross_track")
@@ -66,7 +66,7 @@ def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.
     whole = {"one": line()}
     needed = disk_needed(whole["one"])
     path = tmp_path / "lot.zarr"
-    content = writer._Job("one", whole["one"], writer._token(whole["one"], "token")).content
+    content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).content
     free(monkeypatch, needed - 500)
     with pytest.raises(StoreError, match="of disk are needed"):
         writer.check_room(whole, path, {"one": "token"})
@@ -205,17 +205,17 @@ def test_everything_is_flushed_before_the_seal_and_before_the_place(
 
 
 def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain, path = writer._remove_hidden, tmp_path / "lot.zarr"
+    plain, path = group_writing._remove_hidden, tmp_path / "lot.zarr"
 
     def clear_up(place: Any) -> None:
         plain(place)
         (place.local / "counts/c/1/0/0").unlink()
 
-    monkeypatch.setattr(writer, "_remove_hidden", clear_up)
+    monkeypatch.setattr(group_writing, "_remove_hidden", clear_up)
     with pytest.raises(StoreError, match=r"a finished chunk has been removed \(.*counts/c/1/0/0\)"):
         to_store(line(), path, GROUP, source_token="a")
     assert not path.exists()
-    monkeypatch.setattr(writer, "_remove_hidden", plain)
+    monkeypatch.setattr(group_writing, "_remove_hidden", plain)
     to_store(line(), path, GROUP, source_token="a")
     assert verify(path).ok
 

@@ -1,0 +1,172 @@
+"""One group of a store: its arrays, the records of their chunks, and its seal, which comes last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from . import chunks, computing, layout
+from .chunks import adopt
+from .disk import flush_group
+from .groups import INPUTS, stamped, version_of_program, without_known_warnings
+from .location import METADATA, Location
+from .record import (
+    CHUNKS,
+    COMPLETE,
+    PLACE,
+    SET,
+    SETTINGS,
+    ArrayRecord,
+    GroupRecord,
+    attributes_checksum,
+    checksum,
+    metadata_checksum,
+)
+from .root_record import Member
+from .stage import discard
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+__all__ = ["Job", "seal_group", "write_arrays"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One group to write."""
+
+    group: str
+    dataset: xr.Dataset
+    token: str
+    settings: str = ""  # Of the run that writes it
+
+    @property
+    def content(self) -> str:
+        """Names what is built: one group is never made by two versions of the program."""
+        from dask.base import tokenize
+
+        return str(tokenize(self.token, version_of_program()))
+
+    @property
+    def member(self) -> Member:
+        """What the group is to the store's record."""
+        return Member(str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
+
+
+def seal_group(
+    job: Job, place: Location, sums: Mapping[str, np.ndarray[Any, Any]], root_record: str = ""
+) -> None:
+    """Write the records of a group's chunks, flush all of it to the disk, and write the seal last.
+
+    ``root_record``: what the group says of others, where it is the root and there are others.
+    """
+    _remove_hidden(place)
+    arrays = _records(job.dataset, place, sums)
+    for name, array in arrays.items():
+        place.write_json(array.to_document(), name, CHUNKS)
+    if place.local is not None:
+        flush_group(place.local, _chunk_files(job.dataset, place.local, arrays))
+    document = place.metadata("") or {}
+    record = GroupRecord(job.token, attributes_checksum(document), arrays)
+    extra = {SET: root_record} if root_record and not job.group else {}
+    document["attributes"] = {**document.get("attributes", {}), COMPLETE: record.seal, **extra}
+    place.write_json(document, METADATA)
+
+
+def write_arrays(
+    job: Job, place: Location, leftovers: list[Path], *, progress: bool
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Write a group's metadata and the chunks that no leftover has; return the chunks' checksums."""
+    import zarr
+
+    dataset = job.dataset
+    variables = {str(name): variable for name, variable in dataset.variables.items()}
+    streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
+    with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
+        _write_metadata(dataset.assign_attrs(_own_attributes(job)), list(streamed), place.url)
+        node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
+        targets = {name: _target(node, name, variable, place) for name, variable in streamed.items()}
+        finished = _taken_up(targets, leftovers)
+        lazy = {
+            name: chunks.lazy_checksums(variable, targets[name], finished[name])
+            for name, variable in streamed.items()
+        }
+        return computing.compute(lazy, targets, group=job.group, progress=progress)
+
+
+def _own_attributes(job: Job) -> dict[str, Any]:
+    """Return a group's attributes with what the writer adds: what it is, and where it belongs."""
+    settings = {SETTINGS: job.settings} if job.settings else {}
+    return {**stamped(job.dataset.attrs, "to_store"), PLACE: f"/{job.group}", **settings}
+
+
+def _records(
+    dataset: xr.Dataset, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]
+) -> dict[str, ArrayRecord]:
+    """Return the records of all arrays; checksums that are not given are those of the values."""
+    import numpy as np
+    import zarr
+
+    node = zarr.open_group(place.url, mode="r", zarr_format=3, use_consolidated=False)
+    records = {}
+    for name in map(str, dataset.variables):
+        array = node[name]
+        if name in sums:
+            grid, checksums = sums[name].shape, sums[name].ravel().tolist()
+        else:
+            # what xarray wrote is small: it is read again, which also proves that it can be
+            grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
+            pieces = (chunks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
+            checksums = [checksum(np.asarray(array[piece])) for piece in pieces]
+        metadata = metadata_checksum(place.metadata("", name) or {})
+        records[name] = ArrayRecord(metadata, grid, tuple(checksums))
+    return records
+
+
+def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRecord]) -> Iterator[Path]:
+    """Yield the files of all chunks that blocks were written to."""
+    import numpy as np
+
+    for name, array in arrays.items():
+        if chunks.is_streamed(dataset.variables[name]):
+            for position in np.ndindex(array.grid):
+                yield folder.joinpath(name, "c", *map(str, position))
+
+
+def _target(node: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
+    import zarr
+
+    config: Any = {"write_empty_chunks": True}
+    array = zarr.open_array(node.store_path / name, mode="r+", zarr_format=3, config=config)
+    folder = None if place.local is None else place.local / name
+    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
+
+
+def _taken_up(
+    targets: Mapping[str, chunks.Target], leftovers: list[Path]
+) -> dict[str, dict[tuple[int, ...], int]]:
+    """Take the finished chunks out of what earlier attempts left; return the checksums of each array's."""
+    finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
+    for leftover in leftovers:
+        for name, target in targets.items():
+            adopt(leftover / name, target, finished[name])
+        discard(leftover)
+    return finished
+
+
+def _remove_hidden(place: Location) -> None:
+    """Remove the chunks' records, and the files of tasks that died while they wrote."""
+    for hidden in place.local.rglob(".*") if place.local is not None else ():
+        hidden.unlink(missing_ok=True)
+
+
+def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
+    """Let xarray write the metadata of all variables and the values of those that are not streamed."""
+    holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
+    template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
+    template, encoding = template[list(dataset.variables)], layout.encoding(dataset)
+    with without_known_warnings():
+        template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)

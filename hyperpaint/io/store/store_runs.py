@@ -1,0 +1,75 @@
+"""A run that writes several groups of one store: whole when all are there, and until then unfinished."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .disk import errors_of_the_system
+from .groups import damaged_groups, groups_above, is_listed
+from .location import METADATA, Location
+from .root_record import Member
+from .stage import clear_up
+from .writer import Turn, is_sealed, job_of, real_folder, refused_jobs
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["WholeRun", "whole_run"]
+
+
+class WholeRun:
+    """Writes the groups of a run, each of which was named when it began; made by `whole_run`."""
+
+    def __init__(
+        self, turn: Turn | None, location: Location, members: Mapping[str, Member], *, overwrite: bool
+    ) -> None:
+        self._turn, self._location, self._members, self._overwrite = turn, location, members, overwrite
+
+    def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
+        """Write a group; bars go to stderr, so that stdout holds results only."""
+        assert self._turn is not None  # a run without pending groups writes none
+        job = job_of(group, dataset, self._members[group])
+        shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
+        with shown, errors_of_the_system(self._location, {group: dataset}):
+            for each in refused_jobs([job], groups_above(group), self._location, overwrite=self._overwrite):
+                self._turn.write(each, progress=progress)
+
+
+@contextlib.contextmanager
+def whole_run(
+    path: Path, members: Mapping[str, Member], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any],
+    *, command: str, overwrite: bool,
+) -> Iterator[WholeRun]:  # fmt: skip
+    """Hold a store for a run, and seal it when that ends well; nothing is done where all is there.
+
+    ``members``: every group of the run; ``pending``: those that it will write; ``attrs``: of the root;
+    ``command``: finishes an interrupted run, with ``{store}`` in place of the path.
+
+    Raises `StoreError`: another writer is at work, or the store cannot be written.
+    """
+    location = Location.of(path)
+    above = list(dict.fromkeys(each for name in members for each in groups_above(name)))
+    with contextlib.ExitStack() as stack:
+        turn = None
+        with errors_of_the_system(location, pending):
+            done = not pending and not damaged_groups(above, location)
+            if done and is_sealed(members, location) and _is_listed(attrs, location):
+                clear_up(real_folder(path))
+            else:
+                turn = stack.enter_context(
+                    Turn.at(location, members, list(pending), above, command=command, overwrite=overwrite)
+                )
+        yield WholeRun(turn, location, members, overwrite=overwrite)
+        if turn is not None:
+            with errors_of_the_system(location, pending):
+                turn.finish({"": dict(attrs)})
+
+
+def _is_listed(attrs: Mapping[Any, Any], location: Location) -> bool:
+    """Tell whether the root has its attributes and a list of all metadata, which is written with the seal."""
+    root = location.read_json("", METADATA) or {}
+    return bool(root.get("consolidated_metadata")) and is_listed([], {"": dict(attrs)}, location)

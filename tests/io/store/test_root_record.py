@@ -1,0 +1,296 @@
+"""The root record: what a store is to hold is what it holds, or the difference is named."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
+from hyperpaint.io.store import list_groups, open_group
+from hyperpaint.io.store.groups import INPUTS
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.root_record import Member, SetRecord, read_set
+from hyperpaint.io.store.store_runs import whole_run
+
+LINES = ("flightlines/raw_0", "flightlines/raw_1", "flightlines/raw_2")
+COMMAND = "hyperpaint process lot.toml --out {store}"
+
+
+def line(value: int = 1) -> xr.Dataset:
+    cube = np.full((8, 2, 3), value, "uint16")
+    return xr.Dataset({"counts": (("along_track", "band", "cross_track"), cube)})
+
+
+def run(path: Path, settings: str = "a", *, lines: tuple[str, ...] = LINES, stop: int | None = None) -> None:
+    """Write lines as `process` does; stop before one of them."""
+    value = 1 + ord(settings[0])
+    groups = {name: line(value).assign_attrs({INPUTS: f"{name}-{settings}"}) for name in lines}
+    members = {name: Member(f"{name}-{settings}", settings) for name in lines}
+    turns = whole_run(path, members, groups, {"name": "lot"}, command=COMMAND, overwrite=True)
+    with contextlib.suppress(KeyboardInterrupt), turns as turn:
+        for number, (name, dataset) in enumerate(groups.items()):
+            if number == stop:
+                raise KeyboardInterrupt
+            turn.write(name, dataset)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    run(tmp_path / "lot.zarr")
+    return tmp_path / "lot.zarr"
+
+
+def problems(path: Path) -> str:
+    report = hp.verify(path)
+    assert not report.ok
+    with pytest.raises(IncompleteStoreError):
+        hp.open_store(path)
+    return "\n".join(report.problems)
+
+
+def consolidate(path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(path)
+
+
+def root(path: Path) -> dict[str, Any]:
+    return dict(json.loads((path / "zarr.json").read_text())["attributes"])
+
+
+def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> None:
+    assert hp.verify(store).ok
+    os.rename(store, tmp_path / "elsewhere.zarr")
+    moved = tmp_path / "elsewhere.zarr"
+    assert hp.verify(moved).ok
+    assert set(hp.open_store(moved)["flightlines"].children) == {"raw_0", "raw_1", "raw_2"}
+    assert hp.open_store(moved, LINES[0]).counts.values[0, 0, 0] == 98
+    consolidate(moved)
+    assert hp.verify(moved).ok
+    assert "hyperpaint_set" not in hp.open_store(moved, LINES[0]).attrs
+
+
+@pytest.mark.parametrize("stop", [1, 2])
+def test_a_run_that_was_cut_short_is_unfinished(stop: int, tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    run(path, stop=stop)
+    said = problems(path)
+    assert f"unfinished: {stop} of 3 groups are there" in said
+    assert f"to finish it: hyperpaint process lot.toml --out {path}" in said
+    assert hp.verify(path).resume == f"hyperpaint process lot.toml --out {path}"
+    with pytest.raises(IncompleteStoreError, match=r"unfinished.*lot\.toml"):
+        hp.open_store(path, LINES[0])
+    assert open_group(path, LINES[0]).counts.values[0, 0, 0] == 98
+    run(path)
+    assert hp.verify(path).ok
+
+
+def test_two_half_runs_are_not_whole(store: Path) -> None:
+    run(store, "b", stop=0)
+    assert hp.verify(store).ok  # nothing had been replaced yet
+    run(store, "b", stop=1)
+    said = problems(store)
+    assert "unfinished: 1 of 3" in said
+    assert "/flightlines/raw_1, /flightlines/raw_2" in said
+    with pytest.raises(IncompleteStoreError):
+        hp.open_store(store, LINES[1])
+    run(store, "b")
+    assert hp.verify(store).ok
+
+
+def test_a_deleted_group_is_missed(store: Path) -> None:
+    shutil.rmtree(store / LINES[1])
+    consolidate(store)
+    assert problems(store) == f"/{LINES[1]}: deleted: the store's record names it, but it is not there"
+    # of the other lines each is what it was
+    assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
+    run(store)
+    assert hp.verify(store).ok
+
+
+def test_swapped_groups_are_told(store: Path) -> None:
+    for old, new in ((LINES[0], "moved"), (LINES[1], LINES[0]), ("moved", LINES[1])):
+        os.rename(store / old, store / new)
+    consolidate(store)
+    said = problems(store)
+    assert f"/{LINES[0]}: swapped or copied: by its own record it is /{LINES[1]}" in said
+    with pytest.raises(IncompleteStoreError, match="by its own record it is"):
+        open_group(store, LINES[0])
+    run(store)
+    assert hp.verify(store).ok
+
+
+def test_a_group_of_another_store_is_foreign(store: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.zarr"
+    run(other, "b", lines=(*LINES, "flightlines/raw_3"))
+    shutil.copytree(other / "flightlines/raw_3", store / "flightlines/raw_3")
+    shutil.rmtree(store / LINES[0])
+    shutil.copytree(other / LINES[0], store / LINES[0])
+    consolidate(store)
+    said = problems(store)
+    assert "/flightlines/raw_3: foreign" in said
+    assert f"/{LINES[0]}: mixed settings" in said
+    for group in (LINES[0], "flightlines/raw_3"):
+        with pytest.raises(IncompleteStoreError):
+            hp.open_store(store, group)
+
+
+def test_what_a_user_adds_is_of_the_store(store: Path) -> None:
+    hp.to_store(line(7), store, "signatures")
+    assert hp.verify(store).ok
+    assert set(read_set(Location.of(store)).groups) == {*LINES, "signatures"}  # type: ignore[union-attr]
+    run(store, "b")
+    assert hp.verify(store).ok
+    shutil.rmtree(store / "signatures")
+    assert "/signatures: deleted" in problems(store)
+    hp.to_store(line(8), store, LINES[0], overwrite=True)  # forgets what is gone
+    assert hp.verify(store).ok
+
+
+def test_what_a_user_adds_does_not_finish_a_run(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    run(path, stop=1)
+    hp.to_store(line(7), path, "signatures")
+    hp.to_store(line(8), path, "signatures", overwrite=True)
+    assert "unfinished: 2 of 4" in problems(path)
+    run(path)
+    assert hp.verify(path).ok
+    assert set(list_groups(path)) == {*LINES, "signatures"}
+
+
+@pytest.mark.parametrize("group", ["signatures", LINES[0]])
+@pytest.mark.parametrize("point", ["publish", "finish"])
+def test_one_group_more_leaves_the_store_whole_at_every_instant(
+    group: str, point: str, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = {"publish": "stage.Staging.publish", "finish": "writer.finish_root"}[point]
+    with monkeypatch.context() as patch:
+        patch.setattr(f"hyperpaint.io.store.{target}", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            hp.to_store(line(7), store, group, overwrite=True)
+    assert hp.open_store(store, LINES[1]).counts.values[0, 0, 0] == 98
+    hp.open_store(store)
+    assert [text for text in hp.verify(store).problems if "consolidated" not in text] == []
+    hp.to_store(line(9), store, "other")
+    assert hp.verify(store).ok
+    hp.to_store(line(7), store, group, overwrite=True)
+    assert hp.verify(store).ok
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_tree_is_whole_when_all_of_it_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "lot.zarr"
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"name": "lot"}), "/a": line(1), "/b/c": line(2)})
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperpaint.io.store.writer.finish_root", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            hp.to_store(tree, path)
+    assert "unfinished: 2 of 2 groups are there, but it was not sealed" in problems(path)
+    hp.to_store(tree, path)
+    assert hp.verify(path).ok
+    stored = hp.open_store(path)
+    hp.to_store(stored, tmp_path / "copy.zarr")
+    assert hp.verify(tmp_path / "copy.zarr").ok
+
+
+def test_a_root_with_arrays_names_the_groups_below(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    hp.to_store(xr.DataTree.from_dict({"/": line(1), "/a": line(2)}), path)
+    assert hp.verify(path).ok
+    alone = tmp_path / "alone.zarr"
+    hp.to_store(line(1), alone)
+    assert "hyperpaint_set" not in root(alone)
+    hp.to_store(line(2), alone, "a")
+    assert hp.verify(alone).ok
+    for each in (path, alone):
+        assert hp.open_store(each).counts.values[0, 0, 0] == 1
+        shutil.rmtree(each / "a")
+        assert not hp.verify(each).ok
+
+
+def _without_record(path: Path) -> None:
+    document = json.loads((path / "zarr.json").read_text())
+    del document["attributes"]["hyperpaint_set"]
+    (path / "zarr.json").write_text(json.dumps(document))
+
+
+def _with_other_record(path: Path) -> None:
+    document = json.loads((path / "zarr.json").read_text())
+    document["attributes"]["hyperpaint_set"] = root(path)["hyperpaint_set"].replace("raw_2", "raw_9")
+    (path / "zarr.json").write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("damage", [_without_record, _with_other_record])
+def test_a_record_that_is_gone_or_damaged_is_told(damage: Any, store: Path) -> None:
+    damage(store)
+    said = problems(store)
+    assert "lost the record" in said or "is damaged" in said
+    with pytest.raises(IncompleteStoreError):
+        hp.open_store(store, LINES[0])
+    with pytest.raises(StoreError, match="record of the groups"):
+        hp.to_store(line(7), store, "signatures")
+    run(store)
+    assert hp.verify(store).ok
+
+
+def test_records_survive_their_text() -> None:
+    record = SetRecord({"a": Member("x", "y")}, before={"a": None, "b": Member("z")}, command="c")
+    assert SetRecord.from_text(record.text, "here") == record
+    for wrong in ("", record.text[:-1], record.text.replace("x", "q"), "crc32c=00000000 {}", "crc32c=0 []"):
+        with pytest.raises(IncompleteStoreError, match="here is damaged"):
+            SetRecord.from_text(wrong, "here")
+
+
+def test_a_group_is_opened_by_its_own_folder(store: Path) -> None:
+    assert hp.open_store(store / LINES[0]).counts.values[0, 0, 0] == 98
+    assert hp.open_store(store / "flightlines", "raw_0").counts.values[0, 0, 0] == 98
+
+
+# --- released formats ---
+
+
+@pytest.fixture
+def released(tmp_path: Path) -> Path:
+    """Unpack a store of format 1: two lines written by `to_store` of 0.1, before root records."""
+    with zipfile.ZipFile(Path(__file__).with_name("released") / "format_1.zip") as archive:
+        archive.extractall(tmp_path)
+    return tmp_path / "format_1.zarr"
+
+
+def test_a_store_of_format_1_opens_with_a_note(released: Path) -> None:
+    report = hp.verify(released)
+    assert report.ok
+    assert "written by hyperpaint 0.1" in report.notes[0]
+    assert "note: " in str(report)
+    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
+        tree = hp.open_store(released)
+    for number in (1, 2):
+        expected = np.random.default_rng(number).integers(0, 4096, (40, 3, 4), dtype="uint16")
+        np.testing.assert_array_equal(tree[f"flightlines/raw_{number}"]["counts"].values, expected)
+    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
+        hp.open_store(released, "flightlines/raw_1")
+
+
+def test_a_store_of_format_1_takes_more_groups(released: Path) -> None:
+    hp.to_store(line(7), released, "signatures")
+    report = hp.verify(released)
+    assert report.ok
+    assert "held groups before the record" in report.notes[0]
+    assert hp.open_store(released, "flightlines/raw_1").sizes["band"] == 3
+    shutil.rmtree(released / "flightlines/raw_1")
+    assert "/flightlines/raw_1: deleted" in problems(released)
