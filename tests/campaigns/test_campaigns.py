@@ -23,6 +23,8 @@ PARSERS = (
     *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
     *("uvspec", "tape7", "sixs", "sky-csv"),
+    *("nmea", "control-points", "radcal", "certificate", "light-table"),
+    *("mesh-obj", "mesh-ply", "mesh-glb", "regions", "pairs", "geotiff", "scene-toml"),
     *("dirsig-ems", "dirsig-mat"),
     *("library-envi", "library-metadata", "library-csv", "library-text"),
 )

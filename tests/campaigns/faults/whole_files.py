@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from .seed_files import write_side_inputs
+
 __all__ = ["prepare", "sixs_text"]
 
 
@@ -50,6 +52,7 @@ def prepare(folder: Path) -> None:
     for name, text in written.items():
         (folder / name).write_bytes(text.encode())
     _write_navigation(folder)
+    write_side_inputs(folder)
 
 
 def sixs_text(micron: float) -> str:
