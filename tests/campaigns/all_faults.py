@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
-from campaigns.faults import bombs, disks, parsers, power, storage, times, workers, writers  # noqa: E402
+from campaigns.faults import bombs, disks, parsers, power, storage, times, whole_runs, workers, writers  # noqa: E402
 from campaigns.faults.outcome import HEADER, Outcome, total  # noqa: E402
 
 CAMPAIGNS = {
@@ -28,6 +28,8 @@ CAMPAIGNS = {
     "storage": storage.campaign,
     "workers": workers.campaign,
     "kills": writers.kills,
+    "runs": whole_runs.kills,
+    "calls": whole_runs.calls,
     "time": times.campaign,
     "races": writers.races,
     "disks": disks.campaign,

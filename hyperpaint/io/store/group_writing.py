@@ -66,7 +66,7 @@ def seal_group(
     _remove_hidden(place)
     arrays = _records(job.dataset, place, sums)
     for name, array in arrays.items():
-        place.write_json(array.to_document(), name, CHUNKS)
+        place.write_json(array.to_document(), name, CHUNKS, durable=False)  # flushed with all others
     if place.local is not None:
         flush_group(place.local, _chunk_files(job.dataset, place.local, arrays))
     document = place.metadata("") or {}

@@ -6,6 +6,7 @@ Plain `xarray.open_zarr` reads the metadata of every group from the root's list;
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import json
 import warnings
@@ -62,6 +63,7 @@ def stamped(attrs: Any, action: str) -> dict[str, Any]:
     }
 
 
+@functools.cache
 def version_of_program() -> str:
     """Return the version of hyperpaint that is running."""
     from importlib.metadata import PackageNotFoundError, version

@@ -117,13 +117,16 @@ class Location:
             document.pop("consolidated_metadata", None)
         return document
 
-    def write_json(self, document: dict[str, Any], *parts: str) -> None:
-        """Write a JSON object, on a local disk so that it is there whole or not at all."""
+    def write_json(self, document: dict[str, Any], *parts: str, durable: bool = True) -> None:
+        """Write a JSON object, on a local disk so that it is there whole or not at all.
+
+        ``durable``: see `replace_file`.
+        """
         content = json.dumps(document).encode()
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
         else:
-            replace_file(self.local.joinpath(*parts), [content], durable=True)
+            replace_file(self.local.joinpath(*parts), [content], durable=durable)
 
     def groups(self) -> list[str]:
         """Return every group that holds arrays, sorted; unreadable nodes are passed over; see `nodes`."""
