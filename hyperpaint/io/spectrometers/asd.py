@@ -442,6 +442,8 @@ def _derived(
         with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
             values = file.spectrum * _responsivity(file, quantity, external)
         vnir = wavelength <= _splices(file)[0]
+        if not vnir.any():
+            raise FormatError(f"{file.name}: wavelengths lie beyond the first splice; copy it again")
         return wavelength[vnir], values[vnir], _saturated(file)[vnir]
     return wavelength, values, _saturated(file)
 
