@@ -2,6 +2,7 @@
 
 ``.partial-<store>/`` holds
 
+* ``hyperpaint``: the mark of the owner; a folder without it is left alone, and the store is not written;
 * ``lock``: who writes, see `locked`;
 * ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store of its own;
 * ``replaced-<group>``: the old group, for the moment between two renames;
@@ -41,6 +42,11 @@ _PATIENCE_S = 3.0
 _EMPTY_AGE_S = 30.0
 """Age from which an empty lock is taken for what a power failure left: a writer fills it at once."""
 _TRIES = 20
+_MARK = "hyperpaint"
+_MARK_TEXT = b"hyperpaint builds a store here, and removes this folder in the end; nothing else belongs.\n"
+_OURS = re.compile(r"lock|build-.+-[0-9A-Za-z_]+-[0-9a-f]{12}|discarded-[0-9a-f]{12}|replaced-.*")
+"""Names that versions before the mark left in such a folder."""
+_DISCARDED = re.compile(r"discarded-[0-9a-f]{12}")
 _BUILD = re.compile(r"build-(.+)-[0-9A-Za-z_]+-[0-9a-f]{12}")
 
 
@@ -129,9 +135,7 @@ class Staging:
         for entry in entries:
             if entry in replaced:
                 self._put_back(entry, replaced[entry])
-            elif entry.name.startswith("discarded-") or (
-                entry.name.startswith("build-") and _group_of_build(entry.name) not in wanted
-            ):
+            elif _DISCARDED.fullmatch(entry.name) or _group_of_build(entry.name) not in (None, *wanted):
                 discard(entry)
         above = {name for group in wanted for name in groups_above(group)}
         for leftover in _temporaries(self.store, above):
@@ -214,6 +218,24 @@ def discard(build: Path) -> None:
             path.unlink(missing_ok=True)
 
 
+def _check_owner(folder: Path) -> None:
+    """Refuse a folder that hyperpaint did not make: whatever is in it is somebody's.
+
+    One without a mark is ours where all in it has names that earlier versions gave.
+    """
+    try:
+        names = sorted(os.listdir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    others = [name for name in names if not _OURS.fullmatch(name)]
+    if others and _MARK not in names:
+        named = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+        raise StoreError(
+            f"{folder} is not of hyperpaint, which builds there: it holds {named}",
+            mend="move it away, or choose another path for the store; nothing in it was touched",
+        )
+
+
 def _to_discard(folder: Path) -> Path:
     return folder / f"discarded-{uuid.uuid4().hex[:12]}"
 
@@ -247,6 +269,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
     holder = filelock.SoftFileLock(lock, poll_interval=0.05, thread_local=False, is_singleton=False)
     for _ in range(_TRIES):
         _refuse_what_is_no_lock(lock, store)
+        _check_owner(lock.parent)
         lock.parent.mkdir(parents=True, exist_ok=True)
         try:
             holder.acquire(timeout=_PATIENCE_S if holder.pid is None else 0.0)
@@ -259,10 +282,15 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
         raise StoreError(
             f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
         )
+    mark = lock.with_name(_MARK)
     try:
+        mark.write_bytes(_MARK_TEXT)
         yield
     finally:
         with contextlib.suppress(OSError):  # a disk may have become read-only
+            if set(os.listdir(lock.parent)) <= {lock.name, _MARK}:
+                mark.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
             holder.release()
             lock.parent.rmdir()
 

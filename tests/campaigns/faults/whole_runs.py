@@ -183,7 +183,8 @@ def run_kill(number: int, lot: Lot, folder: Path, duration: float, made: Outcome
     writer = _started(lot, path, overwrite=replacing)
     writer.join(rng.uniform(0.0, 1.02 * duration))
     amid = writer.is_alive()
-    os.kill(writer.pid, which)
+    if amid:
+        os.kill(writer.pid, which)
     writer.join()
     made.count += 1
     made.notes[f"{which.name} amid" if amid else "done before"] += 1

@@ -224,7 +224,7 @@ def test_stopped_while_it_is_taken_up(
         patch.setattr("hyperpaint.io.store.group_writing.discard", interrupt)
         with pytest.raises(KeyboardInterrupt):
             to_store(line(), path, GROUP, source_token=TOKEN)
-    assert len(list(partial(path).iterdir())) == 2
+    assert len(list(partial(path).glob("build-*"))) == 2
     asked.clear()
     to_store(line(), path, GROUP, source_token=TOKEN)
     assert sorted(asked) == left

@@ -278,3 +278,34 @@ def test_another_writers_lock_is_left_alone(lock: Path) -> None:
         other.write_text("another's, who was told that we are dead")
         other.replace(lock)
     assert lock.read_text().startswith("another's")
+
+
+# --- whose folder it is --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["thesis.txt", "build-mine", "build-house-plan", "discarded-photos", "notes/a"]
+)
+def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    theirs = partial(path) / name
+    theirs.parent.mkdir(parents=True, exist_ok=True)
+    theirs.write_text("precious")
+    for overwrite in (False, True):
+        with pytest.raises(StoreError, match=r"is not of hyperpaint.*move it away"):
+            to_store(small(), path, overwrite=overwrite)
+    assert theirs.read_text() == "precious"
+    assert [each.name for each in partial(path).iterdir()] == [name.partition("/")[0]]
+
+
+def test_what_lies_in_our_folder_and_is_not_ours_stays(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    with staging(path):
+        (partial(path) / "build-house-plan").write_text("precious")
+        (partial(path) / f"build-old-{'0' * 32}-{'0' * 12}").mkdir()
+    to_store(small(), path)
+    assert sorted(os.listdir(partial(path))) == ["build-house-plan", "hyperpaint"]
+    (partial(path) / "build-house-plan").unlink()
+    with staging(path):
+        pass
+    assert os.listdir(tmp_path) == ["lot.zarr"]
