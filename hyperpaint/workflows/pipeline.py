@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import os
 import re
 import sys
@@ -16,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.constants import ALIGNMENTS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
-from hyperpaint.io.files.sampled_content import sampled_digest
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.io.store.record import SETTINGS
 
 from .collect_check import check_accepted, refuse_findings
+from .store_inputs import KEPT_BITS, finishing_command, inputs_digest, refuse_to_write_over, settings_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.record import GroupRecord
 
 __all__ = [
-    "Outcome", "computing_on", "finishing_command", "kept_groups", "local_folder", "process", "run",
+    "Outcome", "computing_on", "kept_groups", "local_folder", "process", "run",
     "token_of",
 ]  # fmt: skip
 
@@ -94,7 +92,7 @@ def kept_groups(
     problems.raise_if_any()
     complete = []
     for name in location.groups():
-        record, same = _finished(location, name)
+        record, same, state = _finished(location, name, command)
         if name not in groups:
             if only is not None and name.startswith(only[0]):
                 problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
@@ -103,7 +101,6 @@ def kept_groups(
             if record is not None and has_all_chunks(location, name, record):
                 complete.append(name)
         elif not overwrite:
-            state = "with other inputs or parameters" if same else f"never finished, or not by {command}"
             problems.add(
                 f"/{name} is there already, {state}",
                 mend="pass overwrite=True to replace it",
@@ -113,16 +110,24 @@ def kept_groups(
     return complete
 
 
-def _finished(location: Location, group: str) -> tuple[GroupRecord | None, str]:
-    """Return the record of a finished group, and what names its inputs; nothing of another."""
+def _finished(location: Location, group: str, command: str) -> tuple[GroupRecord | None, str, str]:
+    """Return the record of a finished group, what names its inputs, and in words how it may differ."""
     from hyperpaint.io.store import is_complete
     from hyperpaint.io.store.record import read_record
+    from hyperpaint.io.store.root_record import numerics_of
 
     if not is_complete(location.url, group):
-        return None, ""
+        return None, "", f"never finished, or not by {command}"
     record = read_record(location, group)
     attributes = (location.metadata(group) or {}).get("attributes", {})
-    return record, str(attributes.get(INPUTS, ""))
+    inputs, numerics = str(attributes.get(INPUTS, "")), numerics_of(str(attributes.get(SETTINGS, "")))
+    if not inputs:
+        return record, "", f"never finished, or not by {command}"
+    if numerics is None:
+        return record, inputs, "of hyperpaint 0.1, which told inputs apart in another way"
+    if numerics != NUMERICS_VERSION:
+        return record, inputs, f"made by numerics {numerics}, this is {NUMERICS_VERSION}"
+    return record, inputs, "with other inputs or parameters"
 
 
 # --- where it is computed ---
@@ -175,19 +180,6 @@ def token_of(dataset: xr.Dataset) -> str:
     """Return the digest of all that a group is made from."""
     return str(dataset.attrs[INPUTS])
 
-
-def finishing_command(command: str, options: Mapping[str, Any]) -> str:
-    """Return the command line that finishes an interrupted run, ``{store}`` in place of the store.
-
-    ``options``: by their names; those that are None or False were not given.
-    """
-    given = (f" {name}" if value is True else f" {name} {quote(str(value))}"
-             for name, value in options.items() if value is not None and value is not False)  # fmt: skip
-    return f"hyperpaint {command} --out {{store}}{''.join(given)}"
-
-
-KEPT_BITS = 12
-"""Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
 
 CLUSTER_LINES = 256
 """Lines in one task on a cluster, where a task costs more than on threads."""
@@ -308,6 +300,7 @@ def run(
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
         opened, groups = _opened(collect, lines_a_task, parameters)
+        refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "process")
         complete = kept_groups(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
         )
@@ -384,34 +377,10 @@ def _opened(
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        settings = _settings(own if name in cubes else {})
-        digest = _digest(dataset, cubes.get(name, ()), settings)
+        settings = settings_of(own if name in cubes else {})
+        digest = inputs_digest(dataset, cubes.get(name, ()), settings)
         groups[name] = dataset.assign_attrs({INPUTS: digest, SETTINGS: settings})
     return opened, groups
-
-
-def _settings(parameters: Mapping[str, Any]) -> str:
-    """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
-    text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
-    return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
-
-
-def _digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
-    """Return a digest of all values but the cubes', of samples of the cubes' content, and of the settings."""
-    import dask
-    import numpy as np
-
-    digest = hashlib.sha256(settings.encode())
-    for cube in cubes:
-        digest.update(f"{cube.name} {sampled_digest(cube)}".encode())
-    digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
-    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
-        digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
-        if not dask.is_dask_collection(variable):
-            values = np.ascontiguousarray(variable.values)
-            # of texts numpy holds places in memory
-            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
-    return digest.hexdigest()[:32]
 
 
 def _aligned(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:

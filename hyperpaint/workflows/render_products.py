@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 
-from .pipeline import KEPT_BITS
+from .store_inputs import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -39,13 +39,15 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
-from .pipeline import Outcome, computing_on, finishing_command, kept_groups, local_folder, token_of
+from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
+from .store_inputs import finishing_command, refuse_to_write_over
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,6 +171,7 @@ def run(
     file = _changed(read_scene_file(path), samples, to)
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
+    refuse_to_write_over(out, (file, paints and Path(paints)), "render")
     _check_disk_roughly(file, out)
     parts = build_parts(file)
     if paints is not None:
@@ -186,7 +189,8 @@ def run(
         tokens = {name: token_of(planned[name]) for name in pending}
         check_room({name: planned[name] for name in pending}, out, tokens)
         attrs = {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")}
-        members = {name: Member(token_of(dataset)) for name, dataset in planned.items()}
+        settings = f"numerics={NUMERICS_VERSION}"
+        members = {name: Member(token_of(dataset), settings) for name, dataset in planned.items()}
         writing = {name: planned[name] for name in pending}
         again = {
             "--samples": samples, "--to": to, "--paints": paints, "--overwrite": overwrite,
@@ -272,7 +276,7 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
         chunk_lines=lines,
     )  # fmt: skip
     inputs = {
-        "format": FORMAT_VERSION,
+        "format": [FORMAT_VERSION, NUMERICS_VERSION],
         "scene": {**file.scene, "name": file.name},
         "meshes": [[_content(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
         "platform": dict(file.platform),

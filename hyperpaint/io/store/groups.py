@@ -279,11 +279,17 @@ def _is_foreign(location: Location) -> bool:
         return False
     if location.local is not None and not location.local.is_dir():
         return True
-    # without the root's metadata it is still one where a group of it is sealed
-    nodes = (location.metadata(group) or {} for group in location.groups())
-    return bool(_entries(location, "")) and not any(
-        COMPLETE in (node.get("attributes") or {}) for node in nodes
+    # without the root's metadata it is still one where it holds a group of its own, and nothing else
+    return bool(_entries(location, "")) and (
+        bool(location.strays("")) or not any(_is_own(location, group) for group in location.groups())
     )
+
+
+def _is_own(location: Location, group: str) -> bool:
+    """Tell whether a group was finished where it is: a calibration in a folder is a store of its own."""
+    metadata = location.metadata(group) or {}
+    attributes = metadata.get("attributes") or {}
+    return COMPLETE in attributes and (PLACE not in attributes or _lies_at(metadata, group))
 
 
 def _entries(location: Location, group: str) -> list[str]:

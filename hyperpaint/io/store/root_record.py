@@ -11,11 +11,12 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from shlex import quote
 from typing import Any, NamedTuple
 
+from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 
 from .budget import counted
@@ -24,6 +25,7 @@ from .location import METADATA, Location
 from .record import COMPLETE, PLACE, SEAL, SET, SETTINGS, metadata_checksum
 
 _TEXT = re.compile(r"crc32c=([0-9a-f]{8}) (\{.*\})", re.DOTALL)
+_NUMERICS = re.compile(r"numerics=(\d{1,9})\b")
 _MOST_NAMED = 5
 _FOLLOW = "hyperpaint.io.store.open_group(path, group) opens what is finished"
 
@@ -128,6 +130,12 @@ def member_of(node: Mapping[str, Any] | None) -> Member | None:
     return Member(str(attributes.get(INPUTS) or seal[1]), str(attributes.get(SETTINGS, "")))
 
 
+def numerics_of(settings: str) -> int | None:
+    """Return the version of the numerics that settings name; None where they name none."""
+    match = _NUMERICS.match(settings)
+    return None if match is None else int(match[1])
+
+
 def present_members(location: Location, groups: Iterable[str]) -> dict[str, Member]:
     """Return what the finished groups among ``groups`` are."""
     members = {}
@@ -197,11 +205,18 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
             problems.append(f"/{group}: mixed settings: made with others than the store's record names")
         else:
             problems.append(f"/{group}: foreign: other content than the store's record names")
-    notes = (_ADOPTED.format(location.url),) if record.adopted else ()
+    notes = (*([_ADOPTED.format(location.url)] if record.adopted else []), *_older(record))
     if record.finished or (record.before and nodes):
         return SetState(tuple(problems), notes)
     resume = record.command.replace("{store}", quote(location.url))
     return SetState((_unfinished(record, lacking, resume), *problems), notes, resume)
+
+
+def _older(record: SetRecord) -> Iterator[str]:
+    """Yield that groups were made by another version of the numerics."""
+    versions = {numerics_of(member.settings) for member in record.groups.values()} - {None, NUMERICS_VERSION}
+    for version in sorted(filter(None, versions)):
+        yield f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
 
 
 def _unfinished(record: SetRecord, lacking: list[str], resume: str) -> str:

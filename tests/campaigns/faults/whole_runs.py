@@ -21,14 +21,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 
 from .outcome import Outcome
 
-__all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kill", "write_collect"]
+__all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kill"]
 
 KILLS = 500
 LINES, FEW_LINES = 40, 3
@@ -43,40 +43,12 @@ _CONTEXT.set_forkserver_preload(
      "hyperpaint.io.store.store_runs", "hyperpaint.radiometry", __name__]
 )  # fmt: skip
 
-HEADER = """ENVI
-samples = 3
-lines = 6
-bands = 4
-header offset = 0
-file type = ENVI Standard
-data type = 4
-interleave = bil
-byte order = 0
-wavelength units = nm
-wavelength = { 450, 550, 650, 750 }
-fwhm = { 5, 5, 5, 5 }
-"""
-
-
-def write_collect(folder: Path, lines: int = LINES) -> Path:
-    """Write cubes of radiance with a ``collect.toml``, as small as they can be; return that."""
-    folder.mkdir()
-    text = '[collect]\nname = "lot"\n[camera]\nexposure_time_ms = 5.0\nradiance_units = "uW cm-2 sr-1 nm-1"\n'
-    for number in range(lines):
-        values = np.random.default_rng(number).uniform(1.0, 10.0, (6, 4, 3))
-        values.astype("<f4").tofile(folder / f"raw_{number}")
-        (folder / f"raw_{number}.hdr").write_text(HEADER)
-        text += f'[[flightlines]]\nid = "raw_{number}"\ncube = "raw_{number}.hdr"\nframe_period_ms = 7.0\n'
-        text += f'start_time = "2026-06-01T10:{number:02d}:00Z"\n'
-    (folder / "collect.toml").write_text(text)
-    return folder / "collect.toml"
-
 
 class Lot:
     """A collect in two versions, and what an undisturbed run makes of each."""
 
     def __init__(self, folder: Path, lines: int) -> None:
-        self.newer = write_collect(folder / "raw", lines)
+        self.newer = tiny_collect(folder / "raw", lines)
         self.older = folder / "raw" / "older.toml"
         self.older.write_text(self.newer.read_text().replace('"uW cm-2', '"W m-2'))
         self.store = folder / "older.zarr"

@@ -280,7 +280,8 @@ def test_another_writers_lock_is_left_alone(lock: Path) -> None:
     assert lock.read_text().startswith("another's")
 
 
-# --- whose folder it is --------------------------------------------------------------------------------------
+# --- whose folder it is
+# --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

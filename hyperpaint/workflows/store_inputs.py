@@ -1,0 +1,96 @@
+"""What a store is made from: how inputs are named, compared, and never written over."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.errors import Problems, StoreError
+from hyperpaint.base.schema import FORMAT_VERSION
+from hyperpaint.io.files.sampled_content import sampled_digest
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "KEPT_BITS", "finishing_command", "inputs_digest", "paths_in", "refuse_to_write_over", "settings_of",
+]  # fmt: skip
+
+KEPT_BITS = 12
+"""Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
+
+
+def paths_in(settings: Any) -> Iterator[Path]:
+    """Yield every path that settings name, however deep it stands in them."""
+    if isinstance(settings, Path):
+        yield settings
+    elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
+        for field in dataclasses.fields(settings):
+            yield from paths_in(getattr(settings, field.name))
+    elif isinstance(settings, Mapping):
+        for value in settings.values():
+            yield from paths_in(value)
+    elif isinstance(settings, list | tuple | set | frozenset):
+        for value in settings:
+            yield from paths_in(value)
+
+
+def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
+    """Refuse a store that is an input, lies in one, or whose folder holds inputs; nothing allows it.
+
+    ``settings``: what names the inputs, see `paths_in`.
+
+    Raises `StoreError`: all such inputs are listed.
+    """
+    place = out.resolve()
+    problems = Problems(
+        f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
+    )
+    for path in dict.fromkeys(each.resolve() for each in paths_in(settings)):
+        if place == path:
+            problems.add(f"that is {path} itself, an input")
+        elif place in path.parents:
+            problems.add(f"it holds {path}, an input")
+        elif path in place.parents and path.is_dir():
+            problems.add(f"it lies in {path}, an input")
+    problems.raise_if_any()
+
+
+def finishing_command(command: str, options: Mapping[str, Any]) -> str:
+    """Return the command line that finishes an interrupted run, ``{store}`` in place of the store.
+
+    ``options``: by their names; those that are None or False were not given.
+    """
+    given = (f" {name}" if value is True else f" {name} {quote(str(value))}"
+             for name, value in options.items() if value is not None and value is not False)  # fmt: skip
+    return f"hyperpaint {command} --out {{store}}{''.join(given)}"
+
+
+def settings_of(parameters: Mapping[str, Any]) -> str:
+    """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
+    text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
+    return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
+    """Return a digest of all values but the cubes', of samples of the cubes' content, and of the settings."""
+    import dask
+    import numpy as np
+
+    digest = hashlib.sha256(settings.encode())
+    for cube in cubes:
+        digest.update(f"{cube.name} {sampled_digest(cube)}".encode())
+    digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
+    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
+        if not dask.is_dask_collection(variable):
+            values = np.ascontiguousarray(variable.values)
+            # of texts numpy holds places in memory
+            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,142 @@
+"""`process` again: what is the same is left alone, what is not is told, and inputs are never written over."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.tiny_collects import tiny_collect
+
+import hyperpaint as hp
+from hyperpaint.io.files import sampled_content
+from hyperpaint.io.files.sampled_content import sampled_digest
+from hyperpaint.workflows.pipeline import run
+from hyperpaint.workflows.store_inputs import paths_in
+
+LINES = ("flightlines/raw_0", "flightlines/raw_1")
+
+
+@pytest.fixture
+def collect(tmp_path: Path) -> Path:
+    return tiny_collect(tmp_path / "raw", 2)
+
+
+@pytest.fixture
+def store(collect: Path, tmp_path: Path) -> Path:
+    return process(collect, tmp_path / "lot.zarr").path
+
+
+def process(collect: Path, out: Path, **options: Any) -> Any:
+    return run(collect, out, to="radiance", **options)
+
+
+def test_a_copied_collect_is_the_same(collect: Path, store: Path, tmp_path: Path) -> None:
+    shutil.copytree(collect.parent, tmp_path / "copy", copy_function=shutil.copyfile)
+    for file in collect.parent.iterdir():
+        os.utime(file, (1e9, 1e9))
+    assert process(collect, store).written == ()
+    assert process(tmp_path / "copy" / "collect.toml", store).written == ()
+
+
+def test_a_cube_of_other_content_is_told_whatever_its_times(collect: Path, store: Path) -> None:
+    cube = collect.with_name("raw_1")
+    status = cube.stat()
+    values = np.fromfile(cube, "<f4")
+    values[7] += 1
+    values.tofile(cube)
+    os.utime(cube, ns=(status.st_atime_ns, status.st_mtime_ns))
+    with pytest.raises(hp.StoreError, match="raw_1 is there already, with other inputs") as caught:
+        process(collect, store)
+    assert "raw_0" not in str(caught.value)
+    assert process(collect, store, overwrite=True).written == (LINES[1],)
+
+
+def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampled_content, "SAMPLES", 4)
+    monkeypatch.setattr(sampled_content, "SAMPLE_BYTES", 16)
+    content = np.random.default_rng(1).bytes(1000)
+    (tmp_path / "cube").write_bytes(content)
+    digest = sampled_digest(tmp_path / "cube")
+    for place in (0, 330, 660, 999):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        (tmp_path / "cube").write_bytes(changed)
+        assert sampled_digest(tmp_path / "cube") != digest
+    for other in (content[:-1], content + b"\0", bytes(1000)):
+        (tmp_path / "cube").write_bytes(other)
+        assert sampled_digest(tmp_path / "cube") != digest
+
+
+def test_other_numerics_are_said_and_computed_on_request(
+    collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("workflows.store_inputs", "workflows.pipeline", "io.store.root_record"):
+        monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
+    report = hp.verify(store)
+    assert report.ok
+    assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
+    with pytest.raises(hp.StoreError, match="raw_0 is there already, made by numerics 1, this is 7"):
+        process(collect, store)
+    assert process(collect, store, overwrite=True).written == LINES
+    assert hp.verify(store).notes == ()
+
+
+def test_other_settings_cut_short_are_not_whole(
+    collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hyperpaint.io.store.store_runs import WholeRun
+
+    write = WholeRun.write
+
+    def stop(self: WholeRun, group: str, dataset: xr.Dataset, **options: Any) -> None:
+        if group == LINES[1]:
+            raise KeyboardInterrupt
+        write(self, group, dataset, **options)
+
+    collect.write_text(collect.read_text().replace("frame_period_ms = 7.0", "frame_period_ms = 8.0"))
+    with monkeypatch.context() as patch:
+        patch.setattr(WholeRun, "write", stop)
+        with pytest.raises(KeyboardInterrupt):
+            process(collect, store, overwrite=True)
+    report = hp.verify(store)
+    assert "unfinished: 1 of 2 groups are there; lacking, or of other settings: /flightlines/raw_1" in str(
+        report
+    )
+    assert report.resume == f"hyperpaint process {collect} --out {store} --to radiance --overwrite"
+    assert process(collect, store, overwrite=True).written == (LINES[1],)
+    assert hp.verify(store).ok
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_inputs_are_never_written_over(collect: Path, store: Path, overwrite: bool, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for out in (collect.parent, tmp_path, collect.parent / ".." / "raw"):
+        with pytest.raises(hp.StoreError, match=r"collect\.toml, an input") as caught:
+            process(collect, out, overwrite=overwrite)
+        assert "whether or not it may overwrite" in str(caught.value)
+    inside = tiny_collect(store / "raw", 1)
+    with pytest.raises(hp.StoreError, match=r"it holds .*raw_0, an input"):
+        process(inside, store, overwrite=overwrite)
+    shutil.rmtree(store / "raw")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_folder_with_a_calibration_is_no_damaged_store(tmp_path: Path) -> None:
+    field = tmp_path / "field"
+    hp.to_store(xr.Dataset({"radiance_gain": ("band", [1.0])}), field / "calibration.zarr")
+    before = sorted(field.rglob("*"))
+    for name in (None, "flightlines/raw_0"):
+        with pytest.raises(hp.StoreError, match="is not a Zarr v3 store"):
+            hp.to_store(xr.Dataset({"a": ("x", [1.0])}), field, name, overwrite=True)
+    assert sorted(field.rglob("*")) == before
+
+
+def test_paths_are_found_in_whatever_names_them(tmp_path: Path) -> None:
+    one, two, three = (tmp_path / name for name in "abc")
+    settings = {"cubes": [one, (two, "no path")], "more": {"deep": {three}}, "type": Path, "none": None}
+    assert set(paths_in(settings)) == {one, two, three}
