@@ -28,9 +28,9 @@ from hyperpaint.base.errors import PaintError
 
 from .outcome import Outcome
 
-__all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kill"]
+__all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kills"]
 
-KILLS = 500
+KILLS, KILLS_A_STORE = 500, 5
 LINES, FEW_LINES = 40, 3
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _KILLED, _FAILED, _MOST_CALLS = 9, 3, 2000
@@ -96,12 +96,17 @@ def _started(lot: Lot, path: Path, *, overwrite: bool, fault: Fault | None = Non
     return process
 
 
-def judged(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
-    """Yield what is wrong with what a disturbed run left, and with that of the next run."""
-    if path.exists():
-        said = [name for name, whole in (("verify", _verified), ("open_store", _opened)) if whole(path)]
-        if said and (content := lot.content(path)) not in (("older", "newer") if overwrite else ("newer",)):
-            yield f"{' and '.join(said)} take it for whole, but it is {content}"
+def left_by(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
+    """Yield what is wrong with what a disturbed run left: it may be whole, or say that it is not."""
+    if not path.exists():
+        return
+    said = [name for name, whole in (("verify", _verified), ("open_store", _opened)) if whole(path)]
+    if said and (content := lot.content(path)) not in (("older", "newer") if overwrite else ("newer",)):
+        yield f"{' and '.join(said)} take it for whole, but it is {content}"
+
+
+def rerun_of(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
+    """Run again, undisturbed, and yield what is wrong with that."""
     try:
         _process(lot.newer, path, overwrite=overwrite)
     except Exception as error:
@@ -132,13 +137,14 @@ def _opened(path: Path) -> bool:
 # --- killed at random instants ---
 
 
-def run_kill(number: int, lot: Lot, folder: Path, duration: float, made: Outcome) -> None:
-    """End a run at a random instant by a signal, look at what it left, run again and compare.
+def run_kills(number: int, lot: Lot, folder: Path, duration: float, made: Outcome) -> None:
+    """End runs at random instants by signals, each run going on where the last was ended; let one end well.
 
     Parameters
     ----------
     number
-        Of the fault: seed of the instant; every second one replaces what other settings made.
+        Of the first fault, which with those that follow is the seed of the instants; half of the stores hold
+        what other settings made.
     lot
         What is processed.
     folder
@@ -148,22 +154,25 @@ def run_kill(number: int, lot: Lot, folder: Path, duration: float, made: Outcome
     made
         Takes the outcome.
     """
-    rng = random.Random(f"run:{number}")
-    path, replacing, which = folder / "lot.zarr", number % 2 == 1, SIGNALS[number // 2 % len(SIGNALS)]
+    path, replacing = folder / "lot.zarr", number // KILLS_A_STORE % 2 == 1
     if replacing:
         shutil.copytree(lot.store, path)
-    writer = _started(lot, path, overwrite=replacing)
-    writer.join(rng.uniform(0.0, 1.02 * duration))
-    amid = writer.is_alive()
-    if amid:
-        os.kill(writer.pid, which)
-    writer.join()
-    made.count += 1
-    made.notes[f"{which.name} amid" if amid else "done before"] += 1
-    allowed = {-which, 128 + which, 0}
-    if writer.exitcode not in allowed:
-        made.wrong.append(f"kill {number} ({which.name}): exits with {writer.exitcode}")
-    made.wrong += [f"kill {number} ({which.name}): {text}" for text in judged(lot, path, overwrite=replacing)]
+    for kill in range(number, number + KILLS_A_STORE):
+        rng = random.Random(f"run:{kill}")
+        which = SIGNALS[kill % len(SIGNALS)]
+        writer = _started(lot, path, overwrite=replacing)
+        writer.join(rng.uniform(0.0, 1.02 * duration / (1 + kill - number)))
+        amid = writer.is_alive()
+        if amid:
+            os.kill(writer.pid, which)
+        writer.join()
+        made.count += 1
+        made.notes[f"{which.name} amid" if amid else "done before"] += 1
+        fault = f"kill {kill} ({which.name}, replacing: {replacing})"
+        if writer.exitcode not in (-which, 128 + which, 0):
+            made.wrong.append(f"{fault}: exits with {writer.exitcode}")
+        made.wrong += [f"{fault}: {text}" for text in left_by(lot, path, overwrite=replacing)]
+    made.wrong += [f"after kill {kill}: {text}" for text in rerun_of(lot, path, overwrite=replacing)]
 
 
 def _duration(lot: Lot) -> float:
@@ -182,10 +191,10 @@ def kills(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     with tempfile.TemporaryDirectory(dir=_SCRATCH) as home:
         lot = Lot(Path(home), LINES)
         duration = _duration(lot)
-        for number in range(first, first + max(1, round(KILLS * scale))):
+        for number in range(first, first + max(1, round(KILLS * scale)), KILLS_A_STORE):
             made = Outcome("runs killed")
             with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
-                run_kill(number, lot, Path(scratch), duration, made)
+                run_kills(number, lot, Path(scratch), duration, made)
             yield made
 
 
@@ -239,7 +248,8 @@ def run_call(
     # a call whose failure does not matter, such as the removal of the empty folder, is passed over
     if writer.exitcode not in ((_KILLED,) if code is None else (_FAILED, 0)):
         made.wrong.append(f"{fault}: exits with {writer.exitcode}")
-    made.wrong += [f"{fault}: {text}" for text in judged(lot, path, overwrite=replacing)]
+    for texts in (left_by, rerun_of):
+        made.wrong += [f"{fault}: {text}" for text in texts(lot, path, overwrite=replacing)]
     return True
 
 
