@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import SchemaError, needs_extra
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.mosaicking import mosaic, seamlines
 from hyperpaint.geometry.orthorectification import orthorectify
@@ -53,11 +53,12 @@ def location_of(
     """Return options of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
 
     Raises `SchemaError`: an order of columns for a line without a convention; a DEM does not say what its
-    heights are above. Raises `MissingExtraError`: a DEM needs rioxarray (extra ``geo``).
+    heights are above; `FormatError`: it cannot be read; `MissingExtraError`:
+    it needs rasterio (extra ``geo``).
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
-    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid)
+    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, _track(flightline))
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
             flightline.sizes["cross_track"],
@@ -174,10 +175,18 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
     return flightline
 
 
-def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.DataArray:
-    with needs_extra("rioxarray", "geo", "opening a DEM"):
-        import rioxarray
-    dem: Any = rioxarray.open_rasterio(path, masked=True)
+def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
+    """Return longitudes, latitudes and altitudes of a line; None where it has none."""
+    names = ("longitude", "latitude", "altitude")
+    return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
+
+
+def _heights(
+    path: Path, reference: str | None, undulation: float | None, around: tuple[Any, Any, Any] | None
+) -> xr.DataArray:
+    from hyperpaint.io.maps.rasters import read_heights
+
+    dem = read_heights(path, around)
     references = {"height_reference": reference, "geoid_undulation": undulation}
     heights: xr.DataArray = dem.assign_attrs(
         {name: value for name, value in references.items() if value is not None}

@@ -24,7 +24,7 @@ PARSERS = (
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
     *("uvspec", "tape7", "sixs", "sky-csv"),
     *("nmea", "control-points", "radcal", "certificate", "light-table"),
-    *("mesh-obj", "mesh-ply", "mesh-glb", "regions", "pairs", "geotiff", "scene-toml"),
+    *("mesh-obj", "mesh-ply", "mesh-glb", "regions", "pairs", "geotiff", "heights", "scene-toml"),
     *("dirsig-ems", "dirsig-mat"),
     *("library-envi", "library-metadata", "library-csv", "library-text"),
 )

@@ -7,7 +7,6 @@ afterwards, by GDAL, in the same streaming way.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -15,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError, StoreError
-from hyperpaint.base.input_files import head_of
+from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 
 from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
+from .rasters import TIFF, open_raster
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["GeotiffHeader", "read_geotiff_header", "write_geotiff"]
 
-_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TILE = 256
 _SAMPLED = 64
 """Rows that the levels of a picture are found in."""
@@ -142,21 +141,16 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
 
     Raises `FormatError`: it is no TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     """
-    rasterio = _rasterio()
-    # GDAL goes by content, and what is no TIFF may name other files
-    if not head_of(Path(path), 4).startswith(_MAGIC):
-        raise FormatError(f"{path}: no TIFF, whatever its name says; check what the file is")
-    try:
-        with warnings.catch_warnings(), rasterio.open(path, driver="GTiff") as raster:
-            warnings.simplefilter("ignore")  # of a file without a place
-            is_placed = raster.crs is not None or not raster.transform.is_identity
-            wkt = None if raster.crs is None else raster.crs.to_wkt()
-            grid = Grid(raster.transform.to_gdal(), wkt) if is_placed else None
-            texts = tuple(text or "" for text in raster.descriptions)
-            factors = tuple(raster.overviews(1))
-            return GeotiffHeader(raster.shape, raster.count, raster.dtypes[0], grid, texts, factors)
-    except rasterio.errors.RasterioError as error:
-        raise FormatError(f"{path}: GDAL cannot read it: {error!s:.200}") from error
+    with open_input(path, "a GeoTIFF") as file:
+        if not file.read(4).startswith(TIFF):
+            raise FormatError(f"{path}: no TIFF, whatever its name says; check what the file is")
+    with open_raster(path, "reading a GeoTIFF") as raster:
+        is_placed = raster.crs is not None or not raster.transform.is_identity
+        wkt = None if raster.crs is None else raster.crs.to_wkt()
+        grid = Grid(raster.transform.to_gdal(), wkt) if is_placed else None
+        texts = tuple(text or "" for text in raster.descriptions)
+        factors = tuple(raster.overviews(1))
+        return GeotiffHeader(raster.shape, raster.count, raster.dtypes[0], grid, texts, factors)
 
 
 def _rasterio() -> Any:

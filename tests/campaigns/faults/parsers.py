@@ -310,6 +310,11 @@ PARSERS: Mapping[str, Parser] = {
     "geotiff": Parser(
         _reader("io.maps.geotiff", "read_geotiff_header"), (FormatError,), ("heights.tif", "tiled.tif")
     ),
+    "heights": Parser(
+        _reader("io.maps.rasters", "read_heights"),
+        (FormatError,),
+        ("heights.tif", "tiled.tif", "heights.asc"),
+    ),
     "scene-toml": Parser(
         _reader("workflows.scene_files", "read_scene_file"), (FormatError,), ("scene.toml",)
     ),

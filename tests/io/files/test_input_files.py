@@ -48,6 +48,12 @@ def _info(path: Any) -> object:
     return describe_path(path)
 
 
+def _heights(path: Any) -> object:
+    from hyperpaint.io.maps.rasters import read_heights
+
+    return read_heights(path)
+
+
 def _of(module: str, name: str, **options: Any) -> Callable[[Any], object]:
     def read(path: Any) -> object:
         return getattr(__import__(f"hyperpaint.{module}", fromlist=[name]), name)(path, **options)
@@ -97,6 +103,8 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "spectra of a scene": (_of("workflows.render_libraries", "read_spectra"), ".txt"),
     "regions": (hp.read_regions, ".geojson"),
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
+    "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),
+    "heights": (_heights, ".tif"),
     "light table": (_light, ".csv"),
     **{f"mesh {suffix}": (_mesh, suffix) for suffix in (".obj", ".glb", ".ply")},
     "info": (_info, ".txt"),

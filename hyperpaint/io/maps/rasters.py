@@ -1,0 +1,191 @@
+"""Rasters of heights, and what else GDAL reads: few drivers, one file, no network, no more than a window.
+
+GDAL goes by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
+beside one are opened with it, and a tag may name where its overviews are. None of that is followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
+from hyperpaint.base.input_files import open_input
+from hyperpaint.io.files.reading import number
+
+__all__ = ["open_raster", "read_heights"]
+
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+#: What files begin with, and the driver that opens them: of one file each, which names no other.
+_DRIVERS = ((TIFF, "GTiff"), ((b"ncols", b"NCOLS"), "AAIGrid"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
+
+MOST_BYTES = 2**40
+
+MOST_WHOLE_CELLS = 2**24
+"""Cells of a raster that is read whole; of a larger one a window is read."""
+
+MOST_WINDOW_CELLS = 2**25
+"""Cells of a window: with what is made of them, half a gigabyte."""
+
+#: Nothing is looked for beside the file, and nothing that could be named is fetched.
+_ENVIRONMENT = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+    "GDAL_PAM_ENABLED": "NO",
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
+    "GDAL_HTTP_MAX_RETRY": "0",
+    "VRT_VIRTUAL_OVERVIEWS": "NO",
+}
+
+
+@contextlib.contextmanager
+def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
+    """Yield a raster that rasterio has open; ``purpose`` is what needs rasterio.
+
+    Raises `FormatError`: It is no plain file, no raster of these kinds, damaged, or names other files.
+    Raises `MissingExtraError`: rasterio is not installed.
+    """
+    with open_input(path, "a raster", MOST_BYTES) as file:
+        head, place = file.read(8), os.path.abspath(path)
+    driver = next((name for heads, name in _DRIVERS if head.lstrip().startswith(heads)), "")
+    driver = driver or ("SRTMHGT" if place.lower().endswith(".hgt") else "")
+    if not driver:
+        raise FormatError(
+            f"{path}: no TIFF, ASCII grid, SRTM .hgt or DTED, whatever its name says; other rasters become a "
+            "GeoTIFF with gdal_translate"
+        )
+    with needs_extra("rasterio", "geo", purpose):
+        import rasterio
+    try:
+        with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
+            warnings.simplefilter("ignore")  # of a file without a place
+            with rasterio.open(place, driver=driver, sharing=False) as raster:
+                if raster.tags(ns="OVERVIEWS"):
+                    raise FormatError(f"{path} names another file for its overviews; translate it anew")
+                yield raster
+    except rasterio.errors.RasterioError as error:
+        raise FormatError(
+            f"{path}: GDAL cannot read it as {driver} ({error!s:.200}); copy it again"
+        ) from error
+
+
+def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
+    """Return a raster of heights (y, x), or of a large one what lies around a flight.
+
+    path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED.
+    around: Longitudes, latitudes [degree] and heights [m] of the flight, (time,) each: of a raster of more
+        than `MOST_WHOLE_CELLS` cells only those are read that lie nearer to it than four times its height
+        above them.
+
+    Returns float32, or float64 of what that does not hold: NaN in holes, scale and offset of the file
+    applied, with coordinates of the cells' centres and `spatial_ref`.
+    Raises FormatError: As `open_raster`; it has several bands, or a window of too many cells is needed.
+    Raises SchemaError: It is large, and where the flight is, is not known.
+    """
+    with open_raster(path, "opening a DEM") as raster:
+        if raster.count != 1:
+            raise FormatError(f"{path}: {raster.count} bands, expected one of heights; cut that one out")
+        a, b, c, d, e, f = tuple(raster.transform)[:6]
+        rows, columns = (0, raster.height), (0, raster.width)
+        if raster.height * raster.width > MOST_WHOLE_CELLS:
+            rows, columns = _window(raster, path, around)
+        values = _decoded(raster, _read(raster, rows, columns))
+        crs = None if raster.crs is None else raster.crs.to_wkt()
+        declared = _declared(raster)
+    attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
+    coords = {
+        # half a cell is added to the corner first, as rioxarray does it: the same bits
+        "x": ("x", np.arange(*columns) * a + (a * 0.5 + b * 0.5 + c)),
+        "y": ("y", np.arange(*rows) * e + (d * 0.5 + e * 0.5 + f)),
+        "spatial_ref": ((), 0, attrs),
+    }
+    return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
+
+
+def _declared(raster: Any) -> dict[str, Any]:
+    """Return what a raster says of its heights: their unit, and by tags what they are above."""
+    tags = raster.tags()
+    declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
+    if "height_reference" in tags:
+        declared["height_reference"] = tags["height_reference"]
+    undulation = number(tags.get("geoid_undulation", ""))
+    if undulation is not None and np.isfinite(undulation):
+        declared["geoid_undulation"] = undulation
+    return declared
+
+
+def _read(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
+    from rasterio.windows import Window
+
+    # no mask is asked for: GDAL would look for one beside the file
+    values: np.ndarray[Any, Any] = raster.read(1, window=Window.from_slices(rows, columns))
+    return values
+
+
+def _decoded(raster: Any, stored: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return heights as floats, NaN where the raster has none."""
+    narrow = stored.dtype.itemsize <= 2 or stored.dtype == np.float32
+    values = stored.astype(np.float32 if narrow else np.float64)
+    if raster.nodata is not None:
+        values[stored == raster.nodata] = np.nan
+    scale, offset = raster.scales[0], raster.offsets[0]
+    return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
+
+
+_REACH = 4.0
+"""Distance to a flight, in heights above the ground, up to which cells are read: 76 degrees off nadir."""
+_BORDER = 64
+"""Cells more on each side."""
+_TRACK_POINTS = 257
+
+
+def _window(
+    raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the rows and columns of a raster that lie around a flight."""
+    from rasterio.warp import transform
+
+    large = f"{path} has {raster.height} x {raster.width} cells"
+    points = None if around is None else np.stack([np.asarray(values, np.float64) for values in around])
+    points = None if points is None else points[:, np.isfinite(points).all(axis=0)]
+    if points is None or not points.size:
+        raise SchemaError(f"{large}, and the line has no positions to cut it by; cut out what is flown over")
+    if raster.crs is None:
+        raise FormatError(f"{large}, and no crs to find the flight in it; declare it with gdal_edit -a_srs")
+    step = max(1, points.shape[1] // _TRACK_POINTS)
+    longitude, latitude, _ = points[:, ::step]
+    x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
+    to_cells = ~raster.transform
+    column, row = to_cells * (x, y)
+    inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
+    if not inside.any():
+        raise FormatError(f"{large}, and the flight is outside of it; give the DEM of this place")
+    below = [
+        float(_decoded(raster, _read(raster, (int(r), int(r) + 1), (int(k), int(k) + 1)))[0, 0])
+        for r, k in zip(row[inside], column[inside], strict=True)
+    ]
+    heights = np.array(below)
+    lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
+    above = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
+    metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
+    reach = _REACH * above * metre
+    widen = 1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
+    sides = []
+    for values, size, cells in (
+        (row, raster.height, reach / abs(raster.transform.e)),
+        (column, raster.width, reach * widen / abs(raster.transform.a)),
+    ):
+        first = max(int(values.min() - cells) - _BORDER, 0)
+        sides.append((first, min(int(values.max() + cells) + _BORDER + 1, size)))
+    (top, bottom), (left, right) = sides
+    if (bottom - top) * (right - left) > MOST_WINDOW_CELLS:
+        raise FormatError(
+            f"{large}, {bottom - top} x {right - left} of them around this flight, expected at most "
+            f"{MOST_WINDOW_CELLS} in all; resample it with gdalwarp -tr"
+        )
+    return sides[0], sides[1]

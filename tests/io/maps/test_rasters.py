@@ -1,0 +1,202 @@
+"""Rasters of heights: what they hold is read, by window where they are large, and nothing else is opened."""
+
+from __future__ import annotations
+
+import contextlib
+import http.server
+import subprocess
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.io.maps.rasters import read_heights
+
+rasterio = pytest.importorskip("rasterio", reason="rasterio (extra 'geo') reads rasters")
+HEIGHTS = np.array([[1.0, 2.0, 3.0], [4.0, -9999.0, 6.0]], np.float32)
+
+
+def written(path: Path, heights: Any = HEIGHTS, tags: dict[str, Any] | None = None, **profile: Any) -> Path:
+    place = rasterio.Affine(0.3, 0.0, 500000.1, 0.0, -0.7, 3700000.3)
+    shape = dict(zip(("height", "width"), heights.shape, strict=True))
+    given = {"count": 1, "dtype": heights.dtype, "nodata": -9999.0, "crs": "EPSG:32617", "transform": place}
+    with rasterio.open(path, "w", driver="GTiff", **{**given, **shape, **profile}) as raster:
+        raster.write(heights, 1)
+        for namespace, pairs in (tags or {}).items():
+            raster.update_tags(ns=namespace, **pairs)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_heights_are_as_rioxarray_has_them(tmp_path: Path) -> None:
+    rioxarray = pytest.importorskip("rioxarray")
+    path = written(tmp_path / "dem.tif", tags={"": {"height_reference": "ellipsoid"}})
+    ours, theirs = read_heights(path), rioxarray.open_rasterio(path, masked=True).squeeze(drop=True)
+    np.testing.assert_array_equal(ours, theirs)
+    assert ours.dtype == theirs.dtype
+    for name in ("x", "y"):
+        np.testing.assert_array_equal(ours[name], theirs[name])
+    assert ours.spatial_ref.GeoTransform.split() == theirs.spatial_ref.GeoTransform.split()
+    assert ours.height_reference == theirs.height_reference == "ellipsoid"
+
+
+def test_scale_offset_and_unit_of_a_raster_count(tmp_path: Path) -> None:
+    path = written(tmp_path / "dem.tif", np.array([[10, 20], [-9999, 40]], np.int16))
+    with rasterio.open(path, "r+") as raster:
+        raster.scales, raster.offsets, raster.units = (0.5,), (100.0,), ("ft",)
+    heights = read_heights(path)
+    np.testing.assert_array_equal(heights, [[105.0, 110.0], [np.nan, 120.0]])
+    assert heights.attrs["units"] == "ft"
+
+
+class _Server:
+    """Counts what is fetched."""
+
+    def __init__(self) -> None:
+        self.requests: list[str] = []
+        counter = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                counter.requests.append(self.path)
+                self.send_error(404)
+
+            do_HEAD = do_GET  # noqa: N815
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self.server.server_port}"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+
+@pytest.fixture
+def server() -> Iterator[_Server]:
+    made = _Server()
+    yield made
+    made.server.shutdown()
+    made.server.server_close()
+
+
+def _vrt(source: str) -> str:
+    return (
+        '<VRTDataset rasterXSize="3" rasterYSize="2"><VRTRasterBand dataType="Float32" band="1">'
+        "<SimpleSource>"
+        f'<SourceFilename relativeToVRT="0">{source}</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+
+
+@pytest.mark.parametrize("kind", ["local", "curl"])
+@pytest.mark.parametrize("name", ["dem.tif", "dem.vrt", "dem.asc"])
+def test_a_virtual_raster_is_no_raster(tmp_path: Path, name: str, kind: str, server: _Server) -> None:
+    secret = written(tmp_path / "secret.tif")
+    path = tmp_path / name
+    path.write_text(_vrt(str(secret) if kind == "local" else f"/vsicurl/{server.url}/a.tif"))
+    with warnings.catch_warnings(), contextlib.suppress(rasterio.errors.RasterioError):
+        warnings.simplefilter("ignore")
+        rasterio.open(path).read(1)  # GDAL by itself takes the bait
+        assert kind == "local"
+    assert bool(server.requests) == (kind == "curl")
+    seen = len(server.requests)
+    for read in (read_heights, read_geotiff_header):
+        with pytest.raises(FormatError):
+            read(path)
+    assert len(server.requests) == seen
+
+
+@pytest.mark.parametrize(
+    "place", ["/vsicurl/{}/a.tif", "{}/a.tif", "/vsizip/x.zip/a.tif", "GTIFF_DIR:1:x.tif"]
+)
+def test_names_that_gdal_alone_knows_are_refused(place: str, server: _Server) -> None:
+    for read in (read_heights, read_geotiff_header):
+        with pytest.raises(FormatError):
+            read(place.format(server.url))
+    assert server.requests == []
+
+
+def test_nothing_beside_a_raster_is_opened(tmp_path: Path, server: _Server) -> None:
+    """Of files beside it, and of the file that a tag names."""
+    path = written(tmp_path / "dem.tif")
+    bait = _vrt(f"/vsicurl/{server.url}/bait.tif")
+    for suffix in (".ovr", ".msk"):
+        (tmp_path / f"dem.tif{suffix}").write_text(bait)
+    (tmp_path / "dem.tif.aux.xml").write_text(
+        '<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">'
+        f"{server.url}/overview.tif</MDI></Metadata></PAMDataset>"
+    )
+    (tmp_path / "dem.tfw").write_text("1\n0\n0\n-1\n0\n0\n")
+    assert float(read_heights(path)[0, 0]) == 1.0
+    assert read_geotiff_header(path).overviews == ()
+    tagged = written(tmp_path / "tagged.tif", tags={"OVERVIEWS": {"OVERVIEW_FILE": f"{server.url}/o.tif"}})
+    for read in (read_heights, read_geotiff_header):
+        with pytest.raises(FormatError, match="names another file"):
+            read(tagged)
+    assert server.requests == []
+
+
+@pytest.fixture
+def sparse(tmp_path: Path) -> Path:
+    """Return a raster of 200,000 x 200,000 cells of which some hold heights, on a file of megabytes."""
+    path = tmp_path / "large.tif"
+    place = rasterio.Affine(1.0, 0.0, 400000.0, 0.0, -1.0, 3800000.0)
+    profile = {"count": 1, "dtype": "float32", "crs": "EPSG:32617", "transform": place, "nodata": -9999.0}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=200_000, height=200_000, tiled=True, blockxsize=512, blockysize=512,
+        sparse_ok=True, bigtiff="yes", **profile,
+    ) as raster:  # fmt: skip
+        heights = np.arange(1024.0 * 1024.0, dtype=np.float32).reshape(1024, 1024) % 97.0
+        raster.write(heights, 1, window=rasterio.windows.Window(99_840, 99_840, 1024, 1024))
+    return path
+
+
+_READ_LARGE = """
+import resource, sys
+from rasterio.warp import transform
+from hyperpaint.io.maps.rasters import read_heights
+longitude, latitude = transform("EPSG:32617", "EPSG:4326", [500100.0, 500300.0], [3699900.0, 3699800.0])
+heights = read_heights(sys.argv[1], (longitude, latitude, [200.0, 210.0]))
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(*heights.shape, float(heights.sel(x=500100.5, y=3699900.5)), peak)
+"""
+
+
+@pytest.mark.slow
+def test_of_a_large_raster_a_window_is_read(sparse: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _READ_LARGE, str(sparse)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    rows, columns, height, peak = (float(text) for text in done.stdout.split())
+    assert 200 < rows < 3000
+    assert 200 < columns < 3000
+    # row 99 of the patch begins 160 cells above the middle
+    column, row = 100_100 - 99_840, 100_099 - 99_840
+    assert height == (row * 1024 + column) % 97
+    assert peak * 1024 < 600e6
+
+
+def test_a_large_raster_is_not_read_whole(sparse: Path) -> None:
+    with pytest.raises(SchemaError, match="200000 x 200000 cells, and the line has no positions"):
+        read_heights(sparse)
+    with pytest.raises(FormatError, match="the flight is outside of it"):
+        read_heights(sparse, ([10.0], [50.0], [100.0]))
+    wide = (np.array([-81.6, -80.9]), np.array([32.9, 34.2]), np.array([500.0, 500.0]))
+    with pytest.raises(FormatError, match=r"of them around this flight, expected at most"):
+        read_heights(sparse, wide)
+
+
+def test_several_bands_are_no_heights(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="2 bands, expected one of heights"):
+        read_heights(written(tmp_path / "dem.tif", count=2))
