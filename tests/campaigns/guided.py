@@ -204,7 +204,8 @@ def fuzz(target: Target, bench: Bench, seconds: int) -> None:
     for hook in ("RegEx", "str"):
         atheris.enabled_hooks.add(hook)
     options = [
-        f"-max_total_time={seconds}", f"-dict={words}", f"-max_len={longest}", "-timeout=20",
+        *([f"-dict={words}"] if words.stat().st_size else []),  # of binary files there are no words
+        f"-max_total_time={seconds}", f"-max_len={longest}", "-timeout=20",
         "-rss_limit_mb=2048", "-print_final_stats=1", f"-artifact_prefix={bench.wrong}/", str(bench.units),
     ]  # fmt: skip
     atheris.Setup(["guided", *options], Reading(target, path, bench.wrong))
