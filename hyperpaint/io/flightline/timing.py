@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["LineTimes", "Timing", "line_times", "utc_of"]
 
 _NS_PER_S = 1_000_000_000
+_LONGEST_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000
 _LONGEST = 1e4
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
@@ -123,7 +124,7 @@ def line_times(
     Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
     contradict; stamps of whole seconds.
     """
-    _check(timing)
+    _check(timing, float(np.max(exposure_time, initial=0.0)))
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
     nav = timing.nav
     if isinstance(nav, Path):
@@ -156,10 +157,12 @@ def line_times(
     return LineTimes(frame, recorded, time, place, dropped, clock.source)
 
 
-def _check(timing: Timing) -> None:
+def _check(timing: Timing, exposure_s: float) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
     if timing.stamp not in STAMP_TO_MID_EXPOSURES:
         problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
+    if exposure_s > _LONGEST_EXPOSURE_S:
+        problems.add(f"an exposure of {exposure_s:g} s, expected at most {_LONGEST_EXPOSURE_S:g} s")
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
         if seconds is not None and not 0 < seconds <= _LONGEST:
             problems.add(f"{name} {seconds} s, expected a positive number")

@@ -296,3 +296,9 @@ def test_counts_of_another_type_are_refused(folder: Path, counts: np.ndarray[Any
         open_line(folder, cube=cube)
     cube = write_cube(folder / "flight", "raw_0", (counts % 256).astype(np.uint8), ";Exposure (ms) = 5\n")
     assert open_line(folder, cube=cube, bit_depth=8)["counts"].compute().dtype == np.uint16
+
+
+@pytest.mark.filterwarnings("ignore:.*is used; settings.txt")
+def test_an_exposure_of_years_is_refused(folder: Path) -> None:
+    with pytest.raises(TimeError, match=r"an exposure of 1e\+19 s, expected at most 3600 s"):
+        open_line(folder, exposure_time=1e19)
