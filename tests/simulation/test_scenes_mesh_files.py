@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -335,3 +336,29 @@ def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nam
     with pytest.raises(MissingExtraError, match=r"needs trimesh; install it with: .*hyperpaint\[mesh\]"):
         read_mesh(written(tmp_path, name, data), default=GREY)
     assert len(read_mesh(written(tmp_path, "c.obj", OBJ), default=GREY).faces) == 12
+
+
+@pytest.mark.parametrize("options", [{}, {"unit": 1e300}, {"crease": None}])
+def test_a_mesh_of_another_world_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
+    path = written(tmp_path, "far.obj", "v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\n")
+    with pytest.raises(FormatError, match=r"a vertex 1e\+308 units of .* expected at most 1e\+08 m"):
+        read_mesh(path, default=GREY, **options)
+
+
+def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
+    from hyperpaint.simulation.rendering.primitives import MOST_AROUND, Mesh, smoothed
+
+    count = 20_000  # held against one another they would take minutes
+    around = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    rim = np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
+    first = np.arange(count)
+    faces = np.stack([0 * first, 1 + first, 1 + (first + 1) % count], axis=1)
+    cone = Mesh(np.vstack([[[0.0, 0.0, 1.0]], rim]), faces, 0 * first, ("grey",), 0 * first)
+    began = time.process_time()
+    mesh = smoothed(cone)
+    assert time.process_time() - began < 5.0
+    assert count > MOST_AROUND
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
+    tip = mesh.vertices[:, 2] == 1.0
+    # each triangle at the tip has its own, between those of its two neighbours
+    np.testing.assert_allclose(mesh.normals[tip, 2], np.sqrt(0.5), atol=1e-6)

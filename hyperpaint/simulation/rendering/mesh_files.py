@@ -25,6 +25,7 @@ __all__ = ["read_mesh"]
 
 
 _MAX_BYTES = 2**30
+_FARTHEST_M = 1e8
 #: Turns the axis that points up into z, and keeps the axes right-handed.
 _UPRIGHT = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -73,7 +74,7 @@ def read_mesh(
     ------
     FormatError
         The file is empty, cut, damaged, too large (1 GiB, 50 million triangles), of another format, without
-        triangles, or has coordinates that are not finite.
+        triangles, or has coordinates that are not finite, or 100,000 km away.
     SchemaError
         Parts of the mesh have no material, or ``unit`` or ``up`` is not what it must be.
     MissingExtraError
@@ -97,6 +98,12 @@ def read_mesh(
         )
     raw = readers[suffix](_contents(file), file.name)
     _check(raw, file.name)
+    farthest = float(np.abs(raw.vertices).max(initial=0.0))
+    if not farthest < _FARTHEST_M / unit:
+        raise FormatError(
+            f"{file.name}: a vertex {farthest:.3g} units of {unit:g} m from the origin, expected at most "
+            f"{_FARTHEST_M:g} m; mend the mesh, or give unit="
+        )
     vertices = unit * raw.vertices @ upright.T
     with_area = has_area(vertices, raw.faces)
     warn_of_dropped(file.stem, with_area)

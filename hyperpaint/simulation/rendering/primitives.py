@@ -216,6 +216,10 @@ def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.ob
     return Mesh(grid.reshape(-1, 3), faces, numbers.repeat(2), tuple(words), parts.repeat(2))
 
 
+MOST_AROUND = 256
+"""Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred."""
+
+
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     """Return the mesh with normals that are smooth but where it bends by more than ``crease`` [degree].
 
@@ -223,7 +227,8 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     lie within ``crease`` of its own, weighted by their angles there, so that it does not matter how a
     surface is cut into triangles (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several
     normals becomes several vertices. Vertices must be shared, as `lattice` shares them. Triangles without
-    area are dropped.
+    area are dropped. Where more than `MOST_AROUND` triangles meet, each keeps its own normal: they hardly
+    bend from one to the next, and every one would be held against all others.
 
     Examples
     --------
@@ -242,11 +247,14 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     place = np.arange(len(order)) - starts
     own = unit[order // 3]
     total = np.zeros((len(order), 3))
-    for step in range(int(counts.max(initial=0))):  # corner against the step-th next around its vertex
-        other = order[starts + (place + step) % sizes]
-        near = (own * unit[other // 3]).sum(axis=1) >= np.cos(np.radians(crease))
-        share = np.where(near & (step < sizes), angle[other], 0.0)
-        total += share[:, None] * unit[other // 3]
+    crowded = sizes > MOST_AROUND
+    total[crowded] = own[crowded]
+    left = np.flatnonzero(~crowded)
+    for step in range(int(sizes[left].max(initial=0))):  # corner against the step-th next around its vertex
+        left = left[sizes[left] > step]
+        other = order[starts[left] + (place[left] + step) % sizes[left]]
+        near = (own[left] * unit[other // 3]).sum(axis=1) >= np.cos(np.radians(crease))
+        total[left] += np.where(near, angle[other], 0.0)[:, None] * unit[other // 3]
     normals = np.empty_like(total)
     normals[order] = total / np.linalg.norm(total, axis=1, keepdims=True)
     first, corner = _distinct(vertex, normals)
