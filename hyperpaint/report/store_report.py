@@ -202,12 +202,15 @@ def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress |
 
 def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
     """Return the groups that can be read, and why others cannot."""
-    from hyperpaint.io.store import open_store
+    from hyperpaint.io.store import open_group
+    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.root_record import set_state
 
-    opened, problems = {}, []
+    opened = {}
+    problems = list(set_state(Location.of(store), groups).problems)  # what is finished is shown all the same
     for group in groups:
         try:
-            opened[group] = open_store(store, group)
+            opened[group] = open_group(store, group)
         except StoreError as error:
             problems.append(f"/{group}: {error}")
     return opened, problems
