@@ -323,7 +323,7 @@ def run(
             "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
             "--reflectance": None if reflectance == "stored" else reflectance,
         }  # fmt: skip
-        command = finishing_command(f"process {quote(str(opened.settings.path))}", again)
+        command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(
             whole_run(out, members, products, opened.tree.attrs, command=command, overwrite=overwrite)
         )

@@ -15,6 +15,7 @@ from support.tiny_collects import tiny_collect
 import hyperpaint as hp
 from hyperpaint.io.files import sampled_content
 from hyperpaint.io.files.sampled_content import sampled_digest
+from hyperpaint.workflows.input_comparison import compare_inputs
 from hyperpaint.workflows.pipeline import run
 from hyperpaint.workflows.store_inputs import paths_in
 
@@ -140,3 +141,36 @@ def test_paths_are_found_in_whatever_names_them(tmp_path: Path) -> None:
     one, two, three = (tmp_path / name for name in "abc")
     settings = {"cubes": [one, (two, "no path")], "more": {"deep": {three}}, "type": Path, "none": None}
     assert set(paths_in(settings)) == {one, two, three}
+
+
+def test_inputs_are_compared_whole(
+    collect: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = compare_inputs(store)
+    assert (report.collect, report.blocks, report.problems) == (collect, 2, ())
+    assert "all as they were" in str(report)
+    # what no sample shows
+    monkeypatch.setattr("hyperpaint.workflows.store_inputs.sampled_digest", lambda _: "same")
+    run(collect, store, to="radiance", overwrite=True)
+    assert compare_inputs(store).problems == ()
+    cube = collect.with_name("raw_1")
+    values = np.fromfile(cube, "<f4")
+    values[7] += 1
+    values.tofile(cube)
+    assert compare_inputs(store).problems == (f"/{LINES[1]}: radiance, lines 0 to 5: not what was stored",)
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), store, "signatures")
+    os.rename(collect.parent, tmp_path / "elsewhere")
+    with pytest.raises(hp.StoreError, match="compare_inputs"):
+        compare_inputs(store)
+    moved = tmp_path / "elsewhere/collect.toml"
+    moved.write_text(moved.read_text().replace("7.0", "8.0", 1))
+    assert [text[:19] for text in compare_inputs(store, moved).problems] == [
+        "/flightlines/raw_0:",
+        "/flightlines/raw_1:",
+    ]
+
+
+def test_inputs_of_other_stores_are_not_known(tmp_path: Path) -> None:
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr", "a")
+    with pytest.raises(hp.StoreError, match="does not say what it was made from"):
+        compare_inputs(tmp_path / "lot.zarr")
