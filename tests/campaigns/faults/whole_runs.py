@@ -31,7 +31,7 @@ from .outcome import Outcome
 __all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kills"]
 
 KILLS, KILLS_A_STORE = 500, 5
-LINES, FEW_LINES = 40, 3
+LINES, FEW_LINES = 40, 2
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _KILLED, _FAILED, _MOST_CALLS = 9, 3, 2000
 _CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
@@ -271,7 +271,7 @@ def calls(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
         lot = Lot(Path(home), FEW_LINES)
         for replacing in (False, True):
             numbers: Iterable[int] = range(1 + first % step, last_call(lot, replacing=replacing) + 1, step)
-            for number, code in itertools.product(numbers, (None, errno.ENOSPC, errno.EIO)):
+            for number, code in itertools.product(numbers, (None, errno.ENOSPC)):
                 made = Outcome("calls of a run: " + ("killed" if code is None else "failing"))
                 with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
                     run_call(number, lot, Path(scratch), made, replacing=replacing, code=code)
