@@ -74,7 +74,7 @@ def test_version_and_help_teach(hyperpaint: Hyperpaint) -> None:
         assert f"\n  {command} " in shown
         assert f"hyperpaint {command} " in shown or command == "simulate"
         assert hyperpaint(command, "--help").exit_code == 0
-    assert "Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong." in shown
+    assert "Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong," in shown
 
 
 def test_help_loads_nothing_heavy() -> None:

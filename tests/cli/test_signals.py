@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.workflows import pipeline
+from hyperpaint.io.store.store_runs import WholeRun
 
 
 @pytest.fixture(scope="module")
@@ -28,18 +28,18 @@ def test_a_stopped_process_goes_on_where_it_was(
     number: signal.Signals, status: int, collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written: list[str] = []
-    store_group = pipeline.store_group
+    write = WholeRun.write
 
-    def stop_at_the_second(dataset: xr.Dataset, out: Path, name: str, **options: Any) -> None:
+    def stop_at_the_second(run: WholeRun, name: str, dataset: xr.Dataset, **options: Any) -> None:
         if written:
             os.kill(os.getpid(), number)
-        store_group(dataset, out, name, **options)
+        write(run, name, dataset, **options)
         written.append(name)
 
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline, "store_group", stop_at_the_second)
+        patch.setattr(WholeRun, "write", stop_at_the_second)
         stopped = CliRunner().invoke(main, call)
     assert stopped.exit_code == status
     assert stopped.stderr.splitlines()[-1].startswith(f"stopped by {number.name}: ")
@@ -64,7 +64,6 @@ def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPa
             seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
 
     monkeypatch.setattr("hyperpaint.io.store.verify", stubborn)
-    monkeypatch.setattr("hyperpaint.verify", stubborn)
     assert CliRunner().invoke(main, ["verify", "."]).exit_code == 130
     assert seen == [signal.SIG_DFL, signal.SIG_DFL]
 
@@ -72,7 +71,7 @@ def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPa
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        monkeypatch.setattr("hyperpaint.io.store.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
         assert CliRunner().invoke(main, ["verify", "."]).exit_code != 143
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:

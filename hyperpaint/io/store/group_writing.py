@@ -82,11 +82,12 @@ def write_arrays(
     """Write a group's metadata and the chunks that no leftover has; return the chunks' checksums."""
     import zarr
 
-    dataset = job.dataset
+    dataset = job.dataset.copy(deep=False)
+    dataset.attrs = _own_attributes(job)
     variables = {str(name): variable for name, variable in dataset.variables.items()}
     streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
-        _write_metadata(dataset.assign_attrs(_own_attributes(job)), list(streamed), place.url)
+        _write_metadata(dataset, list(streamed), place.url)
         node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
         targets = {name: _target(node, name, variable, place) for name, variable in streamed.items()}
         finished = _taken_up(targets, leftovers)
@@ -98,7 +99,7 @@ def write_arrays(
 
 
 def _own_attributes(job: Job) -> dict[str, Any]:
-    """Return a group's attributes with what the writer adds: what it is, and where it belongs."""
+    """Return a group's attributes: its dataset's, but for those of the store it came from, and its own."""
     settings = {SETTINGS: job.settings} if job.settings else {}
     return {**stamped(job.dataset.attrs, "to_store"), PLACE: f"/{job.group}", **settings}
 

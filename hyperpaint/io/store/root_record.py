@@ -285,7 +285,10 @@ def check_member(location: Location, group: str, node: Mapping[str, Any]) -> tup
     if (record.finished or record.before) and record.allows(group, member_of(node)):
         return ()
     check_set(location)
-    raise IncompleteStoreError(f"/{group} of {location.url} is not what the store's record names")
+    raise IncompleteStoreError(
+        f"/{group} of {location.url} is not what the store's record names, or was never finished",
+        mend="write it again",
+    )
 
 
 # --- what a writer intends ---------------------------------------------------------------------------------

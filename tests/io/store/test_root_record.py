@@ -159,6 +159,16 @@ def test_what_a_user_adds_is_of_the_store(store: Path) -> None:
     assert hp.verify(store).ok
 
 
+def test_what_came_from_another_store_is_whole_where_it_goes(store: Path, tmp_path: Path) -> None:
+    """Attributes travel with a dataset; those that say of which run it is are the old store's."""
+    counts = hp.open_store(store, LINES[0])
+    hp.to_store(xr.DataTree.from_dict({f"/{LINES[1]}": counts}), tmp_path / "tree.zarr")
+    hp.to_store(counts, tmp_path / "one.zarr", "counts")
+    for name in ("tree.zarr", "one.zarr"):
+        report = hp.verify(tmp_path / name)
+        assert report.ok, str(report)
+
+
 def test_what_a_user_adds_does_not_finish_a_run(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     run(path, stop=1)
