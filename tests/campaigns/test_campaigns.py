@@ -188,6 +188,35 @@ def test_a_mixed_store_is_found(tmp_path: Path) -> None:
         writers._holds(tmp_path / "lot.zarr")
 
 
+# --- runs of several lines ----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_killed_runs_are_whole_or_say_that_they_are_not(tmp_path: Path) -> None:
+    runs, made = faults("whole_runs"), faults("outcome").Outcome("runs")
+    (tmp_path / "home").mkdir()
+    (tmp_path / "store").mkdir()
+    lot = runs.Lot(tmp_path / "home", 6)
+    runs.run_kills(5, lot, tmp_path / "store", 1.0, made)
+    for number in (30, 60):
+        (tmp_path / str(number)).mkdir()
+        runs.run_call(number, lot, tmp_path / str(number), made, replacing=True, code=None)
+    assert made.good, str(made.wrong)
+    assert made.count == 7
+
+
+def test_sequences_keep_the_set_what_it_is_wanted_to_be() -> None:
+    importlib.import_module("campaigns.store_sequences").run_sequences(6, 6, derandomize=True)
+
+
+def test_a_store_that_is_always_whole_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    sequences = importlib.import_module("campaigns.store_sequences")
+    state = sequences.set_state
+    monkeypatch.setattr(sequences, "set_state", lambda location: type(state(location))())
+    with pytest.raises(AssertionError):
+        sequences.run_sequences(20, 6, derandomize=True)
+
+
 # --- time --------------------------------------------------------------------------------------------------
 
 

@@ -32,6 +32,6 @@ def tiny_collect(folder: Path, lines: int) -> Path:
         values.astype("<f4").tofile(folder / f"raw_{number}")
         (folder / f"raw_{number}.hdr").write_text(_HEADER)
         text += f'[[flightlines]]\nid = "raw_{number}"\ncube = "raw_{number}.hdr"\nframe_period_ms = 7.0\n'
-        text += f'start_time = "2026-06-01T10:{number:02d}:00Z"\n'
+        text += f'start_time = "2026-06-01T{10 + number // 60}:{number % 60:02d}:00Z"\n'
     (folder / "collect.toml").write_text(text)
     return folder / "collect.toml"

@@ -198,7 +198,10 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
         if not (record.finished or record.before):
             lacking.append(group)
         elif node is None:
-            problems.append(f"/{group}: deleted: the store's record names it, but it is not there")
+            problems.append(
+                f"/{group}: deleted: the store's record names it, but it is not there; write it again, or "
+                "anything else with overwrite, which forgets it"
+            )
         elif member is None:
             continue  # its own record, or the lack of one, says so
         elif member.settings != wanted.settings:

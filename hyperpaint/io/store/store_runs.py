@@ -57,7 +57,8 @@ def whole_run(
         turn = None
         with errors_of_the_system(location, pending):
             done = not pending and not damaged_groups(above, location)
-            if done and is_sealed(members, location) and _is_listed(attrs, location):
+            sealed = done and is_sealed(members, location, overwrite=overwrite)
+            if sealed and _is_listed(attrs, location):
                 clear_up(real_folder(path))
             else:
                 turn = stack.enter_context(

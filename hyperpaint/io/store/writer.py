@@ -124,7 +124,7 @@ def to_store(
         pending = refused_jobs(jobs, above, location, overwrite=overwrite)
         damaged = damaged_groups(above, location)
         wanted = {job.group: job.member for job in jobs}
-        done = not pending and not damaged and is_sealed(wanted, location)
+        done = not pending and not damaged and is_sealed(wanted, location, overwrite=overwrite)
         if done and is_listed(wanted, attrs, location):
             if location.local is not None:
                 clear_up(real_folder(location.local))
@@ -138,11 +138,16 @@ def to_store(
     return path
 
 
-def is_sealed(wanted: Mapping[str, Member], location: Location) -> bool:
-    """Tell whether a store's record names these groups, and nothing is under way."""
+def is_sealed(wanted: Mapping[str, Member], location: Location, *, overwrite: bool) -> bool:
+    """Tell whether a store's record names these groups, and nothing is under way.
+
+    ``overwrite``: nor may it name groups that are gone, which are then forgotten.
+    """
     record = read_set(location)
     if record is None:
         return not any(wanted)
+    if overwrite and not all(location.has(group, METADATA) for group in record.groups):
+        return False
     return record.finished and all(record.groups.get(group) == each for group, each in wanted.items())
 
 

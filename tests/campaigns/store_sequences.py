@@ -1,0 +1,228 @@
+"""Sequences of what is done to a store, drawn by hypothesis: it is whole just where the wanted set is there.
+
+    python tests/campaigns/store_sequences.py --examples 300
+
+A model knows what the store is to hold and what it holds; after every step `open_store` and the comparison of
+the sets must say the same, and `verify` must not say more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+if __package__ in (None, ""):  # run as a script: `support` is then not importable yet
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from support.tiny_collects import tiny_collect
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintError
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.root_record import set_state
+
+__all__ = ["StoreSequence", "run_sequences"]
+
+LINES = ("flightlines/raw_0", "flightlines/raw_1", "flightlines/raw_2")
+KINDS = ("a", "b")
+STOPS = (None, None, 0, 1, 2, "seal")
+_SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
+
+
+class StoreSequence(RuleBasedStateMachine):
+    """A store of a collect of three lines in two versions, and what a user adds to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp(dir=_SCRATCH))
+        collect = tiny_collect(self.folder / "raw", len(LINES))
+        text = collect.read_text()
+        self.collects = {kind: collect.with_name(f"{kind}.toml") for kind in KINDS}
+        self.collects["a"].write_text(text)
+        self.collects["b"].write_text(text.replace("= 7.0", "= 8.0"))
+        self.path = self.folder / "lot.zarr"
+        # by group: where it was written, and what it is
+        self.wanted: dict[str, tuple[str, str]] = {}
+        self.present: dict[str, tuple[str, str]] = {}
+        self.finished = True
+        self.moves = 0
+
+    def teardown(self) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    # --- what is done ---
+
+    @rule(
+        kind=st.sampled_from(KINDS),
+        overwrite=st.booleans(),
+        stop=st.sampled_from((None, None, 0, 1, 2, "seal")),
+    )
+    def process(self, kind: str, overwrite: bool, stop: Any) -> None:
+        """Process a version, to the end or until a kill before a group gets its place, or before the seal."""
+        pending = [name for name in LINES if self.present.get(name) != (name, kind)]
+        refused = not overwrite and any(name in self.present for name in pending)
+        if isinstance(stop, int) and stop >= len(pending):
+            stop = None
+        lines = {name: (name, kind) for name in LINES}
+        nothing = not pending and self.finished and self.wanted.items() >= lines.items()
+        if nothing and not (overwrite and set(self.wanted) - set(self.present)):
+            stop = None
+        if refused:
+            with pytest.raises(PaintError):
+                self._process(kind, stop, overwrite=overwrite)
+            return
+        self._process(kind, stop, overwrite=overwrite)
+        if nothing and not overwrite:
+            return
+        if overwrite or not self.finished:
+            self.wanted = {name: label for name, label in self.wanted.items() if name in self.present}
+        self.wanted |= lines
+        done = pending[:stop] if isinstance(stop, int) else pending
+        self.present |= {name: lines[name] for name in done}
+        self.finished = stop is None
+
+    def _process(self, kind: str, stop: Any, *, overwrite: bool) -> None:
+        from hyperpaint.io.store import stage, writer
+
+        publish, calls = stage.Staging.publish, iter(range(100))
+
+        def killed(self: Any, *arguments: Any) -> None:
+            if next(calls) == stop:
+                raise KeyboardInterrupt
+            publish(self, *arguments)
+
+        def unsealed(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(stage.Staging, "publish", killed)
+            if stop == "seal":
+                patch.setattr(writer, "finish_root", unsealed)
+            try:
+                hp.process(self.collects[kind], self.path, to="radiance", overwrite=overwrite)
+                ended = True
+            except KeyboardInterrupt:
+                ended = False
+        assert ended == (stop is None)
+
+    @rule(name=st.sampled_from(("signatures", "map", LINES[0])), value=st.integers(1, 2))
+    def add(self, name: str, value: int) -> None:
+        """Add a group of a user's, or replace what is there."""
+        hp.to_store(xr.Dataset({"a": ("x", np.full(2, value))}), self.path, name, overwrite=True)
+        self.present[name] = name, f"user {value}"
+        if self.finished:
+            self.wanted = {each: label for each, label in self.wanted.items() if each in self.present}
+        self.wanted[name] = self.present[name]
+        self.finished = self.finished or self.present.items() >= self.wanted.items()
+
+    @precondition(lambda self: self.present)
+    @rule(data=st.data(), again=st.booleans())
+    def delete(self, data: Any, again: bool) -> None:
+        """Delete a group, and list the rest anew."""
+        name = data.draw(st.sampled_from(sorted(self.present)))
+        shutil.rmtree(self.path / name)
+        del self.present[name]
+        if again:
+            self.consolidate()
+
+    @precondition(lambda self: {LINES[0], LINES[1]} <= set(self.present))
+    @rule()
+    def swap(self) -> None:
+        """Let two lines change places."""
+        spare = self.path / "flightlines" / "spare"
+        for source, target in ((LINES[0], spare), (LINES[1], LINES[0]), (spare, LINES[1])):
+            os.rename(self.path / source, self.path / target)
+        first, second = (self.present[name] for name in LINES[:2])
+        self.present |= {LINES[0]: second, LINES[1]: first}
+
+    @precondition(lambda self: LINES[2] in self.present and "copied" not in self.present)
+    @rule()
+    def copy_in(self) -> None:
+        """Copy a group to where none was written."""
+        shutil.copytree(self.path / LINES[2], self.path / "copied")
+        self.present["copied"] = self.present[LINES[2]]
+
+    @precondition(lambda self: self.path.exists())
+    @rule()
+    def consolidate(self) -> None:
+        """List all metadata with zarr alone."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            zarr.consolidate_metadata(self.path)
+
+    @precondition(lambda self: self.path.exists() and len(list(self.folder.iterdir())) == 2)
+    @rule()
+    def move(self) -> None:
+        """Give the store another name."""
+        self.moves += 1
+        os.rename(self.path, self.path.with_name(f"lot-{self.moves}.zarr"))
+        self.path = self.path.with_name(f"lot-{self.moves}.zarr")
+
+    # --- what must hold ---
+
+    @invariant()
+    def the_set_is_the_wanted_set(self) -> None:
+        if not self.path.exists():
+            assert not self.present
+            return
+        whole = self.finished and self.present == self.wanted
+        state = set_state(Location.of(self.path))
+        assert (not state.problems) == whole, (state.problems, self.wanted, self.present, self.finished)
+        assert hp.verify(self.path).ok <= whole
+        try:
+            hp.open_store(self.path)
+            opened = True
+        except PaintError:
+            opened = False
+        assert opened == (whole and bool(self.present))
+
+
+def run_sequences(examples: int, steps: int = 8, *, derandomize: bool = False) -> None:
+    """Draw sequences until one goes wrong, which is shown."""
+    run_state_machine_as_test(  # type: ignore[no-untyped-call]
+        StoreSequence,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=steps,
+            deadline=None,
+            derandomize=derandomize,
+            suppress_health_check=list(HealthCheck),
+            database=None,
+            phases=[Phase.generate],  # to make a sequence shorter takes many times as long as to find it
+        ),
+    )
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--examples", type=int, default=300)
+    parser.add_argument("--steps", type=int, default=8)
+    asked = parser.parse_args()
+    run_sequences(asked.examples, asked.steps)
+    print(f"{asked.examples} sequences of up to {asked.steps} steps: none went wrong")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
