@@ -190,7 +190,7 @@ def fuzz(target: Target, bench: Bench, seconds: int) -> None:
     _quiet()
     own = Path(tempfile.mkdtemp(dir=bench.units.parent))
     parser = parsers.PARSERS[target.parser]
-    placed = parsers._place(parser, bench.seeds, own)
+    placed = parsers.placed(parser, bench.seeds, own)
     path, seed = placed[target.seed]
     with atheris.instrument_imports(include=["hyperpaint"], exclude=_COMPILED):
         for other, _ in placed:  # imports what reading takes
@@ -284,7 +284,7 @@ def judge(target: Target, bench: Bench, *, kept: bool) -> None:
     _quiet()
     parser = parsers.PARSERS[target.parser]
     with tempfile.TemporaryDirectory() as own:
-        placed = parsers._place(parser, bench.seeds, Path(own))
+        placed = parsers.placed(parser, bench.seeds, Path(own))
         path, _ = placed[target.seed]
         for other, _ in placed:
             parser.read(other)

@@ -72,6 +72,14 @@ def test_whole_seeds_are_read(name: str, seeds: Path) -> None:
     assert not refused
 
 
+@pytest.mark.parametrize("piece", ["short lines", "brackets", "beginning"])
+@pytest.mark.parametrize("name", ["frame-index", "irradiance-csv", "control-points", "nmea", "library-text"])
+def test_long_texts_take_time_with_their_size(name: str, piece: str, seeds: Path, tmp_path: Path) -> None:
+    long_texts = importlib.import_module("campaigns.long_texts")
+    _, wrong = long_texts.judge(name, piece, (10**6, 2 * 10**6, 4 * 10**6), tmp_path, seeds)
+    assert not wrong
+
+
 def test_a_number_names_an_input(seeds: Path) -> None:
     mutated = faults("mutation").mutated
     data = (seeds / "flight/raw_0.hdr").read_bytes()

@@ -36,7 +36,7 @@ def _wrong(guided: Any, seeds: Path, own: Path, target: Any, inputs: list[bytes]
     parsers = guided.parsers
     parser = parsers.PARSERS[target.parser]
     own.mkdir()
-    path, _ = parsers._place(parser, seeds, own)[target.seed]
+    path, _ = parsers.placed(parser, seeds, own)[target.seed]
     wrong = []
     with warnings.catch_warnings(), parsers._limits():
         warnings.simplefilter("error")

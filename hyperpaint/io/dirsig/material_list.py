@@ -164,9 +164,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list")
-    if data.count(b"\n") > MOST_LINES:
-        raise FormatError(f"{place}: over {MOST_LINES} lines, expected a DIRSIG material list")
+    data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list", MOST_LINES)
     problems = Problems(f"{place} is no DIRSIG material list", FormatError)
     top = _parse(decoded_text(data), problems)
     problems.raise_if_any()

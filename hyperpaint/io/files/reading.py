@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import itertools
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,34 +21,82 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "number", "numbers",
+    "PackedColumns",
+    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "number", "numbered_lines", "numbers",
     "read_limited_text", "unique_names",
 ]  # fmt: skip
 
 LONGEST_LINE = 2**20
 """Bytes of a line of text: spectra side by side have some 12 a cell."""
 
-_LINE = re.compile(rb"[^\r\n]+")
-
 MOST_NETCDF_BYTES = 2**30
 """Bytes of all variables of a netCDF file that is loaded at once."""
 
 
-def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
-    """Return the bytes of a text file, as `read_limited`; its lines are bounded too.
+MOST_LINES = 200_000
+"""Lines of a text whose rows are bands, points or samples: ten times those of the longest spectra."""
 
-    A line is split into cells, each of which takes thirty times its bytes.
 
-    Raises `FormatError`: As `read_limited`; or a line is longer than `LONGEST_LINE`.
+def read_limited_text(path: Path, limit: int, expected: str, lines: int = MOST_LINES) -> bytes:
+    """Return the bytes of a text file, as `read_limited`; its lines are bounded too, before any is split.
+
+    A line is split into cells, each of which takes thirty times its bytes, and so does an empty line.
+
+    Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
+    `LONGEST_LINE`.
     """
     data = read_limited(path, limit, expected)
-    if len(data) > LONGEST_LINE:
-        longest = max((line.end() - line.start() for line in _LINE.finditer(data)), default=0)
-        if longest > LONGEST_LINE:
+    count = max(data.count(b"\n"), data.count(b"\r"))
+    if count > lines:
+        raise FormatError(f"{path}: {count} lines, expected {expected} of at most {lines}; check the file")
+    start = 0
+    while len(data) - start > LONGEST_LINE:
+        end = max(data.rfind(mark, start, start + LONGEST_LINE + 1) for mark in (b"\n", b"\r"))
+        if end < 0:
             raise FormatError(
-                f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
+                f"{path}: a line of over {LONGEST_LINE} bytes, expected {expected}, lines of at most that"
             )
+        start = end + 1
     return data
+
+
+def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
+    r"""Yield the lines of a text with their numbers, one at a time: a list of them takes many times its size.
+
+    Examples
+    --------
+    >>> list(numbered_lines("a\nb"))
+    [(1, 'a'), (2, 'b')]
+    """
+    start = 0
+    for number in itertools.count(1):
+        end = text.find("\n", start)
+        yield number, text[start:] if end < 0 else text[start:end]
+        if end < 0:
+            return
+        start = end + 1
+
+
+class PackedColumns(Mapping[str, list[str]]):
+    """Cells by column, each column a few long texts: a cell by itself takes several times its length."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._places = {name: place for place, name in enumerate(names)}
+        self._packed: list[list[str]] = [[] for _ in names]
+
+    def extend(self, rows: Sequence[Sequence[str]]) -> None:
+        """Add rows of as many cells as there are columns; no cell holds the end of a line."""
+        for place, cells in enumerate(zip(*rows, strict=True)):
+            self._packed[place].append("\n".join(cells))
+
+    def __getitem__(self, name: str) -> list[str]:
+        return [cell for packed in self._packed[self._places[name]] for cell in packed.split("\n")]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
 
 
 def decoded_text(data: bytes) -> str:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,14 +21,18 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.files.reading import MOST_LINES, PackedColumns, numbered_lines, read_limited_text
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
 _MAX_SETTINGS = 16 << 20
-_MAX_TABLE = 1 << 30
+_MAX_TABLE = 1 << 28
+MOST_ROWS = 2_000_000
+"""Rows of a record or index: four hours of a camera at 140 Hz, three of an inertial system at 200 Hz."""
+
+_BLOCK = 4096
 _MAX_FRAME = 1 << 40
 _SECOND = 1_000_000
 _DAY = 86_400 * _SECOND
@@ -42,18 +47,20 @@ _IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
 # --- text and tables ---------------------------------------------------------------------------------------
 
 
-def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
+def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MOST_LINES) -> str:
     """Return the text of a side file, its line ends made those of Unix.
 
-    Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, or is binary.
+    Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
+    is binary.
     """
-    data = read_limited_text(path, limit, "a text file")
+    data = read_limited_text(path, limit, "a text file", lines)
     if b"\0" in data:
         raise FormatError(
             f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
         )
-    text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    # as bytes, one copy after the other: such files have a hundred megabytes
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
+    return data.decode("latin-1")
 
 
 @dataclass(frozen=True)
@@ -75,41 +82,53 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
     with rows of another number of cells than the header.
     """
     path = Path(path)
-    lines = read_text(path, _MAX_TABLE).split("\n")
+    text = read_text(path, _MAX_TABLE, MOST_ROWS)
+    first = text.partition("\n")[0]
     # an older program separates the two columns of a frame index with blanks
-    separator = "\t" if "\t" in lines[0] else None
-    names = [cell.strip().lower() for cell in lines[0].rstrip("\t").split(separator)]
+    separator = "\t" if "\t" in first else None
+    names = [cell.strip().lower() for cell in first.rstrip("\t").split(separator)]
     missing = [name for name in needs if name not in names]
     if missing or len(set(names)) != len(names):
         raise FormatError(
-            f"{path}: a {what} starts with a header that names {list(needs)} once, found {lines[0][:120]!r}"
+            f"{path}: a {what} starts with a header that names {list(needs)} once, found {first[:120]!r}"
         )
-    rows: list[tuple[int, list[str]]] = []
-    for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
-        row = line.split(separator, -1 if separator else len(names) - 1)
-        while len(row) > len(names) and not row[-1].strip():
-            row.pop()  # a tab at the end of the line
-        rows.append((number, row))
-    return table_of(path, names, rows)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for number, line in numbered_lines(text):
+            if number > 1 and line.strip():
+                row = line.split(separator, -1 if separator else len(names) - 1)
+                while len(row) > len(names) and not row[-1].strip():
+                    row.pop()  # a tab at the end of the line
+                yield number, row
+
+    return table_of(path, names, rows())
 
 
-def table_of(path: Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> Table:
+def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> Table:
     """Return cells under the names of their columns.
 
-    ``rows``: line number and cells of each.
+    ``rows``: line number and cells of each, taken one at a time.
 
     Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
     """
-    wrong = [number for number, cells in rows if len(cells) != len(names)]
+    numbers, wrong = array("q"), array("q")
+    columns = PackedColumns(names)
+    block: list[list[str]] = []
+    for number, cells in rows:
+        if len(cells) != len(names):
+            wrong.append(number)
+            continue
+        numbers.append(number)
+        block.append(cells)
+        if len(block) == _BLOCK:
+            columns.extend(block)
+            block.clear()
+    columns.extend(block)
     if wrong:
         raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
-    if not rows:
+    if not numbers:
         raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}")
-    columns = map(list, zip(*(cells for _, cells in rows), strict=True))
-    numbers = np.array([number for number, _ in rows], np.int64)
-    return Table(path.name, numbers, dict(zip(names, columns, strict=True)))
+    return Table(path.name, np.array(numbers, np.int64), columns)
 
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:

@@ -13,7 +13,8 @@ import numpy as np
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.flightline.headwall import Table, name_rows, read_text, table_of
+from hyperpaint.io.files.reading import numbered_lines
+from hyperpaint.io.flightline.headwall import MOST_ROWS, Table, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["is_navigation_csv", "read_navigation_csv"]
 
-_LARGEST = 2**30
+_LARGEST = 2**28
 _MOST_COLUMNS = 1000
 _MOST_COMMENTS = 1000
 _LATEST_S = 7e9
@@ -124,18 +125,16 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
     """Return comments, header and cells; cells of columns that nobody asks for are dropped."""
-    lines = read_text(path, _LARGEST).split("\n")
+    text = read_text(path, _LARGEST, MOST_ROWS)
     comments: dict[str, str] = {}
-    start = 0
-    for start, line in enumerate(lines):  # noqa: B007
-        if not line.lstrip().startswith("#"):
-            if line.strip():
-                break
-            continue
+    start, head = 0, ""
+    for start, line in numbered_lines(text):  # noqa: B007
+        if line.strip() and not line.lstrip().startswith("#"):
+            head = line
+            break
         key, _, value = line.lstrip("# \t").partition(":")
-        if len(comments) < _MOST_COMMENTS:
+        if line.strip() and len(comments) < _MOST_COMMENTS:
             comments[_plain(key).replace(" ", "_")] = value.strip()
-    head = lines[start] if start < len(lines) else ""
     separator = next((mark for mark in ("\t", ";", ",") if mark in head), "," if names is None else None)
     cells = head.split(separator, _MOST_COLUMNS) if names is None else list(names)
     header = [_column(cell) for cell in cells]
@@ -146,12 +145,12 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
             "those of a table without one are given as columns="
         )
     first = start + (names is None)
-    rows = [
+    rows = (
         (number, line.strip().split(separator, len(header)) if separator is None else
          line.split(separator, len(header)))
-        for number, line in enumerate(lines[first:], start=first + 1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]  # fmt: skip
+        for number, line in numbered_lines(text)
+        if number >= first and line.strip() and not line.lstrip().startswith("#")
+    )  # fmt: skip
     return comments, header, table_of(path, [column.shown for column in header], rows)
 
 

@@ -16,6 +16,7 @@ named by ``band names``.
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from pathlib import Path
@@ -27,7 +28,8 @@ from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import open_input
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
-from hyperpaint.io.flightline.headwall import Table, name_rows, read_text, table_of
+from hyperpaint.io.files.reading import numbered_lines
+from hyperpaint.io.flightline.headwall import MOST_ROWS, Table, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
@@ -98,7 +100,7 @@ def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
 
 
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
-_MAX_LCF_BYTES = 2**30
+_MAX_LCF_BYTES = 2**28
 _MAX_LCF_CELLS = 64
 _LATEST_LCF_S = 7e9
 """Seconds from 1980 to 2199."""
@@ -149,11 +151,15 @@ def _lcf_time_problem(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], tab
 
 
 def _lcf_table(path: Path) -> Table:
-    lines = enumerate(read_text(path, _MAX_LCF_BYTES).split("\n"), start=1)
-    rows = [
-        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS)) for number, line in lines if line.strip()
-    ]
-    width = min(len(rows[0][1]), _MAX_LCF_CELLS) if rows else 0
+    text = read_text(path, _MAX_LCF_BYTES, MOST_ROWS)
+    cells = (
+        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
+        for number, line in numbered_lines(text)
+        if line.strip()
+    )
+    first = next(cells, None)
+    width = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
+    rows = itertools.chain(() if first is None else (first,), cells)
     return table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
 
 

@@ -14,14 +14,17 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
-from hyperpaint.io.flightline.headwall import read_text
+from hyperpaint.io.flightline.headwall import MOST_ROWS, read_text
 
 from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
 __all__ = ["is_nmea", "read_nmea"]
 
-_MAX_BYTES = 2**30
+_MAX_BYTES = 2**28
+_MOST_POSITIONS = 400_000
+"""Positions of a log: five hours at 20 Hz."""
+
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
 _CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
 _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
@@ -58,10 +61,12 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     Warns PaintWarning: Damaged sentences; no attitude in the whole log.
     """
     path = Path(path)
-    text = read_text(path, _MAX_BYTES)
+    text = read_text(path, _MAX_BYTES, MOST_ROWS)
     log = _Log(path)
     for fields in _sound_sentences(path, text):
         log.take(fields)
+        if len(log.rows) > _MOST_POSITIONS:
+            raise FormatError(f"{path}: over {_MOST_POSITIONS} positions, expected a log of hours; cut it")
     log.problems.raise_if_any()
     if not log.rows:
         raise FormatError(f"{path}: no position with a fix, expected GGA sentences of NMEA 0183")

@@ -6,6 +6,7 @@ import datetime as dt
 import math
 import os
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarning
 from hyperpaint.base.input_files import input_path
-from hyperpaint.io.files.reading import load_netcdf, number, numbers, read_limited_text
+from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
 
 __all__ = [
     "are_widths", "asd_widths", "is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series",
@@ -29,7 +30,10 @@ ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
 """Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
-_LARGEST_FILE = 2**30
+_LARGEST_FILE = 2**29
+_MOST_VALUES = 24_000_000
+"""Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second."""
+
 _LATEST_S = 7.2e9  # to the year 2198
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
 
@@ -75,27 +79,32 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     """
     path = Path(path)
     data = read_limited_text(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
+    if (count := data.count(b",")) > _MOST_VALUES:
+        raise FormatError(
+            f"{path}: {count} values, expected at most {_MOST_VALUES}; make several files of it, or Zarr"
+        )
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = data.decode("utf-8-sig", errors="replace")
-    return _parse(path.name, text.replace("\r\n", "\n").replace("\r", "\n"))
+    del data  # it may be large
+    return _parse(path.name, text, count)
 
 
-def _parse(name: str, text: str) -> IrradianceTable:
+def _parse(name: str, text: str, commas: int) -> IrradianceTable:
+    """Return what a text with so many commas holds; its rows are split one at a time."""
     comments: dict[str, str] = {}
-    rows: list[tuple[int, list[str]]] = []
-    for line_number, line in enumerate(text.split("\n"), start=1):
-        if line.startswith("#"):
-            key, _, value = line[1:].partition(":")
-            comments[key.strip().lower()] = value.strip()
-        elif line.strip():
-            rows.append((line_number, [cell.strip().strip('"') for cell in line.strip().split(",")]))
-    if not rows or rows[0][1][0].lower() != "time":
+    rows = (
+        (line_number, [cell.strip().strip('"') for cell in line.strip().split(",")])
+        for line_number, line in _beside_comments(text, comments)
+    )
+    _, header = next(rows, (0, [""]))
+    if header[0].lower() != "time":
         raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
-    wavelength = _wavelength(name, rows[0][1][1:])
-    if len(rows) < 2:
-        raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
-    times, values = [], np.empty((len(rows) - 1, len(wavelength)))
-    for index, (line_number, cells) in enumerate(rows[1:]):
+    wavelength = _wavelength(name, header[1:])
+    times, lines = [], []
+    values = np.empty((commas // len(wavelength) + 1, len(wavelength)))
+    for index, (line_number, cells) in enumerate(rows):
         try:
+            lines.append(line_number)
             times.append(_time(cells[0]))
             if len(cells) != len(wavelength) + 1:
                 raise ValueError(f"{len(cells) - 1} values")
@@ -105,12 +114,24 @@ def _parse(name: str, text: str) -> IrradianceTable:
                 f"{name}: line {line_number} cannot be read ({error}); expected an ISO 8601 time such as "
                 f"2024-05-21T12:00:00Z and {len(wavelength)} numbers"
             ) from error
+    if not times:
+        raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
     if len({time.tzinfo is None for time in times}) > 1:
         raise FormatError(f"{name}: some stamps have a zone and some have not; give it to all or to none")
-    lines = tuple(line_number for line_number, _ in rows[1:])
     return IrradianceTable(
-        name, tuple(times), lines, wavelength, values, comments.get("units"), _width(name, comments)
-    )
+        name, tuple(times), tuple(lines), wavelength, values[: len(times)], comments.get("units"),
+        _width(name, comments),
+    )  # fmt: skip
+
+
+def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a table with their numbers, and put its comments into a dict."""
+    for line_number, line in numbered_lines(text):
+        if line.startswith("#"):
+            key, _, value = line[1:].partition(":")
+            comments[key.strip().lower()] = value.strip()
+        elif line.strip():
+            yield line_number, line
 
 
 def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:

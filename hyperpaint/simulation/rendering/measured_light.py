@@ -28,6 +28,7 @@ __all__ = ["read_irradiance", "read_sky", "read_table"]
 
 
 _MOST_BYTES = 16 * 2**20
+_MOST_LINES = 200_000
 _MOST_PROBLEMS = 10
 _MISFIT = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
 _NOISE = 0.01  # of the largest irradiance
@@ -139,6 +140,9 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
     """Return the headings and the numbers of a text file, shape (row, column)."""
     content = read_limited(path, _MOST_BYTES, "the table of an atmosphere")
+    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MOST_LINES:
+        problems.add(f"{count} lines, expected at most {_MOST_LINES}; a spectrum needs no more")
+        problems.raise_if_any()
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -11,8 +11,10 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import re
 import struct
 import warnings
+from array import array
 from collections.abc import Callable
 from typing import Any, NamedTuple, NoReturn
 
@@ -25,6 +27,7 @@ __all__ = ["RawTriangles", "Stripped", "check_ply", "parse_obj", "read_glb", "re
 
 _MAX_TRIANGLES = 50_000_000
 _LARGEST_INDEX = 2**40
+_OBJ_LINE = re.compile(r"[^\n]*\n?")
 _CUT = "the file is cut or damaged"
 
 
@@ -67,20 +70,20 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     ([[0, 1, 2], [0, 2, 3]], (('red', ''),))
     """
     text = data.decode("utf-8", errors="replace").replace("\\\n", " ").replace("\\\r\n", " ")
-    coordinates: list[float] = []
-    corners: list[int] = []
-    face_group: list[int] = []
+    # arrays, not lists, and one line at a time: a large mesh has millions of each
+    coordinates, corners, face_group = array("d"), array("q"), array("q")
     groups: dict[tuple[str, str], int] = {}
     material, thing = "", ""
     group = -1
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
+        line = match[0]
         words = line.split()
         keyword = words[0] if words else ""
         if keyword == "v":
             position = _numbers(float, words[1:4])
             if len(position) != 3:
                 raise FormatError(f"{where}: {_line(number, words)}, expected 'v' and three numbers")
-            coordinates += position
+            coordinates.extend(position)
         elif keyword == "f":
             if group < 0:
                 group = groups.setdefault((material, thing), len(groups))
@@ -93,7 +96,7 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             before = len(coordinates) // 3  # negative numbers count back from here
             fan = [index - 1 if index > 0 else before + index for index in indices]
             for corner in range(1, len(fan) - 1):
-                corners += (fan[0], fan[corner], fan[corner + 1])
+                corners.extend((fan[0], fan[corner], fan[corner + 1]))
                 face_group.append(group)
         elif keyword in ("usemtl", "o", "g"):
             name = line.strip()[len(keyword) :].strip()

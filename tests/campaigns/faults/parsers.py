@@ -31,7 +31,9 @@ from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
 from .seed_files import sentences_mended
 from .whole_files import prepare, sixs_text
 
-__all__ = ["PARSERS", "Parser", "campaign", "complaint", "prepare", "run_part"]
+__all__ = [
+    "PARSERS", "Parser", "begin_peak", "campaign", "complaint", "placed", "prepare", "resident", "run_part",
+]  # fmt: skip
 
 COUNT = 200_000
 SHARED_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -339,9 +341,9 @@ PARSERS: Mapping[str, Parser] = {
 # --- one file ----------------------------------------------------------------------------------------------
 
 
-def _place(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
+def placed(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
     """Copy the seeds with their neighbours into a worker's own folder; return where, and their bytes."""
-    placed = []
+    copies = []
     for number, file in enumerate(parser.files(folder)):
         room = own / str(number)
         if file.name == "collect.toml":
@@ -352,8 +354,8 @@ def _place(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
             beside = file.parent.glob(f"{stem}*") if file.suffix in (".hdr", ".json") else [file]
             for neighbour in beside:
                 (room / neighbour.name).write_bytes(neighbour.read_bytes())
-        placed.append((room / file.name, file.read_bytes()))
-    return placed
+        copies.append((room / file.name, file.read_bytes()))
+    return copies
 
 
 # --- one worker --------------------------------------------------------------------------------------------
@@ -363,7 +365,7 @@ class _Hangs(BaseException):
     """A parser ran for so long that it was stopped."""
 
 
-def _resident(key: str) -> int:
+def resident(key: str) -> int:
     """Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell."""
     try:
         text = Path("/proc/self/status").read_text()
@@ -380,7 +382,7 @@ def _limits() -> Iterator[None]:
         raise _Hangs
 
     before, alarm = resource.getrlimit(resource.RLIMIT_AS), signal.signal(signal.SIGALRM, stop)
-    if (used := _resident("VmSize")) > 0:
+    if (used := resident("VmSize")) > 0:
         resource.setrlimit(resource.RLIMIT_AS, (used + 2 * MOST_BYTES, before[1]))
     try:
         yield
@@ -404,11 +406,11 @@ def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException
     return raised, seconds
 
 
-def _begin_peak() -> int:
+def begin_peak() -> int:
     """Let the peak of the resident memory begin anew; return the memory at its beginning."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
-    return _resident("VmRSS")
+    return resident("VmRSS")
 
 
 def _complaint(parser: Parser, raised: BaseException | None, seconds: float, memory: int = 0) -> str:
@@ -422,9 +424,9 @@ def _complaint(parser: Parser, raised: BaseException | None, seconds: float, mem
 
 def complaint(parser: Parser, path: Path) -> str:
     """Read a file and return what is wrong with how the parser took it; empty where nothing is."""
-    before = _begin_peak()
+    before = begin_peak()
     raised, seconds = _measured(parser.read, path)
-    return _complaint(parser, raised, seconds, _resident("VmHWM") - before)
+    return _complaint(parser, raised, seconds, resident("VmHWM") - before)
 
 
 def run_part(name: str, folder: Path, numbers: range) -> Outcome:
@@ -436,15 +438,15 @@ def run_part(name: str, folder: Path, numbers: range) -> Outcome:
         # a warning of numpy's would mean values that nobody meant
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", PaintWarning)
-        placed = _place(parser, folder, Path(own))
-        parser.read(placed[0][0])  # imports are no part of the first input's time
+        copies = placed(parser, folder, Path(own))
+        parser.read(copies[0][0])  # imports are no part of the first input's time
         # to look at the memory costs more than to read most files: a lot is looked at as one
         for start in range(0, len(numbers), _LOT):
             lot = numbers[start : start + _LOT]
-            before = _begin_peak()
+            before = begin_peak()
             for number in lot:
-                _judge(parser, placed, name, number, made)
-            memory = _resident("VmHWM") - before
+                _judge(parser, copies, name, number, made)
+            memory = resident("VmHWM") - before
             if memory > MOST_BYTES:
                 made.wrong.append(f"{name} inputs {lot[0]} to {lot[-1]}: {memory / 2**20:.0f} MB")
             made.memory = max(made.memory or 0, memory)
@@ -452,8 +454,8 @@ def run_part(name: str, folder: Path, numbers: range) -> Outcome:
     return made
 
 
-def _judge(parser: Parser, placed: list[tuple[Path, bytes]], name: str, number: int, made: Outcome) -> None:
-    path, seed = placed[number % len(placed)]
+def _judge(parser: Parser, copies: list[tuple[Path, bytes]], name: str, number: int, made: Outcome) -> None:
+    path, seed = copies[number % len(copies)]
     path.write_bytes(parser.damaged(seed, name, number))
     raised, seconds = _measured(parser.read, path)
     made.count += 1
