@@ -5,6 +5,6 @@ mend it. Called by `workflows`, which refuses or warns.
 """
 
 from .finding import KINDS, Finding, Kind
-from .line_judging import judge_line
+from .line_judging import judge_dark_cube, judge_line
 
-__all__ = ["KINDS", "Finding", "Kind", "judge_line"]
+__all__ = ["KINDS", "Finding", "Kind", "judge_dark_cube", "judge_line"]

@@ -4,43 +4,68 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.variables import BAND, CROSS_TRACK
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 
-from .cube_sample import sample_cube
+from .cube_sample import CubeSample, sample_cube
 from .finding import Finding
 from .plausible_counts import judge_range
-from .plausible_dark import judge_dark
+from .plausible_dark import judge_dark, judge_dark_frames
 
-__all__ = ["judge_line"]
+__all__ = ["judge_dark_cube", "judge_line"]
 
 
 def judge_line(line: xr.Dataset, cubes: tuple[FlightlineInputs, ...]) -> Iterator[Finding]:
     """Judge a flight line and the cubes that it is made of; samples of them are read."""
-    if "counts" not in line:
-        return
     for inputs in cubes:
         yield from _judge_cube(line, inputs)
+
+
+def judge_dark_cube(path: Path) -> Iterator[Finding]:
+    """Judge the frames of a dark cube."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)  # said when the dark was opened
+        counts = open_envi(path, unsaid="counts")["counts"]
+    yield from judge_dark_frames(f"{path.parent.name}/{path.name}", counts)
 
 
 def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]:
     name = str(inputs.name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)  # said when the line was opened
-        counts = open_envi(
+        opened = open_envi(
             inputs.path, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity, unsaid="counts"
-        )["counts"]
-    sample = sample_cube(counts, np.ones(counts.shape[0], bool))
-    if sample is None:
+        )
+    cube = next(iter(opened.data_vars.values()))
+    if "counts" not in line or "counts" not in opened:
         return
+    sample = sample_cube(cube, np.ones(cube.shape[0], bool))
+    if sample is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # bands without a gain have no mean
+            findings = list(_judge_sample(name, line, inputs, sample))
+        yield from findings
+
+
+def _judge_sample(
+    name: str, line: xr.Dataset, inputs: FlightlineInputs, sample: CubeSample
+) -> Iterator[Finding]:
     saturation = float(np.max(line["saturation_count"].values))
+    full = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
+    gain = line["radiance_gain"].transpose(BAND, CROSS_TRACK).values.astype(np.float64)
+    dark = line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values.astype(np.float64)
+    dark = dark.mean(axis=0) if dark.ndim == 3 else dark
     if line.attrs.get("dark_source") != DARK_NONE:
-        dark = line["dark_counts"].values.astype(np.float64)
-        yield from judge_dark(name, dark.mean(axis=0) if dark.ndim == 3 else dark, sample)
+        uncertainty = line.get("dark_counts_u_random")
+        spread = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
+        yield from judge_dark(name, dark, spread, gain, sample, full)

@@ -1,4 +1,4 @@
-"""A dark that is not the dark of the scene's own camera and settings."""
+"""A dark that is not that of the scene's own camera and settings."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 
 from .cube_sample import CubeSample
 from .finding import KINDS, Finding
 
-__all__ = ["judge_dark"]
+__all__ = ["judge_dark", "judge_dark_frames"]
 
 
 @dataclass(frozen=True)
@@ -21,16 +22,53 @@ class DarkRules:
 
     zero_share
         Elements of exactly zero counts [1]; a detector has a few dead ones, under 1 %.
+    over_share, over_counts, over_level
+        Elements [1] whose dark lies above the scene's mean by so many counts, and by this part of the dark:
+        water beyond 900 nm lies on its dark, which drifts by some per cent with temperature.
+    lit_correlation, lit_slope, lit_bands
+        Correlation [1] and slope [1] of the dark over wavelength on the scene's light, and the fewest bands:
+        a lens cap that leaves 1 % of the light changes a dark signal by as much as the light of its bands.
+    frames, frame_bands, frame_counts, frame_share
+        Frames of a dark, and bands of each, that are looked at, and by how many counts and what part of
+        itself [1] the median of a frame may change: temperature makes some per cent.
+    pattern_slope
+        Slope of the scene's pattern on that of the dark [1]: it is 1 for the own dark, 0 for a foreign one.
+    pattern_sds
+        Standard uncertainties by which it has to lie under 1.
+    pattern_contrast
+        Variance of the dark's pattern over that of its noise from which it is judged [1].
+    pattern_elements
+        Fewest differences of elements to judge by.
     """
 
     zero_share: float = 0.05
+    over_share: float = 0.1
+    over_counts: float = 5.0
+    over_level: float = 0.1
+    lit_correlation: float = 0.9
+    lit_slope: float = 0.03
+    lit_bands: int = 12
+    frames: int = 512
+    frame_bands: int = 8
+    frame_counts: float = 5.0
+    frame_share: float = 0.25
+    pattern_slope: float = 0.4
+    pattern_sds: float = 5.0
+    pattern_contrast: float = 4.0
+    pattern_elements: int = 200
 
 
 RULES = DarkRules()
 
 
-def judge_dark(name: str, dark: Floats, sample: CubeSample) -> Iterator[Finding]:
-    """Judge dark counts (band, cross_track) against a sample of the scene."""
+def judge_dark(
+    name: str, dark: Floats, uncertainty: Floats | None, gain: Floats, sample: CubeSample, full: float
+) -> Iterator[Finding]:
+    """Judge dark counts, all (band, cross_track), against a sample of the scene.
+
+    uncertainty: of the mean dark [count], None where not known; gain: of radiance, in any unit; full: count
+    from which an element says nothing of its pattern.
+    """
     zeros = float(np.mean(dark == 0.0))
     if zeros > RULES.zero_share and sample.mean[dark == 0.0].max() > 0.0:
         yield Finding(
@@ -38,3 +76,106 @@ def judge_dark(name: str, dark: Floats, sample: CubeSample) -> Iterator[Finding]
             f"{100 * zeros:.3g} % of the dark's elements are exactly 0 in every frame",
             f"at most {100 * RULES.zero_share:g} %",
         )  # fmt: skip
+        return
+    light = sample.mean - dark
+    over = float(np.mean(light < -np.maximum(RULES.over_counts, RULES.over_level * dark)))
+    if over > RULES.over_share:
+        yield Finding(
+            KINDS["dark-over-scene"], name,
+            f"the dark lies above the mean of the scene in {100 * over:.3g} % of the elements, "
+            f"{np.median(dark):.4g} against {np.median(sample.mean):.4g} counts",
+            f"at most {100 * RULES.over_share:g} %",
+        )  # fmt: skip
+        return
+    yield from _judge_light(name, np.nanmean(dark, axis=1), np.nanmean(light, axis=1))
+    if uncertainty is not None:
+        yield from _judge_pattern(name, dark, uncertainty, gain, sample, full)
+
+
+def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
+    """Find frames of a dark cube (along_track, band, cross_track), read lazily, that are blank or lit."""
+    bands = np.unique(np.linspace(0, counts.shape[1] - 1, RULES.frame_bands).astype(int))
+    frames = np.unique(np.linspace(0, counts.shape[0] - 1, RULES.frames).astype(int))
+    sample = counts.isel({counts.dims[0]: frames, counts.dims[1]: bands})
+    levels = np.median(sample.to_numpy(), axis=(1, 2))
+    usual = float(np.median(levels))
+    away = float(np.abs(levels - usual).max())
+    if away > max(RULES.frame_counts, RULES.frame_share * usual):
+        yield Finding(
+            KINDS["dark-unsteady"], name,
+            f"medians of {levels.size} frames go from {levels.min():g} to {levels.max():g} counts",
+            f"{usual:g} +- {max(RULES.frame_counts, RULES.frame_share * usual):.3g}",
+        )  # fmt: skip
+
+
+def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
+    """Find the light of the scene in a dark, both (band,)."""
+    known = np.isfinite(dark) & np.isfinite(light)
+    dark, light = dark[known], light[known]
+    if dark.size < RULES.lit_bands or not (np.ptp(dark) > 0.0 and np.ptp(light) > 0.0):
+        return
+    correlation = float(np.corrcoef(dark, light)[0, 1])
+    slope = float(np.polyfit(light, dark, 1)[0])
+    if correlation > RULES.lit_correlation and slope > RULES.lit_slope:
+        yield Finding(
+            KINDS["dark-lit"], name,
+            f"over wavelength the dark goes with the scene (correlation {correlation:.2f}), by "
+            f"{100 * slope:.3g} % of its light", f"no light, under {100 * RULES.lit_slope:g} %",
+        )  # fmt: skip
+
+
+def _judge_pattern(
+    name: str, dark: Floats, uncertainty: Floats, gain: Floats, sample: CubeSample, full: float
+) -> Iterator[Finding]:
+    """Find a dark whose pattern does not lie under the scene.
+
+    Mean scene = dark + light / gain: differences of neighbouring elements leave the two patterns, and a
+    regression of the scene's on both says how much of the dark's is there.
+    """
+    if dark.shape[0] < 3 or dark.shape[1] < 2:
+        return
+    light = sample.mean - dark
+    level = np.nanmedian(np.where(np.isfinite(gain), light * gain, np.nan), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = level[:, None] / gain
+    scene, own, lit = _differences(sample.mean), _differences(dark), _differences(expected)
+    # what the picture leaves in the differences grows with the light, and with noise
+    scale = np.hypot(np.maximum(np.abs(expected), 0.0), 0.05 * np.nanmax(np.abs(expected)) + 1.0)[1:-1, 1:]
+    usable: Bools = np.isfinite(scene) & np.isfinite(own) & np.isfinite(lit) & _whole(sample.most < full)
+    if usable.sum() < RULES.pattern_elements:
+        return
+    # twelve: the sum of the squares of the weights of a difference
+    noise = 12.0 * float(np.mean(np.square(uncertainty)))
+    usable &= (
+        np.abs(own) <= 8.0 * np.median(np.abs(own[usable])) + 1e-9
+    )  # hot elements, with laws of their own
+    if np.var(own[usable]) < RULES.pattern_contrast * noise or not np.any(own[usable]):
+        return
+    weights = 1.0 / scale[usable]
+    terms = np.stack([own[usable], lit[usable]]) * weights
+    values = scene[usable] * weights
+    for _ in range(2):  # once more without what stands out
+        moments = terms @ terms.T
+        slopes = np.linalg.lstsq(moments, terms @ values, rcond=None)[0]
+        rest = values - slopes @ terms
+        near = np.abs(rest) <= 4.0 * (1.4826 * np.median(np.abs(rest)) + 1e-12)
+        terms, values, rest = terms[:, near], values[near], rest[near]
+    # neighbouring differences share elements: three times as unsure as independent ones
+    spread = 3.0 * np.sqrt(np.mean(np.square(rest)) / max(float(np.square(terms[0]).sum()), 1e-30))
+    if slopes[0] < RULES.pattern_slope and 1.0 - slopes[0] > RULES.pattern_sds * spread:
+        yield Finding(
+            KINDS["dark-pattern"], name,
+            f"{slopes[0]:.2f} +- {spread:.2f} of the dark's pattern lies under the scene",
+            f"1, at least {RULES.pattern_slope:g}",
+        )  # fmt: skip
+
+
+def _whole(usable: Bools) -> Bools:
+    """Return which of the `_differences` are made of usable elements alone."""
+    rows = usable[:-2] & usable[1:-1] & usable[2:]
+    return np.asarray(rows[:, 1:] & rows[:, :-1])
+
+
+def _differences(array: Floats) -> Floats:
+    """Return second differences over bands of first differences over columns: what changes slowly cancels."""
+    return np.asarray(np.diff(np.diff(array, 2, axis=0), axis=1))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from collections.abc import Collection, Iterable
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import CollectError, PaintWarning, Problems
 
@@ -35,43 +37,57 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
     lit = read_collect(path, need_irradiance=False).irradiance is not None
     opened = opened_collect(path, need_irradiance=lit)
-    return _findings(opened, opened.members)
+    return tuple(itertools.chain(*_findings(opened, opened.members).values()))
 
 
-def refuse_findings(opened: OpenedCollect, lines: Iterable[str], accept: Collection[str]) -> None:
+def refuse_findings(
+    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str]
+) -> dict[str, dict[str, Any]]:
     """Judge lines of an opened collect, by the names of their groups, but for what is accepted.
+
+    Returns attributes by group: what was accepted of a line, for the store to say.
 
     Raises `CollectError`: Findings that make results wrong; all are listed. Warns `PaintWarning`: The others.
     """
     refused = []
-    for finding in _findings(opened, [name for name in lines if name in opened.members]):
-        if finding.kind.name in accept:
-            continue
-        if finding.kind.refused:
-            refused.append(finding.problem(acceptable=True))
-        else:
-            warnings.warn(str(finding), PaintWarning, stacklevel=3)
+    accepted: dict[str, dict[str, Any]] = {}
+    for group, findings in _findings(opened, [name for name in lines if name in opened.members]).items():
+        for finding in findings:
+            if finding.kind.name in accept:
+                accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
+                    str(finding)
+                )
+            elif finding.kind.refused:
+                refused.append(finding.problem(acceptable=True))
+            else:
+                warnings.warn(str(finding), PaintWarning, stacklevel=3)
     if refused:
         raise CollectError(f"{opened.settings.path} cannot be true, and is not processed", problems=refused)
+    return accepted
 
 
 def check_accepted(accept: Collection[str], problems: Problems) -> None:
     """Note names that are those of no finding."""
     from hyperpaint.plausibility import KINDS
 
-    for name in accept:
-        if name not in KINDS:
-            problems.add(f"accept={name!r}, expected some of {', '.join(KINDS)}")
+    for name in [accept] if isinstance(accept, str) else accept:
+        if name not in KINDS or isinstance(accept, str):
+            problems.add(f"accept={name!r}, expected a list of some of {', '.join(KINDS)}")
 
 
-def _findings(opened: OpenedCollect, lines: Iterable[str]) -> tuple[Finding, ...]:
-    from hyperpaint.plausibility import judge_line
+def _findings(opened: OpenedCollect, lines: Iterable[str]) -> dict[str, list[Finding]]:
+    """Return the findings of lines by their groups; those of a dark are with the first line that has it."""
+    from hyperpaint.plausibility import judge_dark_cube, judge_line
 
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
-    return tuple(
-        finding
-        for name in lines
-        for finding in judge_line(
-            opened.tree[name].to_dataset(), tuple(cubes[member] for member in opened.members[name])
-        )
-    )
+    findings: dict[str, list[Finding]] = {}
+    darks: set[Path] = set()
+    for name in lines:
+        members = tuple(cubes[member] for member in opened.members[name])
+        findings[name] = list(judge_line(opened.tree[name].to_dataset(), members))
+        dark = members[0].dark if "counts" in opened.tree[name] else None
+        for path in dark if isinstance(dark, tuple) else ():
+            if path not in darks:
+                findings[name] += judge_dark_cube(path)
+                darks.add(path)
+    return findings

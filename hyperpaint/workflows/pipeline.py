@@ -305,14 +305,17 @@ def run(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
         )
         pending = [name for name in groups if name not in complete]
-        refuse_findings(opened, pending, accept)
+        accepted = refuse_findings(opened, pending, accept)
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
             opened, groups = _opened(opened.settings, demand.lines, parameters)
         apply = alignment or opened.settings.alignment
         aligned = {name: _aligned(groups[name], name, to, apply) for name in pending}
-        products = {name: _product(aligned[name], name, to, reflectance) for name in pending}
+        products = {
+            name: _product(aligned[name], name, to, reflectance).assign_attrs(accepted.get(name, {}))
+            for name in pending
+        }
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()})
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from hyperpaint.base.errors import CollectError, SchemaError
 from hyperpaint.cli.program import main
+from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
@@ -59,7 +60,7 @@ def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp
 
 
 def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="accept='all', expected some of counts-over-range"):
+    with pytest.raises(SchemaError, match="accept='all', expected a list of some of counts-over-range"):
         process(collect, tmp_path / "lot.zarr", accept=["all"])
 
 
@@ -67,3 +68,10 @@ def test_every_finding_is_listed() -> None:
     done = CliRunner().invoke(main, ["check", "--list"])
     assert done.exit_code == 0
     assert all(f"{name}  (" in done.output for name in KINDS)
+
+
+def test_what_was_accepted_stands_in_the_store(collect: Path, tmp_path: Path) -> None:
+    _change(collect.parent / "dark/raw_0", np.zeros_like)
+    process(collect, tmp_path / "lot.zarr", reflectance="none", accept=["dark-of-zeros"])
+    line = open_store(tmp_path / "lot.zarr", "flightlines/raw_0")
+    assert "100 % of the dark" in line.attrs["accepted_findings"][0]
