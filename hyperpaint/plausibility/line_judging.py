@@ -18,8 +18,10 @@ from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 
 from .cube_sample import CubeSample, sample_cube
 from .finding import Finding
+from .plausible_bands import judge_bands
 from .plausible_counts import judge_range
 from .plausible_dark import judge_dark, judge_dark_frames
+from .plausible_layout import judge_layout
 
 __all__ = ["judge_dark_cube", "judge_line"]
 
@@ -48,8 +50,11 @@ def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]
     cube = next(iter(opened.data_vars.values()))
     if "counts" not in line or "counts" not in opened:
         return
+    layout = list(judge_layout(name, inputs.path, cube.shape[0]))
+    yield from layout
     sample = sample_cube(cube, np.ones(cube.shape[0], bool))
-    if sample is not None:
+    # of a cube that is read in a wrong order nothing else can be said
+    if sample is not None and not layout:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # bands without a gain have no mean
             findings = list(_judge_sample(name, line, inputs, sample))
@@ -69,3 +74,11 @@ def _judge_sample(
         uncertainty = line.get("dark_counts_u_random")
         spread = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
         yield from judge_dark(name, dark, spread, gain, sample, full)
+    if "wavelength" in line.coords:
+        record = None
+        if "irradiance" in line:
+            record = (line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values)
+        fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
+        light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
+        mean_gain = np.nanmean(gain, axis=1)
+        yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
