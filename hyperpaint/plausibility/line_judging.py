@@ -12,7 +12,8 @@ import xarray as xr
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.variables import BAND, CROSS_TRACK
-from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+from hyperpaint.io.envi.envi_header import read_header
 from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 
@@ -21,13 +22,18 @@ from .finding import Finding
 from .plausible_bands import judge_bands
 from .plausible_counts import judge_range
 from .plausible_dark import judge_dark, judge_dark_frames
+from .plausible_frames import judge_doubles, judge_index
 from .plausible_layout import judge_layout
+from .plausible_record import judge_irradiance, judge_navigation
 
 __all__ = ["judge_dark_cube", "judge_line"]
 
 
 def judge_line(line: xr.Dataset, cubes: tuple[FlightlineInputs, ...]) -> Iterator[Finding]:
     """Judge a flight line and the cubes that it is made of; samples of them are read."""
+    name = str(line.attrs["name"])
+    yield from judge_irradiance(name, line)
+    yield from judge_navigation(name, line)
     for inputs in cubes:
         yield from _judge_cube(line, inputs)
 
@@ -47,12 +53,16 @@ def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]
         opened = open_envi(
             inputs.path, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity, unsaid="counts"
         )
+        interleave = read_header(find_pair(inputs.path)[0]).interleave
     cube = next(iter(opened.data_vars.values()))
+    recorded, findings = judge_index(inputs, cube.shape[0])
+    yield from findings
+    yield from judge_doubles(name, cube, interleave == "bip", recorded)
     if "counts" not in line or "counts" not in opened:
         return
     layout = list(judge_layout(name, inputs.path, cube.shape[0]))
     yield from layout
-    sample = sample_cube(cube, np.ones(cube.shape[0], bool))
+    sample = sample_cube(cube, recorded)
     # of a cube that is read in a wrong order nothing else can be said
     if sample is not None and not layout:
         with warnings.catch_warnings():

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import solar_position
 
-__all__ = ["check_light", "warn_of_lost_bands"]
+__all__ = ["LightLevel", "check_light", "light_level", "warn_of_lost_bands"]
 
 
 @dataclass(frozen=True)
@@ -41,20 +41,41 @@ class LightRules:
 RULES = LightRules()
 
 
+class LightLevel(NamedTuple):
+    """How bright a record is: the brightest sample's median of 400-1000 nm [W m-2 nm-1], NaN of none.
+
+    zenith: of the sun at its highest [degree]; clear: the median of a clear sky then; NaN where not known.
+    """
+
+    median: float
+    zenith: float
+    clear: float
+
+    @property
+    def slip(self) -> str:
+        """Which unit was taken for which, if one explains the level; empty where none does."""
+        return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
+
+
+def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
+    """Return how bright the spectra (sample, channel) are that light a line, at its place and time."""
+    zenith = _highest_sun(cube, stamps)
+    clear = _clear_median(zenith, channels) if zenith <= RULES.max_zenith else math.nan
+    return LightLevel(brightest_median(channels, np.asarray(spectra, np.float64)), zenith, clear)
+
+
 def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> None:
     """Judge the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
 
     Raises SchemaError: No daylight is so bright or so dim. Warns PaintWarning: It is hardly that of the place
     and time.
     """
-    level = brightest_median(channels, np.asarray(spectra, np.float64))
+    judged = light_level(cube, spectra, channels, stamps)
+    level, zenith, clear = judged
     if not math.isfinite(level):
         return
-    zenith = _highest_sun(cube, stamps)
-    clear = _clear_median(zenith, channels) if zenith <= RULES.max_zenith else math.nan
     shown = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
-    slip = unit_slip(level / (clear if math.isfinite(clear) else 1.0))
-    slip = f", {slip}" if slip else ""
+    slip = f", {judged.slip}" if judged.slip else ""
     if not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN:
         raise SchemaError(
             f"{shown}, expected {LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}; correct its units"
