@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import warnings
+from collections import Counter
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,12 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.plausibility import Finding
 
-__all__ = ["check_accepted", "check_collect", "refuse_findings"]
+__all__ = ["MANY_FLAGGED", "check_accepted", "check_collect", "refuse_findings", "warn_of_flags"]
+
+MANY_FLAGGED = 0.2
+"""Share of the pixels of a line that a flag is said of [1]: what is rare is looked at where it is."""
+
+_LINES_A_READ = 4096
 
 
 def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
@@ -91,3 +97,25 @@ def _findings(opened: OpenedCollect, lines: Iterable[str]) -> dict[str, list[Fin
                 findings[name] += judge_dark_cube(path)
                 darks.add(path)
     return findings
+
+
+def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
+    """Warn of every flag that many pixels of a stored line have, by its name and share."""
+    from hyperpaint.base.schema import ALONG_TRACK, flag_shares
+    from hyperpaint.io.store import open_store
+
+    for name in lines:
+        quality = open_store(store, name).get("quality")
+        if quality is None:
+            continue
+        counts: Counter[str] = Counter()
+        for start in range(0, quality.sizes[ALONG_TRACK], _LINES_A_READ):
+            part = quality.isel({ALONG_TRACK: slice(start, start + _LINES_A_READ)}).values
+            counts.update({str(flag.name): share * part.size for flag, share in flag_shares(part).items()})
+        many = {flag: count / quality.size for flag, count in counts.items()}
+        texts = [
+            f"{100 * share:.0f} % {flag.lower()}" for flag, share in many.items() if share > MANY_FLAGGED
+        ]
+        if texts:
+            message = f"{name}: many pixels are flagged: {', '.join(texts)}; look at them before their values"
+            warnings.warn(message, PaintWarning, stacklevel=3)

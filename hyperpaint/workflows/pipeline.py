@@ -18,7 +18,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.io.store.record import SETTINGS
 
-from .collect_check import check_accepted, refuse_findings
+from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import KEPT_BITS, finishing_command, inputs_digest, refuse_to_write_over, settings_of
 
 if TYPE_CHECKING:
@@ -335,6 +335,7 @@ def run(
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
             turn.write(name, dataset, progress=progress)
+    warn_of_flags(out, lines)
     corrected = {
         name: str(line.attrs["alignment"])
         for name, line in aligned.items()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hyperpaint.base.errors import CollectError, SchemaError
+from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS
@@ -75,3 +75,14 @@ def test_what_was_accepted_stands_in_the_store(collect: Path, tmp_path: Path) ->
     process(collect, tmp_path / "lot.zarr", reflectance="none", accept=["dark-of-zeros"])
     line = open_store(tmp_path / "lot.zarr", "flightlines/raw_0")
     assert "100 % of the dark" in line.attrs["accepted_findings"][0]
+
+
+def test_a_flag_on_many_pixels_is_said(collect: Path, tmp_path: Path) -> None:
+    def clipped(counts: np.ndarray) -> np.ndarray:
+        columns = counts.reshape(40, 40, 24)
+        columns[..., :8] = 4095
+        return columns
+
+    _change(collect.parent / "flight/raw_0", clipped)
+    with pytest.warns(PaintWarning, match="flightlines/raw_0: many pixels are flagged: 33 % saturated;"):
+        process(collect, tmp_path / "lot.zarr", reflectance="none")
