@@ -103,6 +103,8 @@ PARTS = (
 MARKER = "# simulated by hyperpaint"
 """Opens the ``collect.toml`` of a simulated collect."""
 
+_UNFINISHED = f"{MARKER}: not finished\n"
+
 CAMERA_SOFTWARE = "hyperpaint simulation"
 """Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
 field spectrometer's simulated files, and in the regions for what made them."""
@@ -232,7 +234,9 @@ def _prepare(root: Path, overwrite: bool) -> Path:
                 f"{root} is not empty",
                 mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
             )  # fmt: skip
-        for part in reversed(PARTS):  # collect.toml first: what is half removed is not a collect
+        _check_simulated(root)
+        (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
+        for part in PARTS[:-1]:
             target = root / part
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
@@ -240,7 +244,21 @@ def _prepare(root: Path, overwrite: bool) -> Path:
                 target.unlink(missing_ok=True)
     for part in ("flight", "dark", "asd"):
         (root / part).mkdir(parents=True)
+    # whose the folder is, also where this run does not come to its end
+    (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
     return root
+
+
+def _check_simulated(root: Path) -> None:
+    """Refuse to replace a collect, or parts of one, that no simulation made."""
+    toml = root / "collect.toml"
+    parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
+    if parts and not (toml.is_file() and toml.read_bytes().startswith(MARKER.encode())):
+        raise StoreError(
+            f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
+            expected="what an earlier simulation wrote there",
+            mend="name another folder; nothing was removed",
+        )
 
 
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:

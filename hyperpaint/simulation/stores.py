@@ -30,7 +30,7 @@ from hyperpaint.base.schema import (
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
-from .sweep import Sweep, SweepSettings
+from .sweep import SWEEP_NAME, Sweep, SweepSettings, is_simulated_sweep
 from .trajectories import CONVENTION
 
 __all__ = [
@@ -290,7 +290,7 @@ def _without_cubes(sweep: Sweep) -> xr.Dataset:
         "saturation_count": camera.detector(0.0).saturation_count,
     }
     attrs = {
-        "name": "simulated monochromator sweep",
+        "name": SWEEP_NAME,
         "monochromator_shape": settings.monochromator_shape,
         "history": f"simulated by hyperpaint, seed {settings.camera.seed}",
     }
@@ -463,8 +463,8 @@ def _truth_beside(path: Path) -> Path:
 def _clear(target: Path, overwrite: bool) -> None:
     if not target.exists():
         return
-    # an earlier sweep is a Zarr store; anything else is not ours to remove
-    if not overwrite or not (target / "zarr.json").is_file():
+    # only an earlier sweep, or its truth, is ours to remove
+    if not overwrite or not is_simulated_sweep(target, f"{TRUTH}srf_shape"):
         mend = "name another path, or replace an earlier sweep with {}"
         raise StoreError(
             f"{target} exists already",

@@ -12,9 +12,11 @@ by their smile and their own factor only, so that it is done on a table of shift
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +29,9 @@ from hyperpaint.base.units import takes_quantities
 from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import SimulationSettings, check_choice, check_flag, check_number, check_whole, is_number
 
-__all__ = ["Frames", "Sweep", "SweepSettings"]
+__all__ = ["SWEEP_NAME", "Frames", "Sweep", "SweepSettings", "is_simulated_sweep"]
+
+SWEEP_NAME = "simulated monochromator sweep"
 
 
 PerStep = float | Sequence[float] | Floats
@@ -230,6 +234,15 @@ class Frames(NamedTuple):
 
     mean: Floats32  # [count]
     variance: Floats32  # of one frame over the frames [count2]
+
+
+def is_simulated_sweep(store: Path, truth: str) -> bool:
+    """Tell whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
+    try:
+        attributes = json.loads((store / "zarr.json").read_bytes())["attributes"]
+        return attributes.get("name") == SWEEP_NAME or truth in attributes
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
 
 
 class Sweep:

@@ -324,7 +324,7 @@ def run(
         }
         again = {
             "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
-            "--reflectance": None if reflectance == "stored" else reflectance,
+            "--reflectance": None if reflectance == "stored" else reflectance, "--accept": sorted(accept),
         }  # fmt: skip
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(

@@ -193,10 +193,11 @@ def run(
         members = {name: Member(token_of(dataset), settings) for name, dataset in planned.items()}
         writing = {name: planned[name] for name in pending}
         again = {
-            "--samples": samples, "--to": to, "--paints": paints, "--overwrite": overwrite,
+            "--samples": samples, "--to": to, "--atmosphere": list(atmospheres), "--overwrite": overwrite,
+            "--paints": paints and Path(paints).absolute(),
             "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
         }  # fmt: skip
-        command = finishing_command(f"render {quote(str(path))}", again)
+        command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
         turn = stack.enter_context(
             whole_run(out, members, writing, attrs, command=command, overwrite=overwrite)
         )

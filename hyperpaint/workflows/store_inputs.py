@@ -65,17 +65,35 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
 def finishing_command(command: str, options: Mapping[str, Any]) -> str:
     """Return the command line that finishes an interrupted run, ``{store}`` in place of the store.
 
-    ``options``: by their names; those that are None or False were not given.
+    ``options``: by their names; those that are None or False were not given, lists several times.
     """
-    given = (f" {name}" if value is True else f" {name} {quote(str(value))}"
-             for name, value in options.items() if value is not None and value is not False)  # fmt: skip
-    return f"hyperpaint {command} --out {{store}}{''.join(given)}"
+    given = ""
+    for name, value in options.items():
+        for each in value if isinstance(value, list) else [value]:
+            if each is not None and each is not False:
+                given += f" {name}" if each is True else f" {name} {quote(str(each))}"
+    return f"hyperpaint {command} --out {{store}}{given}"
 
 
 def settings_of(parameters: Mapping[str, Any]) -> str:
     """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
     text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
     return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def _stored_form(cube: Path) -> str:
+    """Return what the header of a cube says of its samples: the same file may be read as other values."""
+    from hyperpaint.io.envi.envi_cubes import find_pair
+    from hyperpaint.io.envi.envi_header import read_header
+
+    header = read_header(find_pair(cube)[0])
+    factors = [None if values is None else values.tolist()
+               for values in (header.data_gain_values, header.data_offset_values)]  # fmt: skip
+    form = (
+        header.header_offset, header.dtype.str, header.interleave, header.data_ignore_value,
+        header.reflectance_scale_factor, *factors,
+    )  # fmt: skip
+    return repr(form)
 
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
@@ -85,7 +103,7 @@ def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -
 
     digest = hashlib.sha256(settings.encode())
     for cube in cubes:
-        digest.update(f"{cube.name} {sampled_digest(cube)}".encode())
+        digest.update(f"{cube.name} {_stored_form(cube)} {sampled_digest(cube)}".encode())
     digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
         digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())

@@ -266,6 +266,17 @@ def test_progress_and_overwrite(tmp_path: Path) -> None:
         simulate_collect(tmp_path / "file", **SMALL)
 
 
+def test_a_real_collect_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "flight" / "raw_0").write_text("precious")
+    for text in (None, "[collect]\n"):
+        if text is not None:
+            (tmp_path / "collect.toml").write_text(text)
+        with pytest.raises(StoreError, match="nothing was removed"):
+            simulate_collect(tmp_path, **SMALL, overwrite=True)
+    assert (tmp_path / "flight" / "raw_0").read_text() == "precious"
+
+
 def test_panels_reflect_what_they_say() -> None:
     line = simulate_line(lines=60, bands=30, columns=32, noise=False, quantise=False)
     for level in (5, 20, 50, 90):

@@ -383,6 +383,10 @@ def test_store_is_replaced_only_on_request(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="exists already"):
         write_sweep(tmp_path / "notes", **size, overwrite=True)
     assert (tmp_path / "notes" / "keep.txt").is_file()
+    (tmp_path / "notes" / "zarr.json").write_text('{"attributes": {"name": "lot"}, "node_type": "group"}')
+    with pytest.raises(StoreError, match="exists already"):
+        write_sweep(tmp_path / "notes", **size, overwrite=True)
+    assert (tmp_path / "notes" / "keep.txt").is_file()
 
 
 def test_collect_with_its_sweep(tmp_path: Path) -> None:

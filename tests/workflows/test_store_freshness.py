@@ -17,7 +17,7 @@ from hyperpaint.io.files import sampled_content
 from hyperpaint.io.files.sampled_content import sampled_digest
 from hyperpaint.workflows.input_comparison import compare_inputs
 from hyperpaint.workflows.pipeline import run
-from hyperpaint.workflows.store_inputs import paths_in
+from hyperpaint.workflows.store_inputs import finishing_command, paths_in
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1")
 
@@ -55,6 +55,33 @@ def test_a_cube_of_other_content_is_told_whatever_its_times(collect: Path, store
         process(collect, store)
     assert "raw_0" not in str(caught.value)
     assert process(collect, store, overwrite=True).written == (LINES[1],)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("interleave = bil", "interleave = bip"), ("byte order = 0", "byte order = 1")]
+)
+def test_another_header_makes_other_values_of_the_same_file(
+    old: str, new: str, collect: Path, store: Path
+) -> None:
+    header = collect.with_name("raw_1.hdr")
+    assert old in header.read_text()
+    header.write_text(header.read_text().replace(old, new))
+    with pytest.raises(hp.StoreError, match="raw_1 is there already, with other inputs"):
+        process(collect, store)
+
+
+def test_the_command_that_finishes_a_run_names_its_options() -> None:
+    options = {
+        "--to": "radiance",
+        "--accept": ["dark-of-zeros", "a b"],
+        "--overwrite": True,
+        "--alignment": None,
+    }
+    command = finishing_command("process lot.toml", options)
+    assert command == (
+        "hyperpaint process lot.toml --out {store} --to radiance --accept dark-of-zeros --accept 'a b' "
+        "--overwrite"
+    )
 
 
 def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -228,11 +228,20 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
     """
     if _is_foreign(location):
         return ["it exists and is not a Zarr v3 store; choose another path"]
+    outer = _store_around(location)
+    if outer:
+        return [f"it lies in the store {outer}; write a group of that, or choose another path"]
     return [
         f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write them "
         "anew, the groups in it stay"
         for group in ([] if overwrite else damaged_groups(groups, location))
     ]
+
+
+def _store_around(location: Location) -> str:
+    """Return the store that a path lies in, which would be damaged: an array, or a group that none wrote."""
+    parents = [] if location.local is None else location.local.absolute().parents
+    return next((str(parent) for parent in parents if (parent / METADATA).is_file()), "")
 
 
 def damaged_groups(groups: Iterable[str], location: Location) -> list[str]:
@@ -263,7 +272,8 @@ def occupant(group: str, token: str, location: Location) -> str:
     if record is not None and record.token == token and _lies_at(metadata, group):
         return "same" if has_all_chunks(location, group, record) else "lacks chunks"
     below = (f"{group}/{child}" if group else child for child in location.folders(group))
-    if not all(_is_array(location, path) for path in below):
+    strays = location.strays(group) if group else []
+    if strays or not all(_is_array(location, path) for path in below):
         return "parent"
     return "was never finished or is damaged" if record is None else "with other content"
 

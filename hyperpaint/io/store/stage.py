@@ -228,12 +228,17 @@ def _check_owner(folder: Path) -> None:
     except (FileNotFoundError, NotADirectoryError):
         return
     others = [name for name in names if not _OURS.fullmatch(name)]
-    if others and _MARK not in names:
+    if others and not _is_marked(folder):
         named = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         raise StoreError(
             f"{folder} is not of hyperpaint, which builds there: it holds {named}",
             mend="move it away, or choose another path for the store; nothing in it was touched",
         )
+
+
+def _is_marked(folder: Path) -> bool:
+    mark = folder / _MARK
+    return mark.is_file() and not mark.is_symlink() and mark.read_bytes()[:200] == _MARK_TEXT
 
 
 def _to_discard(folder: Path) -> Path:

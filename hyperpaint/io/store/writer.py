@@ -342,8 +342,8 @@ def refused_jobs(jobs: list[Job], above: list[str], location: Location, *, overw
             continue
         if state == "parent":
             problems.add(
-                f"group {'/' + job.group!r} holds other groups, or folders that are none of its "
-                "arrays, which would be lost; choose another group, or remove them first"
+                f"group {'/' + job.group!r} holds other groups, or files and folders that are none of its "
+                "arrays, which would be lost; choose another group, or move them away first"
             )
         elif state == "array":
             problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")

@@ -72,8 +72,19 @@ def test_a_folder_of_somebody_elses_is_not_lost(path: Path) -> None:
         to_store(line(2), path, "photos", overwrite=True)
     (path / "notes").mkdir()
     (path / "notes/a.txt").touch()
-    with pytest.raises(StoreError, match="overwrite=True"):
-        to_store(line(2), path, "notes")
+    (path / GROUP / "notes.txt").touch()
+    for group in ("notes", GROUP):
+        with pytest.raises(StoreError, match="would be lost"):
+            to_store(line(2), path, group, overwrite=True)
+
+
+@pytest.mark.parametrize("place", [GROUP, f"{GROUP}/counts", "new"])
+def test_nothing_is_written_as_a_store_into_a_store(place: str, path: Path) -> None:
+    before = files(path)
+    for group in (None, "g"):
+        with pytest.raises(StoreError, match="it lies in the store"):
+            to_store(line(2), path / place, group, overwrite=True)
+    assert files(path) == before
 
 
 def test_damaged_arrays_do_not_keep_a_group_from_being_replaced(path: Path) -> None:

@@ -280,8 +280,7 @@ def test_another_writers_lock_is_left_alone(lock: Path) -> None:
     assert lock.read_text().startswith("another's")
 
 
-# --- whose folder it is
-# --------------------------------------------------------------------------------------
+# --- whose folder it is ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -297,6 +296,15 @@ def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Pat
             to_store(small(), path, overwrite=overwrite)
     assert theirs.read_text() == "precious"
     assert [each.name for each in partial(path).iterdir()] == [name.partition("/")[0]]
+
+
+def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
+    theirs = partial(tmp_path / "lot.zarr") / "hyperpaint"
+    theirs.parent.mkdir(exist_ok=True)
+    theirs.write_text("precious")
+    with pytest.raises(StoreError, match="is not of hyperpaint"):
+        to_store(small(), tmp_path / "lot.zarr", overwrite=True)
+    assert theirs.read_text() == "precious"
 
 
 def test_what_lies_in_our_folder_and_is_not_ours_stays(tmp_path: Path) -> None:
