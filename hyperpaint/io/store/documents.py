@@ -20,11 +20,11 @@ from typing import Any, TypeGuard
 from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 
 MOST_JSON_BYTES = 32 * 2**20
-"""Bytes of a metadata document: a collect of 60 lines has 2 MB."""
+"""Bytes of a metadata document: a collect of 60 lines has 2 MB, one of 1000 lines 30."""
 
-#: Objects, lists and separators in it: each costs memory many times its own size.
-_MOST_CONTAINERS = 300_000
-_MOST_SEPARATORS = 1_000_000
+#: Objects, lists and separators in it: each costs memory many times its own size. A line has 660 and 1040.
+_MOST_CONTAINERS = 750_000
+_MOST_SEPARATORS = 1_200_000
 _MOST_DEPTH = 64
 
 MOST_CHUNK_BYTES = 2**30

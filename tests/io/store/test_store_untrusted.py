@@ -281,3 +281,10 @@ def test_texts_and_empty_arrays_in_several_chunks(tmp_path: Path) -> None:
     hp.to_store(names, tmp_path / "n.zarr")
     assert hp.verify(tmp_path / "n.zarr").ok
     xr.testing.assert_equal(hp.open_store(tmp_path / "n.zarr").load(), names)
+
+
+def test_the_list_of_five_hundred_lines_is_read(tmp_path: Path) -> None:
+    cube = xr.Dataset({"counts": (("along_track", "band"), np.ones((4, 3)), {"units": "1"})})
+    array = (hp.to_store(cube, tmp_path / "a") / "counts/zarr.json").read_text()
+    arrays = ", ".join(f'"flightlines/raw_{number}/counts": {array}' for number in range(20_500))
+    assert len(parse_document(f"{{{arrays}}}".encode(), "here")) == 20_500
