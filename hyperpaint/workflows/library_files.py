@@ -23,6 +23,7 @@ from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
+from hyperpaint.io.files.text_cells import safe_cell
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
@@ -337,7 +338,8 @@ def _as_csv(validation: Validation) -> str:
         for row, column in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
             one = table.isel(pair=row, part=column)
             cells = [_plain(one[name].values.item()) for name in names]
-            rows.writerow(["" if cell is None else cell for cell in cells])
+            safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
+            rows.writerow(["" if cell is None else cell for cell in safe])
     return written.getvalue()
 
 

@@ -23,6 +23,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers
+from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
 
 from .library_spectra import SHORTEST, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
@@ -56,7 +57,8 @@ def write_csv_library(
     """Write a checked library to ``path``, and its metadata to ``<path>.json``.
 
     Nine digits a value: float32 comes back as it was. Text beyond ASCII opens with the mark by which Excel
-    knows UTF-8.
+    knows UTF-8. Names and texts that a spreadsheet would run as formulas have an apostrophe in front, which
+    the reader takes off.
 
     Raises SchemaError: Names or metadata cannot be written.
     Raises StoreError: Files exist, or cannot be written.
@@ -66,8 +68,10 @@ def write_csv_library(
     columns = table_columns(library)
     kind = [] if variables == [CENTRE] else _KIND
     head = _line([PAINT, *kind, *columns, *(repr(float(value)) for value in library["wavelength"].values)])
-    names = [_line([name]) for name in names_of(library)]
-    about = [_line(["", *cells]) for cells in zip(*columns.values(), strict=True)] or [""] * len(names)
+    names = [_line([safe_cell(name)]) for name in names_of(library)]
+    about = [
+        _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
+    ] or [""] * len(names)
     coding = "utf-8" if "".join([head, *names, *about]).isascii() else "utf-8-sig"
     row = ",%.9g" * library.sizes[BAND] + "\n"
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
@@ -124,6 +128,7 @@ def _table(path: Path) -> _Table:
     table = _Table(wavelength, [], {name: [] for name in head[first:]}, [], [])
     owner = _Owner()
     for at, row in enumerate(cells, 2):
+        row[: len(head)] = map(text_of_cell, row[: len(head)])
         values = _values(row[len(head) :], wavelength.size)
         key = owner.key(*(row[:3] if has_kind else (row[0], CENTRE, ""))) if values is not None else None
         if values is None or key is None:

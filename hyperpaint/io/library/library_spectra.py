@@ -119,11 +119,12 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
 def check_wavelengths(wavelength: Floats, source: str) -> None:
     """Refuse wavelengths that are none [nm].
 
-    Raises FormatError: There are none; they are not finite, or outside 100 nm to 300 um.
+    Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or given twice.
     """
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
         if low >= SHORTEST and high <= LONGEST:
+            _refuse_twice(wavelength, source)
             return
         description = f"wavelengths from {low:g} to {high:g} nm"
         if low >= SHORTEST * 1e3 and high <= LONGEST * 1e3:
@@ -134,6 +135,15 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
         f"{source}: {description}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
         "check their units, or pass wavelength= [nm]"
     )
+
+
+def _refuse_twice(wavelength: Floats, source: str) -> None:
+    values, counts = np.unique(wavelength, return_counts=True)
+    if (counts > 1).any():
+        raise FormatError(
+            f"{source}: {int((counts > 1).sum())} wavelengths are given twice, such as "
+            f"{values[counts > 1][0]:g} nm, expected each once; leave out one of the two bands"
+        )
 
 
 def reflectances(

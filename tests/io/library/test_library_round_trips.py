@@ -401,3 +401,32 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
     text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
     found = trip(text, tmp_path, "pvc", format="ecostress")
     np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)
+
+
+@pytest.mark.parametrize("name", ["=HYPERLINK(1)", "+red", "-matt", "@lab", "'=x", "''-y", "-5.25", "'red'"])
+def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> None:
+    values = np.array([[0.25, 0.5], [-0.01, 0.75]], np.float32)
+    paints = xr.Dataset(
+        {"reflectance": (("paint", "band"), values, {"units": "1"})},
+        coords={
+            "paint": [name, "blue"], "make": ("paint", ["=1+1", "-3"]),
+            "wavelength": ("band", [450.0, 650.0], {"units": "nm"}),
+        },
+    )  # fmt: skip
+    path = tmp_path / "paints.csv"
+    hp.write_library(paints, path)
+    with path.open(newline="") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    dangerous = [cell for cell in cells if cell[:1] in ("=", "+", "-", "@", "\t", "\r")]
+    assert all(float(cell) < 0 for cell in dangerous)  # numbers stay numbers
+    back = hp.open_library(path)
+    assert back["paint"].values.tolist() == [name, "blue"]
+    assert back["make"].values.tolist() == ["=1+1", "-3"]
+    np.testing.assert_array_equal(back["reflectance"], paints["reflectance"])
+
+
+def test_a_wavelength_given_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "twice.csv"
+    path.write_text("wavelength (nm),red\n400,0.1\n500,0.2\n600,0.3\n700,0.4\n500,0.25\n800,0.3\n900,0.2\n")
+    with pytest.raises(FormatError, match=r"1 wavelengths are given twice, such as 500 nm"):
+        hp.open_library(path, wavelength=[400.0, 500.0, 600.0, 700.0, 500.0, 800.0, 900.0])

@@ -1,0 +1,34 @@
+"""Cells of text in tables that a spreadsheet may open: none of them is run as a formula."""
+
+from __future__ import annotations
+
+import re
+
+from .reading import number
+
+__all__ = ["safe_cell", "text_of_cell"]
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+
+
+def safe_cell(text: str) -> str:
+    """Return a text for a table, an apostrophe before what a spreadsheet would run; numbers stay numbers.
+
+    Examples
+    --------
+    >>> safe_cell("=cmd()"), safe_cell("-5.2"), safe_cell("- matt"), safe_cell("red")
+    ("'=cmd()", '-5.2', "'- matt", 'red')
+    """
+    is_plain = _FORMULA.match(text) is None or number(text) is not None
+    return text if is_plain else f"'{text}"
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that `safe_cell` made a cell of.
+
+    Examples
+    --------
+    >>> text_of_cell("'=cmd()"), text_of_cell("'red'"), text_of_cell(safe_cell("'=cmd()"))
+    ('=cmd()', "'red'", "'=cmd()")
+    """
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
