@@ -280,6 +280,9 @@ def with_metadata(
         if len(dims) != values.ndim or dims[0] != PAINT or dims[-1] != BAND:
             problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
             continue
+        if clash := sorted(set(dims) & data.keys()):
+            problems.add(f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}")
+            continue
         if values.ndim == 3 and metadata is not None:
             values = _widened(values, metadata.sizes.get(dims[1]))
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):

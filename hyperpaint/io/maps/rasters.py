@@ -68,7 +68,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
                 if raster.tags(ns="OVERVIEWS"):
                     raise FormatError(f"{path} names another file for its overviews; translate it anew")
                 yield raster
-    except rasterio.errors.RasterioError as error:
+    except (rasterio.errors.RasterioError, UnicodeDecodeError) as error:
         raise FormatError(
             f"{path}: GDAL cannot read it as {driver} ({error!s:.200}); copy it again"
         ) from error

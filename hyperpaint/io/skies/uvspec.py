@@ -84,9 +84,9 @@ def read_uvspec(
         )
     radiance = np.array([block[1:] for block in blocks], np.float64)
     cosine = radiance[0, :, 0]
-    if (radiance[:, :, 0] != cosine).any() or not (cosine < 0.0).any():
+    if (radiance[:, :, 0] != cosine).any() or not (-1.0 <= cosine.min() < 0.0):
         raise FormatError(
-            f"{path}: umu {cosine.tolist()}, expected the same at all wavelengths, some below 0"
+            f"{path}: umu {cosine.tolist()}, expected the same at all wavelengths, some from -1 to 0"
         )
     up = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith down
     up = up[np.argsort(-cosine[up])[::-1]]
