@@ -58,4 +58,4 @@ def init(
         click.echo("fill in, then process:\n  " + "\n  ".join(unknown))
     else:
         place = path.parent if path.name == "collect.toml" else path
-        click.echo(f"next: hyperpaint run {place}")
+        click.echo(f"next: hyperpaint check {path}, then hyperpaint run {place}")

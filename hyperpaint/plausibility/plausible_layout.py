@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Floats, Ints
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 
@@ -72,8 +73,8 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
     header = read_header(header_path)
     if header.bands < 4 or header.dtype.kind not in "iu" or lines * header.samples < RULES.pixels:
         return
-    stored = np.memmap(data_path, header.dtype, "r", header.header_offset)
-    views = {order: _view(stored, header, lines, order) for order in ("bil", "bip", "bsq")}
+    with open(data_path, "rb", buffering=0) as file:
+        views = {order: _view(file, header, lines, order) for order in ("bil", "bip", "bsq")}
     own = views.pop(header.interleave)
     if own.roughness <= RULES.rough:
         return
@@ -97,7 +98,7 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _view(stored: Array, header: EnviHeader, lines: int, order: str) -> _View:
+def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
     """Read pixels by chance, the same in every band's turn, as the samples lie in an interleave."""
     rng = np.random.default_rng(0)
     count = min(RULES.bands, header.bands - 1)
@@ -111,6 +112,13 @@ def _view(stored: Array, header: EnviHeader, lines: int, order: str) -> _View:
             "bip": (line * header.samples + column) * header.bands + band,
             "bsq": (band * lines + line) * header.samples + column,
         }[order]
-        return np.asarray(stored[places], np.float64)
+        size = header.dtype.itemsize
+        # single samples: mapping the file would take as much address space as it has bytes
+        starts = (header.header_offset + size * places.ravel()).tolist()
+        samples = bytearray()
+        for start in starts:
+            file.seek(start)
+            samples += file.read(size)
+        return np.frombuffer(samples, header.dtype).astype(np.float64).reshape(places.shape)
 
     return _View(at(bands), at(bands + 1))
