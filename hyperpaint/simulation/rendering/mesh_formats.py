@@ -28,6 +28,7 @@ __all__ = ["RawTriangles", "Stripped", "check_ply", "parse_obj", "read_glb", "re
 _MAX_TRIANGLES = 50_000_000
 _LARGEST_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")
+_LONGEST_LINE = 2**20
 _CUT = "the file is cut or damaged"
 
 
@@ -76,6 +77,8 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     material, thing = "", ""
     group = -1
     for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
+        if match.end() - match.start() > _LONGEST_LINE:
+            raise FormatError(f"{where}: line {number} has over {_LONGEST_LINE} characters; it is damaged")
         line = match[0]
         words = line.split()
         keyword = words[0] if words else ""

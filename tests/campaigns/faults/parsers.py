@@ -289,7 +289,7 @@ PARSERS: Mapping[str, Parser] = {
     ),
     "control-points": Parser(_reader("io", "read_control_points"), (FormatError,), ("points.csv",)),
     "radcal": Parser(
-        _reader("io", "read_radcal"), (FormatError,), ("radcal.txt",), ("lab_calibration/CP_*.TXT",)
+        _reader("io", "read_radcal"), (FormatError,), ("radcal.txt",), ("lab_calibration/CP_*RADCAL*.TXT",)
     ),
     "certificate": Parser(
         _reader("io", "read_certificate"),
