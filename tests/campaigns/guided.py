@@ -14,6 +14,7 @@ in the code; once mended it belongs into ``regressions/<parser>/``, under a name
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import io
 import re
@@ -194,7 +195,8 @@ def fuzz(target: Target, bench: Bench, seconds: int) -> None:
     path, seed = placed[target.seed]
     with atheris.instrument_imports(include=["hyperpaint"], exclude=_COMPILED):
         for other, _ in placed:  # imports what reading takes
-            parser.read(other)
+            with contextlib.suppress(*parser.errors):  # a seed may be of a kind that is refused
+                parser.read(other)
     alike = [data for other, data in placed if other.suffix == path.suffix and len(data) <= _LARGEST_INPUT]
     for data in (*alike, *corpus(target)):
         (bench.units / hashlib.sha256(data).hexdigest()[:16]).write_bytes(data)
@@ -286,8 +288,6 @@ def judge(target: Target, bench: Bench, *, kept: bool) -> None:
     with tempfile.TemporaryDirectory() as own:
         placed = parsers.placed(parser, bench.seeds, Path(own))
         path, _ = placed[target.seed]
-        for other, _ in placed:
-            parser.read(other)
         for data in sorted(bench.wrong.iterdir()):
             path.write_bytes(data.read_bytes())
             wrong = parsers.complaint(parser, path)
