@@ -17,6 +17,7 @@ from .location import Location, clean_group
 from .record import (
     PLACE,
     SET,
+    SETTINGS,
     GroupRecord,
     attributes_checksum,
     metadata_checksum,
@@ -216,7 +217,8 @@ def _opened(
     for name, variable in opened.variables.items():
         variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
     opened.encoding["source"] = location.url
-    opened.attrs.pop(SET, None)
+    for name in (SET, PLACE, SETTINGS):  # of the place, not of what is made from it
+        opened.attrs.pop(name, None)
     return opened
 
 
