@@ -285,8 +285,9 @@ def check_member(location: Location, group: str, node: Mapping[str, Any]) -> tup
         if _is_recent(node, group):
             raise IncompleteStoreError(_RECORD_GONE.format(location.url), mend=_FOLLOW)
         return () if PLACE in node["attributes"] else (_OLD.format(location.url),)
-    if (record.finished or record.before) and record.allows(group, member_of(node)):
-        return ()
+    member = member_of(node)
+    if (record.finished or record.before) and (member is None or record.allows(group, member)):
+        return ()  # of one that was never finished its own record says so
     check_set(location)
     raise IncompleteStoreError(
         f"/{group} of {location.url} is not what the store's record names, or was never finished",
