@@ -127,7 +127,7 @@ def test_kill_between_the_two_renames_gives_the_old_group_back(store: Path) -> N
     partial = store.parent / f".partial-{store.name}"
     partial.mkdir()
     os.rename(store / GROUP, partial / "replaced-flightlines%2Fraw_0")
-    (partial / "build-x-1").mkdir()
+    (partial / f"build-x-{'0' * 32}-{'0' * 12}").mkdir()  # as a writer names it
     (store / ".zarr.json.123").write_text("{")
     with staging(store):
         assert is_complete(store, GROUP)
