@@ -25,7 +25,7 @@ from .record import (
     read_seal,
     recorded_form,
 )
-from .root_record import check_member, check_set, is_misplaced
+from .root_record import check_member, check_set, is_misplaced, set_stamp
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -112,16 +112,15 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     """
     location, name = Location.of(path), clean_group(group)
     if group is None and (groups := location.groups()) and "" not in groups:
-        _warn(check_set(location, groups))
-        return _opened_tree(path, groups, **kwargs)
+        return _opened_tree(location, **kwargs)
     if (node := location.metadata(name)) is not None:
-        _warn(check_member(location, name, node))
+        _warn(check_member(location, name, node), 3)
     return open_group(path, name, **kwargs)
 
 
-def _warn(notes: tuple[str, ...]) -> None:
+def _warn(notes: tuple[str, ...], stacklevel: int) -> None:
     for note in notes:
-        warnings.warn(note, PaintWarning, stacklevel=3)
+        warnings.warn(note, PaintWarning, stacklevel)
 
 
 def open_group(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Dataset:
@@ -148,14 +147,32 @@ def open_group(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Da
         ) from error
 
 
-def _opened_tree(path: str | os.PathLike[str], groups: list[str], **kwargs: Any) -> xr.DataTree:
+def _opened_tree(location: Location, **kwargs: Any) -> xr.DataTree:
+    """Open all groups, as they were at one instant."""
+    for _ in range(2):
+        begin = set_stamp(location)
+        try:
+            groups = location.groups()
+            notes = check_set(location, groups)
+            opened = _opened_groups(location, groups, **kwargs)
+        except IncompleteStoreError:
+            if set_stamp(location) == begin:
+                raise
+        else:
+            if set_stamp(location) == begin:
+                _warn(notes, 4)
+                return opened
+    raise IncompleteStoreError(f"{location.url} was written to while it was opened; open it again")
+
+
+def _opened_groups(location: Location, groups: list[str], **kwargs: Any) -> xr.DataTree:
     import xarray as xr
 
-    problems = Problems(f"{os.fspath(path)} cannot be opened whole", IncompleteStoreError)
+    problems = Problems(f"{location.url} cannot be opened whole", IncompleteStoreError)
     opened: dict[str, xr.Dataset | xr.DataTree] = {}
     for group in groups:
         try:
-            opened[group] = open_group(path, group, **kwargs)
+            opened[group] = open_group(location.url, group, **kwargs)
         except IncompleteStoreError as error:
             problems.add(str(error), mend="open the others by open_store(path, group)")
     problems.raise_if_any()

@@ -8,6 +8,7 @@ attributes. A store of one group in its root has no such record: the group's own
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import re
@@ -103,22 +104,33 @@ class SetState:
 
 def read_set(location: Location) -> SetRecord | None:
     """Return the root record of a store; None without one, IncompleteStoreError where it is damaged."""
+    text = _text(location)
+    return None if text is None else SetRecord.from_text(text, location.url)
+
+
+def set_stamp(location: Location) -> str | None:
+    """Return what changes whenever a writer begins or ends."""
     try:
-        state = location.fs.ukey(location.key("", METADATA))
-    except (OSError, NotImplementedError):
-        return _parsed_set(location)
-    return _cached_set(location.url, state)
+        return _text(location)
+    except IncompleteStoreError as error:
+        return str(error)
+
+
+def _text(location: Location) -> str | None:
+    if location.local is not None:  # elsewhere nothing says whether a file is still the same
+        with contextlib.suppress(OSError):
+            return _cached_text(location.url, location.fs.ukey(location.key("", METADATA)))
+    return _text_of_root(location)
 
 
 @functools.lru_cache(maxsize=32)
-def _cached_set(url: str, state: str) -> SetRecord | None:  # noqa: ARG001  (the state of the file is a key)
-    return _parsed_set(Location.of(url))
+def _cached_text(url: str, state: str) -> str | None:  # noqa: ARG001  (the state of the file is a key)
+    return _text_of_root(Location.of(url))
 
 
-def _parsed_set(location: Location) -> SetRecord | None:
+def _text_of_root(location: Location) -> str | None:
     attributes = (location.read_json("", METADATA) or {}).get("attributes") or {}
-    text = attributes.get(SET)
-    return None if text is None else SetRecord.from_text(str(text), location.url)
+    return None if attributes.get(SET) is None else str(attributes[SET])
 
 
 def member_of(node: Mapping[str, Any] | None) -> Member | None:

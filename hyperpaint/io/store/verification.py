@@ -24,7 +24,7 @@ from .record import (
     read_record,
     recorded_form,
 )
-from .root_record import set_state
+from .root_record import set_stamp, set_state
 
 #: Most names without a node, and most strays of a folder, that are listed one by one.
 _MOST_LISTED = 20
@@ -108,6 +108,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     memory://small.zarr: 1 group, 1 chunk, whole
     """
     location = _location(path)
+    begin = set_stamp(location)
     groups = location.groups()
     state = set_state(location, groups)
     problems = [*state.problems, *_until_error(_root_problems(location, groups))]
@@ -123,6 +124,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             continue
         chunks += sum(len(array.chunks) for array in record.arrays.values())
         problems.extend(_until_error(_group_problems(location, group, record)))
+    if set_stamp(location) != begin:
+        problems.insert(0, "/: was written to meanwhile, what else is said may hold no longer; verify again")
     return StoreReport(
         location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)), state.notes, state.resume
     )

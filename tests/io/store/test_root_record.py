@@ -18,7 +18,7 @@ import zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import list_groups, open_group
+from hyperpaint.io.store import list_groups, open_group, reader, verification
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.root_record import Member, SetRecord, read_set
@@ -199,6 +199,29 @@ def test_one_group_more_leaves_the_store_whole_at_every_instant(
     assert hp.verify(store).ok
     hp.to_store(line(7), store, group, overwrite=True)
     assert hp.verify(store).ok
+
+
+def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root_problems = verification._root_problems
+
+    def root_problems_and_run(*arguments: Any) -> Any:
+        yield from root_problems(*arguments)
+        run(store, "b", stop=2)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(verification, "_root_problems", root_problems_and_run)
+        assert "was written to meanwhile" in hp.verify(store).problems[0]
+    run(store)
+    check = reader.check_set
+
+    def check_and_add(*arguments: Any) -> Any:
+        notes = check(*arguments)
+        if not (store / "signatures").exists():
+            hp.to_store(line(7), store, "signatures")
+        return notes
+
+    monkeypatch.setattr(reader, "check_set", check_and_add)
+    assert "signatures" in hp.open_store(store).children  # it was opened once more
 
 
 def _interrupt(*_: object) -> None:
