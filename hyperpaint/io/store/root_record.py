@@ -14,7 +14,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from shlex import quote
+from shlex import quote, split
 from typing import Any, NamedTuple
 
 from hyperpaint.base.constants import NUMERICS_VERSION
@@ -23,11 +23,14 @@ from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 from .budget import counted
 from .groups import INPUTS
 from .location import METADATA, Location
-from .record import COMPLETE, PLACE, SEAL, SET, SETTINGS, metadata_checksum
+from .record import COMPLETE, PLACE, SEAL, SET, SETTINGS, metadata_checksum, read_record
 
 _TEXT = re.compile(r"crc32c=([0-9a-f]{8}) (\{.*\})", re.DOTALL)
 _NUMERICS = re.compile(r"numerics=(\d{1,9})\b")
+_COMMAND = re.compile(r"hyperpaint (process|render|run) ")
 _MOST_NAMED = 5
+_MOST_PROBLEMS = 20
+_MOST_SIGNS = 2000  # Of a problem; half of them a command's
 _FOLLOW = "hyperpaint.io.store.open_group(path, group) opens what is finished"
 
 
@@ -44,17 +47,19 @@ class SetRecord:
 
     groups: Mapping[str, Member] = field(default_factory=dict)  # By path
     finished: bool = False
-    #: What stands for the one group that is being added (None) or replaced: the store is whole with it, too.
+    #: What groups that a user adds (None) or replaces in a whole store were: with all of these it is whole,
+    #: and while it is one group, with either.
     before: Mapping[str, Member | None] = field(default_factory=dict)
     adopted: bool = False  # Groups were there before the store kept a record: some may have been lacking
-    command: str = ""  # Finishes the run on the command line; ``{store}`` stands for the store's path
+    command: str = ""  # Of the last run on the command line; ``{store}`` stands for the store's path
+    run: tuple[str, ...] = ()  # Groups of an unfinished run, which that command finishes
 
     @property
     def text(self) -> str:
         """The attribute's value."""
         document = {
             "adopted": self.adopted, "before": self.before, "command": self.command,
-            "finished": self.finished, "groups": self.groups,
+            "finished": self.finished, "groups": self.groups, "run": self.run,
         }  # fmt: skip
         plain = json.dumps(document, sort_keys=True)
         return f"crc32c={metadata_checksum(json.loads(plain)):08x} {plain}"
@@ -72,25 +77,31 @@ class SetRecord:
                 str(path): None if entry is None else Member(*map(str, entry))
                 for path, entry in document["before"].items()
             }
+            if not before.keys() <= groups.keys():
+                raise ValueError("it replaces groups that it does not name")
             return cls(
-                groups,
-                bool(document["finished"]),
-                before,
-                bool(document["adopted"]),
-                str(document["command"]),
-            )
+                groups, bool(document["finished"]), before, bool(document["adopted"]),
+                str(document["command"]), tuple(map(str, document.get("run", ()))),
+            )  # fmt: skip
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise IncompleteStoreError(
                 f"the record of the groups of {where} is damaged ({error!s:.100})",
-                mend="write it again with overwrite=True; groups that are whole stay",
+                mend="write all its groups with overwrite=True, as a tree; those that are whole stay",
                 option="run its command again with --overwrite; groups that are whole stay",
             ) from None
 
     def allows(self, group: str, member: Member | None) -> bool:
-        """Tell whether a group is what it is to be, or may still be while one group is replaced."""
-        if group in self.before and member == self.before[group]:
-            return True
-        return member is not None and self.groups.get(group) == member
+        """Tell whether a group is what it is to be, or still what it was before it is replaced."""
+        return (member is not None and member == self.groups.get(group)) or (
+            group in self.before and member == self.before[group]
+        )
+
+    def is_settled(self, members: Mapping[str, Member]) -> bool:
+        """Tell whether no writer was interrupted halfway: what differs from the record was changed since."""
+        return self.finished or (
+            bool(self.before and members)
+            and (len(self.before) == 1 or all(members.get(name) == old for name, old in self.before.items()))
+        )
 
 
 @dataclass(frozen=True)
@@ -148,14 +159,27 @@ def numerics_of(settings: str) -> int | None:
     return None if match is None else int(match[1])
 
 
-def present_members(location: Location, groups: Iterable[str]) -> dict[str, Member]:
-    """Return what the finished groups among ``groups`` are."""
-    members = {}
-    for group in groups:
-        member = None if is_misplaced(node := _node(location, group), location, group) else member_of(node)
-        if member is not None:
-            members[group] = member
-    return members
+def present_members(
+    location: Location, listed: Iterable[str], recorded: Iterable[str] = ()
+) -> dict[str, Member]:
+    """Return what the finished groups of a store are: of those with arrays, ``listed``, and of a record."""
+    members = {
+        group: member_of(node)
+        for group, node in _nodes(location, listed, recorded).items()
+        if not is_misplaced(node, location, group)
+    }
+    return {group: member for group, member in members.items() if member is not None}
+
+
+def _nodes(location: Location, listed: Iterable[str], recorded: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the metadata of groups with arrays, ``listed``, and of those ``recorded`` that have none."""
+    nodes = {group: _node(location, group) for group in listed}
+    for group in recorded:
+        if group not in nodes:
+            with contextlib.suppress(StoreError):  # its arrays were deleted
+                if read_record(location, group) is not None:
+                    nodes[group] = _node(location, group)
+    return nodes
 
 
 def _node(location: Location, group: str) -> dict[str, Any]:
@@ -184,14 +208,21 @@ def is_misplaced(node: Mapping[str, Any], location: Location, group: str) -> boo
 
 def set_state(location: Location, groups: Iterable[str] | None = None) -> SetState:
     """Compare the groups that a store is to hold with those that it holds (``groups``, where listed)."""
-    present = location.groups() if groups is None else list(groups)
-    nodes = {group: _node(location, group) for group in present}
+    listed = location.groups() if groups is None else list(groups)
     try:
         record = read_set(location)
     except IncompleteStoreError as error:
         return SetState((str(error),))
+    nodes = _nodes(location, listed, record.groups if record else ())
     if record is None:
         return _unrecorded(location, nodes)
+    misplaced = {group for group, node in nodes.items() if is_misplaced(node, location, group)}
+    members = {
+        group: member
+        for group, node in nodes.items()
+        if group not in misplaced and (member := member_of(node)) is not None
+    }
+    settled = record.is_settled(members)
     problems = [
         f"/{group}: foreign: the store's record does not name it; move it away, or write it with to_store"
         for group in nodes
@@ -199,20 +230,17 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
     ]
     lacking: list[str] = []
     for group, wanted in record.groups.items():
-        node = nodes.get(group)
-        if node is not None and is_misplaced(node, location, group):
-            place = node["attributes"][PLACE]
+        node, member = nodes.get(group), members.get(group)
+        if group in misplaced:
+            place = nodes[group]["attributes"][PLACE]
             problems.append(f"/{group}: swapped or copied: by its own record it is {place!s:.200}")
+        elif member == wanted or (settled and record.allows(group, member)):
             continue
-        member = member_of(node)
-        if record.allows(group, member):
-            continue
-        if not (record.finished or record.before):
+        elif not settled:
             lacking.append(group)
         elif node is None:
             problems.append(
-                f"/{group}: deleted: the store's record names it, but it is not there; write it again, or "
-                "anything else with overwrite, which forgets it"
+                f"/{group}: deleted: the store's record names it, but it is not there; {_DELETED}"
             )
         elif member is None:
             continue  # its own record, or the lack of one, says so
@@ -221,10 +249,35 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
         else:
             problems.append(f"/{group}: foreign: other content than the store's record names")
     notes = (*([_ADOPTED.format(location.url)] if record.adopted else []), *_older(record))
-    if record.finished or (record.before and nodes):
-        return SetState(tuple(problems), notes)
-    resume = record.command.replace("{store}", quote(location.url))
-    return SetState((_unfinished(record, lacking, resume), *problems), notes, resume)
+    resume = ""
+    if not settled:
+        if set(lacking) <= set(record.run):
+            resume = _shown_command(record.command).replace("{store}", quote(location.url))
+        problems.insert(0, _unfinished(record, lacking, resume))
+    return SetState(tuple(_bounded(problems)), notes, resume)
+
+
+_DELETED = (
+    "write it again; run the command of the store with --overwrite, which forgets what is gone; or say that "
+    "it is empty: to_store(xr.Dataset(), path, group)"
+)
+
+
+def _bounded(problems: list[str]) -> Iterator[str]:
+    """Yield problems so that a terminal shows them: names of groups are those of whoever wrote the store."""
+    for text in problems[:_MOST_PROBLEMS]:
+        yield "".join(sign if sign.isprintable() else "\ufffd" for sign in text[:_MOST_SIGNS])
+    if len(problems) > _MOST_PROBLEMS:
+        yield f"{len(problems) - _MOST_PROBLEMS} more groups that are not what the store's record names"
+
+
+def _shown_command(command: str) -> str:
+    """Return a command that may be shown to be typed; empty where it is none of hyperpaint's."""
+    return (
+        command
+        if len(command) <= _MOST_SIGNS // 2 and _COMMAND.match(command) and command.isprintable()
+        else ""
+    )
 
 
 def _older(record: SetRecord) -> Iterator[str]:
@@ -290,17 +343,19 @@ def check_member(location: Location, group: str, node: Mapping[str, Any]) -> tup
     The store's other groups are not looked at, unless it is unfinished: then the error says which are
     lacking.
     """
-    record = read_set(location)
+    record, member = read_set(location), member_of(node)
     if record is None:
         if not group or COMPLETE not in (node.get("attributes") or {}):
             return ()
         if _is_recent(node, group):
             raise IncompleteStoreError(_RECORD_GONE.format(location.url), mend=_FOLLOW)
         return () if PLACE in node["attributes"] else (_OLD.format(location.url),)
-    member = member_of(node)
-    if (record.finished or record.before) and (member is None or record.allows(group, member)):
+    untouched = record.finished or (record.before and (len(record.before) == 1 or group not in record.before))
+    if untouched and (member is None or record.allows(group, member)):
         return ()  # of one that was never finished its own record says so
-    check_set(location)
+    notes = check_set(location)
+    if record.allows(group, member):
+        return notes
     raise IncompleteStoreError(
         f"/{group} of {location.url} is not what the store's record names, or was never finished",
         mend="write it again",
@@ -315,12 +370,14 @@ class Intention(NamedTuple):
 
     record: SetRecord
     needed: tuple[str, ...]  # Groups that must be there for the record to be sealed
+    before: Mapping[str, Member | None]  # Of another writer, who was interrupted
 
     def sealed(self, location: Location) -> SetRecord:
         """Return the record as it stands at the end: finished, unless groups of another run are lacking."""
-        present = present_members(location, self.needed)
-        finished = all(present.get(name) == self.record.groups[name] for name in self.needed)
-        return replace(self.record, finished=finished, before={})
+        present = present_members(location, (), self.needed)
+        if all(present.get(name) == self.record.groups[name] for name in self.needed):
+            return replace(self.record, finished=True, before={}, run=())
+        return replace(self.record, before=self.before)
 
 
 def intention(
@@ -333,47 +390,68 @@ def intention(
 ) -> Intention:
     """Return the record with which a writer begins: what was to be there, and ``wanted``.
 
-    One group that a user adds to a whole store, or replaces (no ``command``), leaves it whole at every
-    instant. With ``overwrite``, groups of others that are gone, or a damaged record, are forgotten.
+    Groups that a user adds to a whole store, or replaces (no ``command``), leave its others as they are. A
+    run of the store's command forgets what an unfinished run of it was to write, or with ``overwrite`` all
+    that was deleted from a finished store. Whatever else is lacking stays so.
 
-    Raises `IncompleteStoreError`: the record is damaged, and must not be overwritten.
+    Raises `IncompleteStoreError`: the record is damaged or lost, and not all of the store is written.
     """
-    present = present_members(location, location.groups())
-    old = _settled(location, present, overwrite=overwrite, again=command is not None)
-    begun = [name for name in pending if name in wanted]
-    alone = command is None and old.finished and len(begun) == 1
-    return Intention(
-        replace(
-            old,
-            groups={**old.groups, **wanted},
-            finished=False,
-            before={name: old.groups.get(name) for name in begun} if alone else {},
-            adopted=old.adopted and any(name not in wanted for name in old.groups if name),
-            command=old.command if command is None else command,
-        ),
-        tuple(wanted) if old.finished else (*old.groups, *wanted),
+    old = _recorded(location, wanted, command, overwrite=overwrite)
+    present = present_members(location, location.groups(), old.groups)
+    groups = dict(old.groups)
+    finished = old.is_settled(present)
+    if finished:  # whoever was interrupted had put the one group in its place, or had not
+        for name, member in old.before.items():
+            if present.get(name) != groups[name]:
+                groups.pop(name)
+                groups |= {} if member is None else {name: member}
+    repeats = command is not None and _source(command) == _source(old.command)
+    of_run = set(old.run if repeats else ())
+    forgettable = groups if repeats and overwrite and finished else of_run
+    groups = {name: each for name, each in groups.items() if name in present or name not in forgettable}
+    others = [] if finished else [name for name in groups if name not in wanted and name not in of_run]
+    lacking = any(present.get(name) != groups[name] for name in others)
+    added = {name: groups.get(name) for name in pending if name in wanted}
+    interrupted = {} if finished else old.before
+    record = replace(
+        old,
+        groups={**groups, **wanted},
+        finished=False,
+        before={**added, **interrupted} if command is None and (finished or interrupted) else {},
+        adopted=old.adopted and any(name not in wanted for name in old.groups if name),
     )
+    if command is not None and (repeats or not lacking):  # else the other command must be run first
+        record = replace(record, command=command, run=tuple(wanted))
+    return Intention(record, (*wanted, *others), interrupted)
 
 
-def _settled(location: Location, present: Mapping[str, Member], *, overwrite: bool, again: bool) -> SetRecord:
-    """Return the record from which a writer goes on; ``again``: it writes a whole run."""
+def _source(command: str) -> list[str]:
+    """Return the words of a command that say what it makes a store of, its options left out."""
     try:
-        old = read_set(location)
-    except IncompleteStoreError:
+        return split(command)[:3]
+    except ValueError:
+        return [command]
+
+
+def _recorded(
+    location: Location, wanted: Mapping[str, Member], command: str | None, *, overwrite: bool
+) -> SetRecord:
+    """Return the record of a store; where it has none, one of what is there."""
+    problem = None
+    try:
+        if (record := read_set(location)) is not None:
+            return record
+    except IncompleteStoreError as error:
         if not overwrite:
             raise
-        old = None
-    if old is None:
-        lost = [name for name in present if name and _is_recent(_node(location, name), name)]
-        if lost and not (overwrite or again):
+        problem = error
+    present = present_members(location, location.groups())
+    written = wanted if overwrite or command is not None else ()
+    for name in present:
+        if name in written or (command is not None and not present[name].settings):
+            continue  # a run writes none of a user's groups
+        if problem is not None:
+            raise problem
+        if name and _is_recent(_node(location, name), name):
             raise IncompleteStoreError(_RECORD_GONE.format(location.url))
-        return SetRecord(present, finished=True, adopted=any(present))
-    groups = dict(old.groups)
-    for name in old.before:  # whoever was killed there had put its group in its place, or had not
-        groups.pop(name)
-        groups |= {name: present[name]} if name in present else {}
-    finished = old.finished or bool(old.before)
-    if (finished and overwrite) or (not finished and again):
-        groups = {name: each for name, each in groups.items() if name in present}
-        finished = True
-    return replace(old, groups=groups, finished=finished, before={})
+    return SetRecord(present, finished=True, adopted=any(present))

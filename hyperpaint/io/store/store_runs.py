@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from .disk import errors_of_the_system
 from .groups import damaged_groups, groups_above, is_listed
 from .location import METADATA, Location
-from .root_record import Member
+from .root_record import Member, check_set
 from .stage import clear_up
 from .writer import Turn, is_sealed, job_of, real_folder, refused_jobs
 
@@ -49,7 +49,8 @@ def whole_run(
     ``members``: every group of the run; ``pending``: those that it will write; ``attrs``: of the root;
     ``command``: finishes an interrupted run, with ``{store}`` in place of the path.
 
-    Raises `StoreError`: another writer is at work, or the store cannot be written.
+    Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
+    groups are lacking at the end, of this run or of another that was begun.
     """
     location = Location.of(path)
     above = list(dict.fromkeys(each for name in members for each in groups_above(name)))
@@ -67,7 +68,9 @@ def whole_run(
         yield WholeRun(turn, location, members, overwrite=overwrite)
         if turn is not None:
             with errors_of_the_system(location, pending):
-                turn.finish({"": dict(attrs)})
+                sealed = turn.finish({"": dict(attrs)})
+            if not sealed:
+                check_set(location)
 
 
 def _is_listed(attrs: Mapping[Any, Any], location: Location) -> bool:

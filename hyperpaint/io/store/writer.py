@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from hyperpaint.base.errors import Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.base.units import takes_quantities
 
@@ -124,7 +124,7 @@ def to_store(
         pending = refused_jobs(jobs, above, location, overwrite=overwrite)
         damaged = damaged_groups(above, location)
         wanted = {job.group: job.member for job in jobs}
-        done = not pending and not damaged and is_sealed(wanted, location, overwrite=overwrite)
+        done = not pending and not damaged and is_sealed(wanted, location)
         if done and is_listed(wanted, attrs, location):
             if location.local is not None:
                 clear_up(real_folder(location.local))
@@ -138,12 +138,15 @@ def to_store(
     return path
 
 
-def is_sealed(wanted: Mapping[str, Member], location: Location, *, overwrite: bool) -> bool:
+def is_sealed(wanted: Mapping[str, Member], location: Location, *, overwrite: bool = False) -> bool:
     """Tell whether a store's record names these groups, and nothing is under way.
 
     ``overwrite``: nor may it name groups that are gone, which are then forgotten.
     """
-    record = read_set(location)
+    try:
+        record = read_set(location)
+    except IncompleteStoreError:
+        return False
     if record is None:
         return not any(wanted)
     if overwrite and not all(location.has(group, METADATA) for group in record.groups):
@@ -235,10 +238,14 @@ class Turn:
                     discard(built)
             raise
 
-    def finish(self, attrs: Mapping[str, dict[str, Any]]) -> None:
-        """Set the attributes of groups without arrays (by group), and seal the root record."""
+    def finish(self, attrs: Mapping[str, dict[str, Any]]) -> bool:
+        """Set the attributes of groups without arrays (by group), seal the root record unless groups lack.
+
+        Return whether it is sealed.
+        """
         record = self._intended.sealed(self._location)
         finish_root(attrs, record.text if any(record.groups) else "", self._location)
+        return record.finished
 
 
 def _groups_without_arrays(jobs: list[Job], attrs: Iterable[str]) -> list[str]:

@@ -8,6 +8,8 @@ import os
 import shutil
 import warnings
 import zipfile
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ import zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import list_groups, open_group, reader, verification
+from hyperpaint.io.store import list_groups, open_group, reader, stage, verification
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.root_record import Member, SetRecord, read_set
@@ -33,17 +35,21 @@ def line(value: int = 1) -> xr.Dataset:
     return xr.Dataset({"counts": (("along_track", "band", "cross_track"), cube)})
 
 
-def run(path: Path, settings: str = "a", *, lines: tuple[str, ...] = LINES, stop: int | None = None) -> None:
-    """Write lines as `process` does; stop before one of them."""
+def run(
+    path: Path, settings: str = "a", *, lines: tuple[str, ...] = LINES, stop: int | None = None,
+    command: str = COMMAND, last: Callable[[], object] = bool,
+) -> None:  # fmt: skip
+    """Write lines as `process` does; stop before one of them, or call ``last`` after them."""
     value = 1 + ord(settings[0])
     groups = {name: line(value).assign_attrs({INPUTS: f"{name}-{settings}"}) for name in lines}
     members = {name: Member(f"{name}-{settings}", settings) for name in lines}
-    turns = whole_run(path, members, groups, {"name": "lot"}, command=COMMAND, overwrite=True)
+    turns = whole_run(path, members, groups, {"name": "lot"}, command=command, overwrite=True)
     with contextlib.suppress(KeyboardInterrupt), turns as turn:
         for number, (name, dataset) in enumerate(groups.items()):
             if number == stop:
                 raise KeyboardInterrupt
             turn.write(name, dataset)
+        last()
 
 
 @pytest.fixture
@@ -157,8 +163,95 @@ def test_what_a_user_adds_is_of_the_store(store: Path) -> None:
     assert hp.verify(store).ok
     shutil.rmtree(store / "signatures")
     assert "/signatures: deleted" in problems(store)
-    hp.to_store(line(8), store, LINES[0], overwrite=True)  # forgets what is gone
+    hp.to_store(line(8), store, LINES[0], overwrite=True)
+    assert "/signatures: deleted" in problems(store)
+    run(store, "b")  # forgets what is gone
     assert hp.verify(store).ok
+
+
+def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
+    shutil.rmtree(store / LINES[1])
+    hp.to_store(line(7), store, "signatures", overwrite=True)
+    run(store, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
+    assert f"/{LINES[1]}: deleted" in problems(store)
+    hp.to_store(xr.Dataset(), store, LINES[1])  # it is empty
+    assert hp.verify(store).ok
+
+
+def test_groups_without_variables_are_of_the_store(store: Path) -> None:
+    hp.to_store(xr.Dataset(attrs={"a": 1}), store, "meta")
+    hp.to_store(line(7), store, "signatures")
+    assert hp.verify(store).ok
+    hp.open_store(store)
+    shutil.rmtree(store / LINES[1] / "counts")
+    assert f"/{LINES[1]}: deleted" in problems(store)
+
+
+def _publish_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    publish, calls = stage.Staging.publish, iter([True])
+
+    def killed(self: Any, *arguments: Any) -> None:
+        if not next(calls, False):
+            raise KeyboardInterrupt
+        publish(self, *arguments)
+
+    monkeypatch.setattr(stage.Staging, "publish", killed)
+
+
+def test_a_half_written_tree_is_finished_by_itself_alone(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = xr.DataTree.from_dict({"/sig/a": line(1), "/sig/b": line(2)})
+    with monkeypatch.context() as patch:
+        _publish_once(patch)
+        with pytest.raises(KeyboardInterrupt):
+            hp.to_store(tree, store)
+    hp.to_store(line(9), store, "other")
+    for _ in range(2):
+        said = problems(store)
+        assert "unfinished: 5 of 6 groups are there; lacking, or of other settings: /sig/b; to finish" in said
+        assert "lot.toml" not in said
+        # other groups are what they were
+        for group in (LINES[0], "other"):
+            assert hp.open_store(store, group).sizes["band"] == 2
+        with pytest.raises(IncompleteStoreError, match="/sig/b"):
+            hp.open_store(store, "sig/a")
+        with pytest.raises(IncompleteStoreError, match="/sig/b"):
+            run(store)
+    hp.to_store(tree, store)
+    assert hp.verify(store).ok
+
+
+def test_a_run_does_not_finish_another(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    run(path, stop=1)
+    with pytest.raises(IncompleteStoreError, match="unfinished: 2 of 4"):
+        run(path, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
+    assert "to finish it: hyperpaint process lot.toml" in problems(path)
+    run(path)
+    assert hp.verify(path).ok
+
+
+def test_a_run_that_could_not_be_sealed_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    with pytest.raises(IncompleteStoreError, match="unfinished: 2 of 3"):
+        run(path, last=lambda: shutil.rmtree(path / LINES[0]))
+    run(path)
+    assert hp.verify(path).ok
+
+
+def test_texts_of_a_record_do_no_harm(store: Path) -> None:
+    groups = {f"\x1b[2J{number}": Member("x") for number in range(30)}
+    for command in ("rm -rf {store}", "hyperpaint process \x1b[2J", "hyperpaint run " + "x" * 3000):
+        record = SetRecord(groups, command=command, run=tuple(groups))
+        document = json.loads((store / "zarr.json").read_text())
+        for each in (record, replace(record, finished=True)):
+            document["attributes"]["hyperpaint_set"] = each.text
+            (store / "zarr.json").write_text(json.dumps(document))
+            report = hp.verify(store)
+            assert not report.resume
+            assert len(report.problems) < 30
+            assert "".join(report.problems).isprintable()
 
 
 def test_what_came_from_another_store_is_whole_where_it_goes(store: Path, tmp_path: Path) -> None:
@@ -278,15 +371,22 @@ def test_a_record_that_is_gone_or_damaged_is_told(damage: Any, store: Path) -> N
     with pytest.raises(IncompleteStoreError):
         hp.open_store(store, LINES[0])
     with pytest.raises(StoreError, match="record of the groups"):
-        hp.to_store(line(7), store, "signatures")
+        hp.to_store(line(7), store, "signatures", overwrite=True)
     run(store)
     assert hp.verify(store).ok
 
 
 def test_records_survive_their_text() -> None:
-    record = SetRecord({"a": Member("x", "y")}, before={"a": None, "b": Member("z")}, command="c")
+    groups = {"a": Member("x", "y"), "b": Member("u")}
+    record = SetRecord(groups, before={"a": None, "b": Member("z")}, command="c", run=("a",))
     assert SetRecord.from_text(record.text, "here") == record
-    for wrong in ("", record.text[:-1], record.text.replace("x", "q"), "crc32c=00000000 {}", "crc32c=0 []"):
+    for wrong in (
+        "",
+        record.text[:-1],
+        record.text.replace("x", "q"),
+        "crc32c=00000000 {}",
+        replace(record, groups={}).text,
+    ):
         with pytest.raises(IncompleteStoreError, match="here is damaged"):
             SetRecord.from_text(wrong, "here")
 
