@@ -11,9 +11,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from shlex import quote, split
 from typing import Any, NamedTuple
 
@@ -31,7 +33,7 @@ _COMMAND = re.compile(r"hyperpaint (process|render|run) ")
 _MOST_NAMED = 5
 _MOST_PROBLEMS = 20
 _MOST_SIGNS = 2000  # Of a problem; half of them a command's
-_FOLLOW = "hyperpaint.io.store.open_group(path, group) opens what is finished"
+_MEND_BY_GROUP = "hyperpaint.io.store.open_group(path, group) opens what is finished"
 
 
 class Member(NamedTuple):
@@ -195,12 +197,31 @@ def is_misplaced(node: Mapping[str, Any], location: Location, group: str) -> boo
 
     A group may be opened by its own folder, or as the whole of a store that it was copied to.
     """
+    place = _place(node)
+    return bool(group and place) and not _real_path(location, group).endswith(place)
+
+
+def _place(node: Mapping[str, Any]) -> str:
+    """Return the path of a group when it was written, with a slash before it; empty where it has none."""
     place = (node.get("attributes") or {}).get(PLACE)
-    return (
-        bool(group)
-        and place is not None
-        and not f"{location.url}/{group}".replace("\\", "/").endswith(f"/{str(place).lstrip('/')}")
-    )
+    return "" if place is None else f"/{str(place).lstrip('/')}"
+
+
+def _real_path(location: Location, group: str) -> str:
+    """Return the whole path of a group, through whatever link the store was reached."""
+    if location.local is None:
+        return location.group_url(group)
+    return Path(os.path.realpath(location.local / group)).as_posix()
+
+
+def _enclosing(location: Location, group: str, node: Mapping[str, Any]) -> Location | None:
+    """Return the store of a group that is reached by a folder within it; None where there is none."""
+    place, path = _place(node), _real_path(location, group)
+    root = path.removesuffix(place)
+    if place in ("", "/", f"/{group}") or root in ("", path) or root.endswith(("/", ":")):
+        return None
+    store = Location.of(root)
+    return store if store.has("", METADATA) else None
 
 
 # --- intended and present ----------------------------------------------------------------------------------
@@ -232,15 +253,16 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
     for group, wanted in record.groups.items():
         node, member = nodes.get(group), members.get(group)
         if group in misplaced:
-            place = nodes[group]["attributes"][PLACE]
-            problems.append(f"/{group}: swapped or copied: by its own record it is {place!s:.200}")
+            problems.append(
+                f"/{group}: swapped or copied: by its own record it is {_place(nodes[group]):.200}"
+            )
         elif member == wanted or (settled and record.allows(group, member)):
             continue
         elif not settled:
             lacking.append(group)
         elif node is None:
             problems.append(
-                f"/{group}: deleted: the store's record names it, but it is not there; {_DELETED}"
+                f"/{group}: deleted: the store's record names it, but it is not there; {_MEND_DELETED}"
             )
         elif member is None:
             continue  # its own record, or the lack of one, says so
@@ -248,7 +270,7 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
             problems.append(f"/{group}: mixed settings: made with others than the store's record names")
         else:
             problems.append(f"/{group}: foreign: other content than the store's record names")
-    notes = (*([_ADOPTED.format(location.url)] if record.adopted else []), *_older(record))
+    notes = (*([_NOTE_ADOPTED.format(location.url)] if record.adopted else []), *_older(record))
     resume = ""
     if not settled:
         if set(lacking) <= set(record.run):
@@ -257,7 +279,7 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
     return SetState(tuple(_bounded(problems)), notes, resume)
 
 
-_DELETED = (
+_MEND_DELETED = (
     "write it again; run the command of the store with --overwrite, which forgets what is gone; or say that "
     "it is empty: to_store(xr.Dataset(), path, group)"
 )
@@ -297,31 +319,40 @@ def _unfinished(record: SetRecord, lacking: list[str], resume: str) -> str:
 
 
 def _unrecorded(location: Location, nodes: Mapping[str, dict[str, Any]]) -> SetState:
-    """Return what can be said of a store without a root record."""
-    ours = {
-        group: node for group, node in nodes.items() if group and COMPLETE in (node.get("attributes") or {})
-    }
-    recent = [group for group, node in ours.items() if _is_recent(node, group)]
-    if recent:
-        return SetState((_RECORD_GONE.format(location.url),))
-    return SetState((), (_OLD.format(location.url),) if ours else ())
+    """Return what can be said of a store, or a part of one, without a root record."""
+    ours = {group: node for group, node in nodes.items() if COMPLETE in (node.get("attributes") or {})}
+    for group, node in ours.items():
+        if (store := _enclosing(location, group, node)) is not None:
+            state = set_state(store)
+            return replace(state, problems=tuple(f"of {store.url}: {text}" for text in state.problems))
+    problems = [
+        f"/{group}: swapped or copied: by its own record it is {_place(node):.200}"
+        for group, node in ours.items()
+        if is_misplaced(node, location, group)
+    ]
+    inside = {group: node for group, node in ours.items() if group}
+    if any(_place(node) == f"/{group}" for group, node in inside.items()):
+        problems.append(_RECORD_IS_GONE.format(location.url))
+    notes = {_note(node).format(location.url): None for node in inside.values()} if not problems else {}
+    return SetState(tuple(_bounded(problems)), tuple(notes))
 
 
-def _is_recent(node: Mapping[str, Any], group: str) -> bool:
-    """Tell whether a group was written in its place by a version that keeps a root record."""
-    return (node.get("attributes") or {}).get(PLACE) == f"/{group}"
+def _note(node: Mapping[str, Any]) -> str:
+    """Return what is to be said of a group without a root record."""
+    return _NOTE_PART if _place(node) else _NOTE_WITHOUT_RECORD
 
 
-_RECORD_GONE = (
+_RECORD_IS_GONE = (
     "{} has lost the record of the groups that it is to hold: another program rewrote its root; write it "
     "again by the command that made it, groups that are whole stay"
 )
-_OLD = (
+_NOTE_PART = "{} is a part of a store, without its root: whether a group is lacking is not known"
+_NOTE_WITHOUT_RECORD = (
     "{} was written by hyperpaint 0.1, which kept no record of the groups that it is to hold: each is "
     "checked, whether one is lacking is not known"
 )
 
-_ADOPTED = (
+_NOTE_ADOPTED = (
     "{} held groups before the record of what it is to hold was begun, by hyperpaint 0.1 or after its root "
     "was lost; whether one was lacking then is not known"
 )
@@ -330,11 +361,11 @@ _ADOPTED = (
 def check_set(location: Location, groups: Iterable[str] | None = None) -> tuple[str, ...]:
     """Refuse a store whose groups are not those that it is to hold; return notes on it."""
     state = set_state(location, groups)
-    problems = Problems(f"{location.url} is not whole; {_FOLLOW}", IncompleteStoreError)
+    problems = Problems(f"{location.url} is not whole; {_MEND_BY_GROUP}", IncompleteStoreError)
     for text in state.problems:
         problems.add(text)
     problems.raise_if_any()
-    return () if any(state.notes) and read_set(location) else state.notes
+    return state.notes
 
 
 def check_member(location: Location, group: str, node: Mapping[str, Any]) -> tuple[str, ...]:
@@ -345,11 +376,13 @@ def check_member(location: Location, group: str, node: Mapping[str, Any]) -> tup
     """
     record, member = read_set(location), member_of(node)
     if record is None:
-        if not group or COMPLETE not in (node.get("attributes") or {}):
+        if COMPLETE not in (node.get("attributes") or {}):
             return ()
-        if _is_recent(node, group):
-            raise IncompleteStoreError(_RECORD_GONE.format(location.url), mend=_FOLLOW)
-        return () if PLACE in node["attributes"] else (_OLD.format(location.url),)
+        if (store := _enclosing(location, group, node)) is not None:
+            return check_member(store, _place(node).lstrip("/"), node)
+        if group and _place(node) == f"/{group}":
+            raise IncompleteStoreError(_RECORD_IS_GONE.format(location.url), mend=_MEND_BY_GROUP)
+        return (_note(node).format(location.url),) if group else ()
     untouched = record.finished or (record.before and (len(record.before) == 1 or group not in record.before))
     if untouched and (member is None or record.allows(group, member)):
         return ()  # of one that was never finished its own record says so
@@ -452,6 +485,6 @@ def _recorded(
             continue  # a run writes none of a user's groups
         if problem is not None:
             raise problem
-        if name and _is_recent(_node(location, name), name):
-            raise IncompleteStoreError(_RECORD_GONE.format(location.url))
+        if name and _place(_node(location, name)) == f"/{name}":
+            raise IncompleteStoreError(_RECORD_IS_GONE.format(location.url))
     return SetRecord(present, finished=True, adopted=any(present))

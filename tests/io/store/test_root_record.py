@@ -394,6 +394,38 @@ def test_records_survive_their_text() -> None:
 def test_a_group_is_opened_by_its_own_folder(store: Path) -> None:
     assert hp.open_store(store / LINES[0]).counts.values[0, 0, 0] == 98
     assert hp.open_store(store / "flightlines", "raw_0").counts.values[0, 0, 0] == 98
+    link = store.with_name("link")
+    os.symlink(store / "flightlines", link)
+    for path in (store / "flightlines", link):
+        assert hp.open_store(path, "raw_0").counts.values[0, 0, 0] == 98
+        assert set(hp.open_store(path).children) == {"raw_0", "raw_1", "raw_2"}
+
+
+def test_a_part_is_as_whole_as_its_store(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    run(path, stop=2)
+    for part, group in (
+        (path / "flightlines", None),
+        (path / "flightlines", "raw_0"),
+        (path / LINES[0], None),
+    ):
+        with pytest.raises(IncompleteStoreError, match=r"unfinished: 2 of 3.*lot\.toml"):
+            hp.open_store(part, group)
+    assert f"of {path}: unfinished: 2 of 3" in hp.verify(path / "flightlines").problems[0]
+    shutil.copytree(path / "flightlines", tmp_path / "flightlines")
+    with pytest.warns(PaintWarning, match="is a part of a store, without its root"):
+        hp.open_store(tmp_path / "flightlines")
+    shutil.copytree(path / LINES[0], tmp_path / "one.zarr")
+    assert hp.open_store(tmp_path / "one.zarr").counts.values[0, 0, 0] == 98
+
+
+def test_a_copied_part_with_swapped_groups_is_not_whole(store: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "c.zarr"
+    shutil.copytree(store / "flightlines", copy)
+    for old, new in (("raw_0", "moved"), ("raw_1", "raw_0"), ("moved", "raw_1")):
+        os.rename(copy / old, copy / new)
+    consolidate(copy)
+    assert f"/raw_0: swapped or copied: by its own record it is /{LINES[1]}" in problems(copy)
 
 
 # --- released formats ---
@@ -426,6 +458,8 @@ def test_a_store_of_format_1_takes_more_groups(released: Path) -> None:
     report = hp.verify(released)
     assert report.ok
     assert "held groups before the record" in report.notes[0]
+    with pytest.warns(PaintWarning, match="held groups before the record"):
+        hp.open_store(released)
     assert hp.open_store(released, "flightlines/raw_1").sizes["band"] == 3
     shutil.rmtree(released / "flightlines/raw_1")
     assert "/flightlines/raw_1: deleted" in problems(released)
