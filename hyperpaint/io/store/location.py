@@ -24,6 +24,11 @@ MOST_DEPTH = 16
 MOST_NODES = 50_000
 """Groups and arrays of a store, and folders of a group: some 1,600 flight lines."""
 
+_HEAD_BYTES = 2**20
+"""What is read of the root for its attributes: the record of 1,600 lines has a quarter of it."""
+
+_ATTRIBUTES = re.compile(rb'\s*\{\s*"attributes"\s*:\s*(?=\{)')
+
 _MOST_FOLDERS_DEEP = 40
 """Folders within an array's folder: one for each of its dims, which are 32 at the most."""
 
@@ -86,8 +91,11 @@ class Location:
         """Tell whether a file or folder is there."""
         return bool(self.fs.exists(self.key(group, *parts)))
 
-    def read(self, group: str, *parts: str) -> bytes | None:
-        """Return a small file's bytes; None without such a file, StoreError where it may not be read."""
+    def read(self, group: str, *parts: str, head_bytes: int | None = None) -> bytes | None:
+        """Return a small file's bytes; None without such a file, StoreError where it may not be read.
+
+        ``head_bytes``: of a file of any size, so many from its begin.
+        """
         key = self.key(group, *parts)
         try:
             if self.local is not None:
@@ -95,6 +103,8 @@ class Location:
                     return None
             elif ".." in key.split("/"):
                 raise StoreError(f"{key} leads out of the store")
+            if head_bytes is not None:
+                return bytes(self.fs.cat_file(key, start=0, end=head_bytes))
             if self.fs.size(key) > MOST_JSON_BYTES:
                 raise IncompleteStoreError(
                     f"{key} is larger than {MOST_JSON_BYTES} bytes, which no metadata of a store is"
@@ -109,6 +119,19 @@ class Location:
         """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
         raw = self.read(group, *parts)
         return None if raw is None else parse_document(raw, self.key(group, *parts))
+
+    def root_attributes(self) -> dict[str, Any]:
+        """Return the attributes of the root, without its list of all metadata, which is long and follows."""
+        head = self.read("", METADATA, head_bytes=_HEAD_BYTES) or b""
+        if (match := _ATTRIBUTES.match(head)) is not None:
+            try:
+                attributes = json.JSONDecoder().raw_decode(head[match.end() :].decode(errors="ignore"))[0]
+            except (ValueError, RecursionError):
+                pass  # longer than that, or damaged
+            else:
+                return dict(attributes)
+        attributes = (self.read_json("", METADATA) or {}).get("attributes")
+        return attributes if isinstance(attributes, dict) else {}
 
     def metadata(self, group: str, *parts: str) -> dict[str, Any] | None:
         """Return the ``zarr.json`` of a node without consolidated metadata; None where there is no node."""

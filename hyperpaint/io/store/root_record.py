@@ -142,8 +142,8 @@ def _cached_text(url: str, state: str) -> str | None:  # noqa: ARG001  (the stat
 
 
 def _text_of_root(location: Location) -> str | None:
-    attributes = (location.read_json("", METADATA) or {}).get("attributes") or {}
-    return None if attributes.get(SET) is None else str(attributes[SET])
+    text = location.root_attributes().get(SET)
+    return None if text is None else str(text)
 
 
 def member_of(node: Mapping[str, Any] | None) -> Member | None:

@@ -351,6 +351,18 @@ def test_a_root_with_arrays_names_the_groups_below(tmp_path: Path) -> None:
         assert not hp.verify(each).ok
 
 
+def test_however_long_the_list_in_the_root_groups_are_opened(store: Path) -> None:
+    document = json.loads((store / "zarr.json").read_text())
+    turned = {key: document[key] for key in reversed(document)}
+    (store / "zarr.json").write_text(json.dumps(turned))
+    assert len(hp.open_store(store)["flightlines"].children) == 3
+    document["consolidated_metadata"]["metadata"]["long"] = "x" * 33 * 2**20
+    (store / "zarr.json").write_text(json.dumps(document))
+    assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
+    assert len(hp.open_store(store)["flightlines"].children) == 3
+    assert "larger than" in hp.verify(store).problems[0]
+
+
 def _without_record(path: Path) -> None:
     document = json.loads((path / "zarr.json").read_text())
     del document["attributes"]["hyperpaint_set"]
