@@ -54,9 +54,9 @@ class Lot:
         self.store = folder / "older.zarr"
         _process(self.older, self.store, overwrite=False, old=True)
         self.chunks = {"older": chunks_of(self.store)}
-        begun = time.monotonic()
+        start = time.monotonic()
         _process(self.newer, folder / "newer.zarr", overwrite=False)
-        self.seconds = time.monotonic() - begun
+        self.seconds = time.monotonic() - start
         self.chunks["newer"] = chunks_of(folder / "newer.zarr")
 
     def content(self, path: Path) -> str:
@@ -137,7 +137,7 @@ def _opened(path: Path) -> bool:
 # --- killed at random instants ---
 
 
-def run_kills(number: int, lot: Lot, folder: Path, duration: float, made: Outcome) -> None:
+def run_kills(number: int, lot: Lot, folder: Path, duration: float, outcome: Outcome) -> None:
     """End runs at random instants by signals, each run going on where the last was ended; let one end well.
 
     Parameters
@@ -151,7 +151,7 @@ def run_kills(number: int, lot: Lot, folder: Path, duration: float, made: Outcom
         Empty.
     duration
         Of a whole run [s].
-    made
+    outcome
         Takes the outcome.
     """
     path, replacing = folder / "lot.zarr", number // KILLS_A_STORE % 2 == 1
@@ -166,13 +166,13 @@ def run_kills(number: int, lot: Lot, folder: Path, duration: float, made: Outcom
         if amid:
             os.kill(writer.pid, which)
         writer.join()
-        made.count += 1
-        made.notes[f"{which.name} amid" if amid else "done before"] += 1
+        outcome.count += 1
+        outcome.notes[f"{which.name} amid" if amid else "done before"] += 1
         fault = f"kill {kill} ({which.name}, replacing: {replacing})"
         if writer.exitcode not in (-which, 128 + which, 0):
-            made.wrong.append(f"{fault}: exits with {writer.exitcode}")
-        made.wrong += [f"{fault}: {text}" for text in left_by(lot, path, overwrite=replacing)]
-    made.wrong += [f"after kill {kill}: {text}" for text in rerun_of(lot, path, overwrite=replacing)]
+            outcome.wrong.append(f"{fault}: exits with {writer.exitcode}")
+        outcome.wrong += [f"{fault}: {text}" for text in left_by(lot, path, overwrite=replacing)]
+    outcome.wrong += [f"after kill {kill}: {text}" for text in rerun_of(lot, path, overwrite=replacing)]
 
 
 def _duration(lot: Lot) -> float:
@@ -180,9 +180,9 @@ def _duration(lot: Lot) -> float:
     seconds = []
     for _ in range(3):
         with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
-            begun = time.monotonic()
+            start = time.monotonic()
             _started(lot, Path(scratch) / "lot.zarr", overwrite=False).join()
-            seconds.append(time.monotonic() - begun)
+            seconds.append(time.monotonic() - start)
     return seconds[-1]
 
 
@@ -192,10 +192,10 @@ def kills(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
         lot = Lot(Path(home), LINES)
         duration = _duration(lot)
         for number in range(first, first + max(1, round(KILLS * scale)), KILLS_A_STORE):
-            made = Outcome("runs killed")
+            outcome = Outcome("runs killed")
             with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
-                run_kills(number, lot, Path(scratch), duration, made)
-            yield made
+                run_kills(number, lot, Path(scratch), duration, outcome)
+            yield outcome
 
 
 # --- before every call ---
@@ -233,7 +233,7 @@ class Fault:
 
 
 def run_call(
-    number: int, lot: Lot, folder: Path, made: Outcome, *, replacing: bool, code: int | None
+    number: int, lot: Lot, folder: Path, outcome: Outcome, *, replacing: bool, code: int | None
 ) -> bool:
     """Let one call of a run end it, or fail; False where the run has no such call."""
     path = folder / "lot.zarr"
@@ -244,12 +244,12 @@ def run_call(
     fault = f"call {number} ({'killed' if code is None else errno.errorcode[code]}, replacing: {replacing})"
     if code is None and writer.exitcode == 0:
         return False
-    made.count += 1
+    outcome.count += 1
     # a call whose failure does not matter, such as the removal of the empty folder, is passed over
     if writer.exitcode not in ((_KILLED,) if code is None else (_FAILED, 0)):
-        made.wrong.append(f"{fault}: exits with {writer.exitcode}")
+        outcome.wrong.append(f"{fault}: exits with {writer.exitcode}")
     for texts in (left_by, rerun_of):
-        made.wrong += [f"{fault}: {text}" for text in texts(lot, path, overwrite=replacing)]
+        outcome.wrong += [f"{fault}: {text}" for text in texts(lot, path, overwrite=replacing)]
     return True
 
 
@@ -272,7 +272,7 @@ def calls(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
         for replacing in (False, True):
             numbers: Iterable[int] = range(1 + first % step, last_call(lot, replacing=replacing) + 1, step)
             for number, code in itertools.product(numbers, (None, errno.ENOSPC)):
-                made = Outcome("calls of a run: " + ("killed" if code is None else "failing"))
+                outcome = Outcome("calls of a run: " + ("killed" if code is None else "failing"))
                 with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
-                    run_call(number, lot, Path(scratch), made, replacing=replacing, code=code)
-                yield made
+                    run_call(number, lot, Path(scratch), outcome, replacing=replacing, code=code)
+                yield outcome
