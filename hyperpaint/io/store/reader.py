@@ -104,7 +104,8 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     Warns
     -----
     PaintWarning
-        The store was written by hyperpaint 0.1, which kept no record of its groups.
+        Whether the store lacks groups is not known: it was written by hyperpaint 0.1, which kept no record of
+        them, or is a part without its root. Or, of a tree, groups were made by other numerics.
 
     See Also
     --------
