@@ -250,6 +250,7 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
         if group not in record.groups
     ]
     lacking: list[str] = []
+    mends = "write it again, " + (_MEND_BY_RUN if record.command else "") + _MEND_BY_NOTHING
     for group, wanted in record.groups.items():
         node, member = nodes.get(group), members.get(group)
         if group in misplaced:
@@ -261,9 +262,7 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
         elif not settled:
             lacking.append(group)
         elif node is None:
-            problems.append(
-                f"/{group}: deleted: the store's record names it, but it is not there; {_MEND_DELETED}"
-            )
+            problems.append(f"/{group}: deleted: the store's record names it, but it is not there; {mends}")
         elif member is None:
             continue  # its own record, or the lack of one, says so
         elif member.settings != wanted.settings:
@@ -279,10 +278,8 @@ def set_state(location: Location, groups: Iterable[str] | None = None) -> SetSta
     return SetState(tuple(_bounded(problems)), notes, resume)
 
 
-_MEND_DELETED = (
-    "write it again; run the command of the store with --overwrite, which forgets what is gone; or say that "
-    "it is empty: to_store(xr.Dataset(), path, group)"
-)
+_MEND_BY_RUN = "run its command with --overwrite, which forgets what is gone, "
+_MEND_BY_NOTHING = "or say that it is empty: to_store(xr.Dataset(), path, group)"
 
 
 def _bounded(problems: list[str]) -> Iterator[str]:

@@ -173,8 +173,10 @@ def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
     shutil.rmtree(store / LINES[1])
     hp.to_store(line(7), store, "signatures", overwrite=True)
     run(store, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
-    assert f"/{LINES[1]}: deleted" in problems(store)
-    hp.to_store(xr.Dataset(), store, LINES[1])  # it is empty
+    said = problems(store)
+    assert f"/{LINES[1]}: deleted" in said
+    assert "run its command with --overwrite, which forgets what is gone, or say that it is empty" in said
+    hp.to_store(xr.Dataset(), store, LINES[1])
     assert hp.verify(store).ok
 
 
