@@ -38,6 +38,12 @@ _LIST = (
         "set bit_depth in [camera], or shift left-justified counts down",
     ),
     Kind(
+        "stray-counts",
+        "A few elements hold counts above the last that the converter of the camera gives.",
+        "a frame counter or status word in the picture: its elements are flagged saturated",
+        refused=False,
+    ),
+    Kind(
         "byte-order",
         "The picture is smooth once the two bytes of every count change places, and noise as it is.",
         "mend `byte order` in the header of the cube",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.variables import BAND, CROSS_TRACK
@@ -16,6 +17,7 @@ from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
 from hyperpaint.io.envi.envi_header import read_header
 from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
+from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines
 
 from .cube_sample import CubeSample, sample_cube
 from .finding import Finding
@@ -29,10 +31,16 @@ from .plausible_record import judge_irradiance, judge_navigation
 __all__ = ["judge_dark_cube", "judge_line"]
 
 
-def judge_line(line: xr.Dataset, cubes: tuple[FlightlineInputs, ...]) -> Iterator[Finding]:
-    """Judge a flight line and the cubes that it is made of; samples of them are read."""
+def judge_line(
+    line: xr.Dataset, cubes: tuple[FlightlineInputs, ...], *, lit: bool = True
+) -> Iterator[Finding]:
+    """Judge a flight line and the cubes that it is made of; samples of them are read.
+
+    ``lit``: whether reflectance is made, so that the record of irradiance counts.
+    """
     name = str(line.attrs["name"])
-    yield from judge_irradiance(name, line)
+    if lit:
+        yield from judge_irradiance(name, line)
     yield from judge_navigation(name, line)
     for inputs in cubes:
         yield from _judge_cube(line, inputs)
@@ -78,10 +86,9 @@ def _judge_sample(
     full = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
     gain = line["radiance_gain"].transpose(BAND, CROSS_TRACK).values.astype(np.float64)
-    dark = line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values.astype(np.float64)
-    dark = dark.mean(axis=0) if dark.ndim == 3 else dark
+    dark, is_measured = _dark_of(line)
     if line.attrs.get("dark_source") != DARK_NONE:
-        uncertainty = line.get("dark_counts_u_random")
+        uncertainty = line.get("dark_counts_u_random") if is_measured else None
         spread = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
         yield from judge_dark(name, dark, spread, gain, sample, full)
     if "wavelength" in line.coords:
@@ -92,3 +99,20 @@ def _judge_sample(
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
         mean_gain = np.nanmean(gain, axis=1)
         yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
+
+
+def _dark_of(line: xr.Dataset) -> tuple[Floats, bool]:
+    """Return the dark (band, cross_track) that a line gets, and whether it was measured at its exposure.
+
+    One that was fitted to darks of other exposures has their bias and rate, not the noise of one of them.
+    """
+    dark = line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values
+    exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
+    parts = {"dark_counts": dark}
+    if "dark_exposure_time" in line:
+        parts["dark_exposure_time"] = line["dark_exposure_time"].values
+    taken = np.atleast_1d(parts.get("dark_exposure_time", exposure.mean())).astype(np.float64)
+    darks, _, _ = darks_of_lines(parts, exposure)
+    return darks.mean(axis=0, dtype=np.float64), bool(
+        (np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all()
+    )

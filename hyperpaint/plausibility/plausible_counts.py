@@ -11,6 +11,9 @@ from .finding import KINDS, Finding
 
 __all__ = ["judge_range"]
 
+STRAY_SHARE = 2e-3
+"""Share of the elements [1] that a frame counter or status word takes at the most: a column in 640."""
+
 
 def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:
     """Find counts above the last of a converter; a ``saturation_count`` above it says where that is."""
@@ -21,7 +24,7 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
     share = float(np.mean(sample.most > last))
     multiple = f", all multiples of {sample.divisor}: left-justified" if sample.divisor > 1 else ""
     yield Finding(
-        KINDS["counts-over-range"], name,
+        KINDS["stray-counts" if share < STRAY_SHARE else "counts-over-range"], name,
         f"counts up to {most}{multiple}, above {last} in {100 * share:.3g} % of the elements",
         f"at most {last}, of {bit_depth} bits",
     )  # fmt: skip

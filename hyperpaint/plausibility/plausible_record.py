@@ -123,9 +123,9 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
     north, east = np.radians(pose["latitude"][there]), np.radians(pose["longitude"][there])
     metres = 6.371e6 * np.stack([north, east * math.cos(float(north.mean()))])
     extent = float(np.hypot(*np.ptp(metres, axis=1)))
-    turned = max(
-        float(np.ptp(np.unwrap(pose[key][there], period=360.0))) for key in ("roll", "pitch", "heading")
-    )
+    angles = [pose[key][there] for key in ("roll", "pitch", "heading") if key in pose]
+    angles = [values[np.isfinite(values)] for values in angles]
+    turned = max((float(np.ptp(np.unwrap(each, period=360.0))) for each in angles if each.size), default=0.0)
     still = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
     if turned < RULES.turned and (still > RULES.still_share or extent < RULES.still_m):
         yield Finding(

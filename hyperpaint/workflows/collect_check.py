@@ -43,13 +43,15 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
     lit = read_collect(path, need_irradiance=False).irradiance is not None
     opened = opened_collect(path, need_irradiance=lit)
-    return tuple(itertools.chain(*_findings(opened, opened.members).values()))
+    return tuple(itertools.chain(*_findings(opened, opened.members, lit=lit).values()))
 
 
 def refuse_findings(
-    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str]
+    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
 ) -> dict[str, dict[str, Any]]:
     """Judge lines of an opened collect, by the names of their groups, but for what is accepted.
+
+    ``lit``: whether reflectance is made, so that the record of irradiance counts.
 
     Returns attributes by group: what was accepted of a line, for the store to say.
 
@@ -57,7 +59,8 @@ def refuse_findings(
     """
     refused = []
     accepted: dict[str, dict[str, Any]] = {}
-    for group, findings in _findings(opened, [name for name in lines if name in opened.members]).items():
+    groups = [name for name in lines if name in opened.members]
+    for group, findings in _findings(opened, groups, lit=lit).items():
         for finding in findings:
             if finding.kind.name in accept:
                 accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
@@ -81,7 +84,7 @@ def check_accepted(accept: Collection[str], problems: Problems) -> None:
             problems.add(f"accept={name!r}, expected a list of some of {', '.join(KINDS)}")
 
 
-def _findings(opened: OpenedCollect, lines: Iterable[str]) -> dict[str, list[Finding]]:
+def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
     """Return the findings of lines by their groups; those of a dark are with the first line that has it."""
     from hyperpaint.plausibility import judge_dark_cube, judge_line
 
@@ -90,7 +93,7 @@ def _findings(opened: OpenedCollect, lines: Iterable[str]) -> dict[str, list[Fin
     darks: set[Path] = set()
     for name in lines:
         members = tuple(cubes[member] for member in opened.members[name])
-        findings[name] = list(judge_line(opened.tree[name].to_dataset(), members))
+        findings[name] = list(judge_line(opened.tree[name].to_dataset(), members, lit=lit))
         dark = members[0].dark if "counts" in opened.tree[name] else None
         for path in dark if isinstance(dark, tuple) else ():
             if path not in darks:

@@ -305,7 +305,7 @@ def run(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
         )
         pending = [name for name in groups if name not in complete]
-        accepted = refuse_findings(opened, pending, accept)
+        accepted = refuse_findings(opened, pending, accept, lit=to == "reflectance")
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
-from hyperpaint.plausibility import KINDS
+from hyperpaint.plausibility import KINDS, Finding
+from hyperpaint.plausibility.line_judging import _dark_of
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -57,6 +59,52 @@ def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp
     assert refused.exit_code == 2
     assert "--accept dark-of-zeros" in refused.output
     assert CliRunner().invoke(main, [*call, "--accept", "dark-of-zeros"]).exit_code == 0
+
+
+def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_path: Path) -> None:
+    def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        counts[3 :: 40 * 24] = 65535
+        return counts
+
+    _change(collect.parent / "flight/raw_0", stamped)
+    (finding,) = check_collect(collect)
+    assert finding.kind.name == "stray-counts"
+    assert not finding.kind.refused
+
+
+def test_a_record_that_stands_still_matters_to_reflectance_only(
+    collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still = Finding(KINDS["irradiance-constant"], "raw_0", "2 of 2 spectra", "spectra that differ")
+    monkeypatch.setattr("hyperpaint.plausibility.line_judging.judge_irradiance", lambda *_: iter([still]))
+    with pytest.raises(CollectError, match="irradiance-constant"):
+        process(collect, tmp_path / "lot.zarr", reflectance="none")
+    process(collect, tmp_path / "lot.zarr", to="radiance", reflectance="none")
+
+
+def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> None:
+    """Bias and rate are fitted to darks before and after at other exposures; their mean is no dark."""
+    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
+    dark, exposure = line["dark_counts"].squeeze(drop=True), float(line["exposure_time"].mean())
+    bias = dark.transpose("band", "cross_track").values.astype(float)
+    factors = np.array([0.5, 10.0, 50.0])
+    darks = bias + (factors[:, None, None] - 1.0) * 0.05 * bias
+    several = line.drop_vars(["dark_counts", "dark_time", "dark_exposure_time"], errors="ignore").assign(
+        dark_counts=(("dark_time", "band", "cross_track"), darks.astype("float32")),
+        dark_exposure_time=("dark_time", factors * exposure),
+    )
+    found, is_measured = _dark_of(several)
+    np.testing.assert_allclose(found, bias, rtol=1e-4)
+    assert not is_measured
+    assert _dark_of(line)[1]
+
+
+def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path) -> None:
+    flight = collect.parent / "flight"
+    for ending in ("", ".hdr"):
+        (flight / f"raw_0{ending}").rename(flight / f"raw_7{ending}")
+    collect.write_text(collect.read_text().replace("flight/raw_0", "flight/raw_7"))
+    assert {each.kind.name for each in check_collect(collect)} == {"first-frame"}
 
 
 def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
