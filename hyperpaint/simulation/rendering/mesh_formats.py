@@ -222,7 +222,8 @@ def read_glb(data: bytes, where: str) -> RawTriangles:
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
         mesh = scene.geometry[name]
-        points = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+        with np.errstate(all="ignore"):  # vertices that are not finite are refused with all others
+            points = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
         material = getattr(getattr(mesh.visual, "material", None), "name", None)
         vertices.append(points)
         faces.append(_faces(mesh) + first)
