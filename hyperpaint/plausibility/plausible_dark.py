@@ -21,7 +21,12 @@ class DarkRules:
     """From where on a dark is none.
 
     zero_share
-        Elements of exactly zero counts [1]; a detector has a few dead ones, under 1 %.
+        Elements of exactly zero counts under a lit scene [1]: set between dead elements of a detector, under
+        1 %, and every second column or band, 50 %.
+    zero_counts
+        Mean of the scene over an element from which it is lit, and of the dark's other elements from which
+        zeros stand out [count]: masked columns hold a stray count, a black level of 0.2 counts is rounded to
+        true zeros.
     over_share, over_counts, over_level
         Elements [1] whose dark lies above the scene's mean by so many counts, and by this part of the dark:
         water beyond 900 nm lies on its dark, which drifts by some per cent with temperature.
@@ -42,6 +47,7 @@ class DarkRules:
     """
 
     zero_share: float = 0.05
+    zero_counts: float = 1.0
     over_share: float = 0.1
     over_counts: float = 5.0
     over_level: float = 0.1
@@ -69,11 +75,12 @@ def judge_dark(
     uncertainty: of the mean dark [count], None where not known; gain: of radiance, in any unit; full: count
     from which an element says nothing of its pattern.
     """
-    zeros = float(np.mean(dark == 0.0))
-    if zeros > RULES.zero_share and sample.mean[dark == 0.0].max() > 0.0:
+    zeros = float(np.mean((dark == 0.0) & (sample.mean > RULES.zero_counts)))
+    others = dark[dark > 0.0]
+    if zeros > RULES.zero_share and (others.size == 0 or others.mean() > RULES.zero_counts):
         yield Finding(
             KINDS["dark-of-zeros"], name,
-            f"{100 * zeros:.3g} % of the dark's elements are exactly 0 in every frame",
+            f"{100 * zeros:.3g} % of the dark's elements are exactly 0 in every frame, under light",
             f"at most {100 * RULES.zero_share:g} %",
         )  # fmt: skip
         return

@@ -1,0 +1,34 @@
+"""Right darks of which nothing is said, and wrong ones that are named, as plain arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperpaint.plausibility.cube_sample import CubeSample
+from hyperpaint.plausibility.plausible_dark import judge_dark
+
+NM = np.linspace(400.0, 1000.0, 60)
+RNG = np.random.default_rng(18)
+
+
+def _said(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None) -> list[str]:
+    sample = CubeSample(128, scene, scene, 1)
+    found = judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
+    return [finding.kind.name for finding in found]
+
+
+def _daylight(level: float) -> np.ndarray:
+    """Return light with the lines of water and oxygen [count], (band, column)."""
+    light = 1.0 - ((NM - 650.0) / 400.0) ** 2
+    for line, depth in ((687.0, 0.2), (761.0, 0.5), (820.0, 0.15), (940.0, 0.4)):
+        light *= 1.0 - depth * np.exp(-(((NM - line) / 8.0) ** 2))
+    return level * np.tile(light[:, None], 40)
+
+
+def test_zeros_under_no_light_and_of_a_low_black_level_are_right() -> None:
+    dark, scene = RNG.normal(60.0, 3.0, (60, 40)), _daylight(800.0) + 60.0
+    dark[:, :4], scene[:, :4] = 0.0, 0.02  # masked columns, with a stray count
+    assert _said(dark, scene) == []
+    assert _said(np.where(RNG.random((60, 40)) < 0.51, 0.0, 0.4), _daylight(80.0) + 0.2) == []
+    dark[:, 4:] *= np.arange(36) % 2
+    assert _said(dark, scene) == ["dark-of-zeros"]
