@@ -31,9 +31,13 @@ class DarkRules:
         Bands [1] whose dark, as a mean of all columns, lies above that of the scene by so many counts, and by
         this part of the dark: water beyond 900 nm lies on its dark, which drifts with temperature. Set
         between a drift of 11 % over a pedestal of 100 counts (right) and half the scene's light (wrong).
-    lit_correlation, lit_slope, lit_bands
-        Correlation [1] and slope [1] of the dark over wavelength on the scene's light, and the fewest bands:
-        a lens cap that leaves 1 % of the light changes a dark signal by as much as the light of its bands.
+    lit_correlation, lit_slope, lit_most, lit_bands
+        Correlation [1] and slopes [1] of the dark's curvature over wavelength on that of the scene's light,
+        and the fewest bands: any two curves that rise alike agree in their slopes, light and a bias only by
+        chance in their curvature. Above `lit_most` the dark's own shape is the larger one.
+    lit_range
+        Range of the scene's light over that of what is left of the dark without it [1]: set between a
+        gradient of the bias under a dim scene (right, 1) and a tenth to a third of the light (wrong, 17).
     frames, frame_bands, frame_counts, frame_share
         Frames of a dark, and bands of each, that are looked at, and by how many counts and what part of
         itself [1] the median of a frame may change: temperature makes some per cent.
@@ -54,7 +58,9 @@ class DarkRules:
     over_level: float = 0.2
     lit_correlation: float = 0.9
     lit_slope: float = 0.03
-    lit_bands: int = 12
+    lit_most: float = 1.0
+    lit_bands: int = 16
+    lit_range: float = 5.0
     frames: int = 512
     frame_bands: int = 8
     frame_counts: float = 5.0
@@ -123,9 +129,14 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
     dark, light = dark[known], light[known]
     if dark.size < RULES.lit_bands or not (np.ptp(dark) > 0.0 and np.ptp(light) > 0.0):
         return
-    correlation = float(np.corrcoef(dark, light)[0, 1])
-    slope = float(np.polyfit(light, dark, 1)[0])
-    if correlation > RULES.lit_correlation and slope > RULES.lit_slope:
+    own, lit = np.diff(dark, 2), np.diff(light, 2)
+    if not (np.any(own) and np.any(lit)):
+        return
+    correlation = float(own @ lit / np.sqrt((own @ own) * (lit @ lit)))
+    slope = float(own @ lit / (lit @ lit))
+    if not RULES.lit_slope < slope <= RULES.lit_most:
+        return
+    if correlation > RULES.lit_correlation and np.ptp(light) > RULES.lit_range * np.ptp(dark - slope * light):
         yield Finding(
             KINDS["dark-lit"], name,
             f"over wavelength the dark goes with the scene (correlation {correlation:.2f}), by "

@@ -38,3 +38,13 @@ def test_a_dark_that_drifts_with_temperature_over_dim_water_is_right() -> None:
     dark, water = RNG.normal(100.0, 3.0, (60, 40)), _daylight(2.0)
     assert _said(1.11 * dark, dark + water) == []
     assert _said(dark + 60.0, dark + water) == ["dark-over-scene"]
+
+
+def test_a_gradient_of_the_bias_under_a_spectrum_that_rises_as_well_is_right() -> None:
+    bias = 60.0 + np.linspace(0.0, 20.0, 60)[:, None] + RNG.normal(0.0, 0.5, (60, 40))
+    rising = np.tile(np.linspace(0.0, 1.0, 60)[:, None] ** 2, 40)
+    for light in (_daylight(15.0), 30.0 * rising, 500.0 * rising, _daylight(800.0)):
+        assert _said(bias, bias + light) == []
+    for share in (0.1, 0.3):
+        light = _daylight(800.0)
+        assert _said(bias + share * light, bias + light) == ["dark-lit"]
