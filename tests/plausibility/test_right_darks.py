@@ -48,3 +48,14 @@ def test_a_gradient_of_the_bias_under_a_spectrum_that_rises_as_well_is_right() -
     for share in (0.1, 0.3):
         light = _daylight(800.0)
         assert _said(bias + share * light, bias + light) == ["dark-lit"]
+
+
+def test_rounded_darks_are_right_and_those_of_another_exposure_are_not() -> None:
+    pattern, light = RNG.normal(8.0, 0.35, (60, 40)), _daylight(120.0)
+    still = np.zeros((60, 40))  # a camera of 8 bits whose noise is under a count: every frame the same
+    assert _said(np.rint(pattern), pattern + light, still) == []
+    dark = RNG.normal(60.0, 6.0, (60, 40))
+    noise = np.full(dark.shape, 0.2)
+    for factor, named in ((0.5, True), (0.8, False), (1.0, False), (1.25, False), (2.0, True)):
+        said = _said(dark, 60.0 + factor * (dark - 60.0) + light, noise)
+        assert said == ["dark-pattern"] * named, factor
