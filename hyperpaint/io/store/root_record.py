@@ -478,8 +478,8 @@ def _recorded(
     present = present_members(location, location.groups())
     written = wanted if overwrite or command is not None else ()
     for name in present:
-        if name in written or (command is not None and not present[name].settings):
-            continue  # a run writes none of a user's groups
+        if name in written or (not present[name].settings and (overwrite or command is not None)):
+            continue  # a user's, which no run writes
         if problem is not None:
             raise problem
         if name and _place(_node(location, name)) == f"/{name}":
