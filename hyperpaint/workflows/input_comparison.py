@@ -87,7 +87,10 @@ def _words(location: Location) -> list[str]:
     from hyperpaint.io.store.root_record import read_set
 
     record = read_set(location)
-    words = shlex.split(record.command) if record is not None else []
+    try:
+        words = shlex.split(record.command) if record is not None else []
+    except ValueError:  # unbalanced quotes: hyperpaint did not write it
+        words = []
     if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
         raise StoreError(
             f"{location.url} does not say what it was made from: hyperpaint process did not write it"
