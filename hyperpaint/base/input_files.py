@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import re
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from .errors import FormatError, PaintError
 
@@ -54,24 +54,33 @@ a local disk; download it, and give the path of the copy
         raise error(
             f"{shown!r}: a name with a NUL character, expected the path of {expected}; check the path"
         )
-    if len(os.fsencode(text)) > MOST_PATH_BYTES or any(
-        len(os.fsencode(part)) > MOST_NAME_BYTES for part in text.split(os.sep)
+    encoded = text.encode(errors="surrogatepass")
+    if len(encoded) > MOST_PATH_BYTES or any(
+        len(part) > MOST_NAME_BYTES for part in encoded.split(os.sep.encode())
     ):
         raise error(
             f"{shown}: a path of {len(text)} characters, expected {expected} under names of at most"
             f" {MOST_NAME_BYTES} bytes, {MOST_PATH_BYTES} in all; check the path"
         )
-    if _URL.match(text):
+    if _URL.match(text) and not ("://" not in text and _is_there(text)):
         raise error(
             f"{shown}: a URL, expected {expected} on a local disk; download it, and give the path of the copy"
         )
     try:
         mode = os.stat(text).st_mode
-    except OSError:
+    except (OSError, ValueError):
         return Path(text)  # who opens it says why it cannot be read
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise error(f"{shown}: {_kind(mode)}, expected {expected}; check the path")
     return Path(text)
+
+
+def _is_there(text: str) -> bool:
+    """Tell whether a name that may be read as a URL is one of this disk: `field::day1`."""
+    try:
+        return os.path.lexists(text)
+    except ValueError:
+        return False
 
 
 def _kind(mode: int) -> str:
@@ -86,7 +95,7 @@ def is_plain_file(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BinaryIO:
+def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BufferedReader:
     """Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
 
     What is open is what was judged: the file may be exchanged while it is looked at.
@@ -97,8 +106,10 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     place = input_path(path, expected)
     try:
         descriptor = os.open(place, _FLAGS)
-    except OSError as error:
-        raise FormatError(f"{place}: cannot be read ({error.strerror or error}); check the path") from error
+    except (OSError, ValueError) as error:
+        raise FormatError(
+            f"{str(place)!r}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+        ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
         return os.fdopen(descriptor, "rb")

@@ -62,9 +62,10 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
         """Keep a compiled kernel where that can be done."""
         try:
             super().save_overload(sig, data)
-        except OSError as error:
+        except Exception as error:  # of a torn index that could not be removed, too
+            reason = getattr(error, "strerror", None) or error
             warnings.warn(
-                f"compiled kernels cannot be kept in {self.cache_path} ({error.strerror or error}), so that "
+                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that "
                 "every process compiles them again; set NUMBA_CACHE_DIR to a folder with room",
                 PaintWarning,
                 stacklevel=2,

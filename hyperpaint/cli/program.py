@@ -35,6 +35,10 @@ COMMANDS = {
 """Every command, with the name of its function in ``<command>_command.py``."""
 
 
+RESUMED = ("process", "render", "run")
+"""Commands that, stopped and called again, go on from what is finished."""
+
+
 class Program(click.Group):
     """A group of commands, each in a file of its own that is loaded when the command is asked for.
 
@@ -59,14 +63,13 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt as stop:
-                number = stop.args[0] if stop.args else signal.SIGINT
+                number = next((each for each in stop.args if isinstance(each, int)), signal.SIGINT)
                 if is_watched(quiet=False):  # the line of a progress bar ends here
                     click.echo(err=True)
-                click.echo(
-                    f"stopped by {signal.Signals(number).name}: what is finished stays, and the same command "
-                    "goes on from there",
-                    err=True,
-                )
+                text = f"stopped by {signal.Signals(number).name}"
+                if ctx.invoked_subcommand in RESUMED:
+                    text += ": what is finished stays, and the same command goes on from there"
+                click.echo(text, err=True)
                 ctx.exit(SIGNALLED + number)
             except (PaintError, OSError) as error:
                 texts = (
@@ -87,7 +90,7 @@ def _stopped_by_signals() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def stop(number: int, _: Any) -> None:
-        for each in before:
+        for each in caught:
             signal.signal(each, signal.SIG_DFL)
         raise KeyboardInterrupt(number)
 
@@ -160,7 +163,7 @@ Commands and options are completed by the shell, after this in its start file:
   eval "$(_HYPERPAINT_COMPLETE=bash_source hyperpaint)"     zsh_source for zsh
 
 Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C,
-143 by SIGTERM; the same command then goes on from what is finished.""",
+143 by SIGTERM; process, run and render then go on from what is finished.""",
 )
 @click.version_option(__version__, prog_name="hyperpaint")
 def main() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, StoreError
-from hyperpaint.base.input_files import read_limited
+from hyperpaint.base.input_files import is_plain_file, read_limited
 
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
@@ -117,6 +117,8 @@ def write_regions(
     content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
     temporary = place.with_name(f".{place.name}.{os.getpid()}")
     try:
+        if place.exists() and not is_plain_file(place):
+            raise StoreError(f"{place} is no plain file; choose another path")
         if place.exists() and not overwrite and place.read_bytes() != content:
             raise StoreError(
                 f"{place} exists and holds something else",

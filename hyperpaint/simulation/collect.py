@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import CHUNK_LINES
 
 from .atmosphere import spectral_grid
@@ -253,7 +254,7 @@ def _check_simulated(root: Path) -> None:
     """Refuse to replace a collect, or parts of one, that no simulation made."""
     toml = root / "collect.toml"
     parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
-    if parts and not (toml.is_file() and toml.read_bytes().startswith(MARKER.encode())):
+    if parts and not (head_of(toml, len(MARKER)) == MARKER.encode()):
         raise StoreError(
             f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
             expected="what an earlier simulation wrote there",

@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 from hyperpaint.base.units import takes_quantities
 
@@ -32,6 +33,7 @@ from .settings import SimulationSettings, check_choice, check_flag, check_number
 __all__ = ["SWEEP_NAME", "Frames", "Sweep", "SweepSettings", "is_simulated_sweep"]
 
 SWEEP_NAME = "simulated monochromator sweep"
+_MOST_BYTES = 64 << 20
 
 
 PerStep = float | Sequence[float] | Floats
@@ -239,9 +241,9 @@ class Frames(NamedTuple):
 def is_simulated_sweep(store: Path, truth: str) -> bool:
     """Tell whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
     try:
-        attributes = json.loads((store / "zarr.json").read_bytes())["attributes"]
+        attributes = json.loads(read_limited(store / "zarr.json", _MOST_BYTES, "metadata"))["attributes"]
         return attributes.get("name") == SWEEP_NAME or truth in attributes
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (FormatError, ValueError, KeyError, TypeError, AttributeError):
         return False
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.io.files.toml_tables import UNKNOWN
 
 from .field_folder import FieldFolder, FlightCube
@@ -61,7 +62,7 @@ def write_collect_toml(
 
 def unknown_keys(path: Path) -> list[str]:
     """Return the lines of a ``collect.toml`` that are still to be filled in."""
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
     return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
 
 

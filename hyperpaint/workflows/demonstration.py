@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
+from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 from hyperpaint.validation.validation_result import aligned
@@ -221,7 +222,7 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     toml = folder / "collect.toml"
-    simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
+    simulated = head_of(toml, len(MARKER)) == MARKER.encode()
     patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
     raw_files = [path for pattern in patterns for path in folder.glob(pattern)]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)

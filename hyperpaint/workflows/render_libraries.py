@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.input_files import input_path
+from hyperpaint.base.input_files import input_path, read_limited
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ __all__ = ["read_paints", "read_spectra", "spectra_digest"]
 
 
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
+_MOST_BYTES = 64 << 20
 _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
@@ -99,9 +100,9 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
     """Return what our export says of each paint, by ID; nothing of a list of another origin."""
     try:
-        document = json.loads((folder / _DIRSIG_MARKER).read_text(encoding="utf-8"))
+        document = json.loads(read_limited(folder / _DIRSIG_MARKER, _MOST_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}
-    except (OSError, ValueError, TypeError, KeyError):
+    except (FormatError, OSError, ValueError, TypeError, KeyError):
         return {}
 
 

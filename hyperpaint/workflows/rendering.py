@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
@@ -345,7 +346,7 @@ def _light(atmosphere: Any) -> str:
 
 
 def _content(path: Path) -> str:
-    with open(path, "rb") as file:
+    with open_input(path, "an input of a scene") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

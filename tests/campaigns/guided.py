@@ -310,7 +310,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", action="store_true", help="write what reaches new code into the corpus")
     parser.add_argument("--wrong", type=Path, default=Path("wrong_inputs"), help="folder for wrong inputs")
     asked = parser.parse_args(arguments)
-    names = asked.only.split(",")
+    names = list(dict.fromkeys(asked.only.split(",")))
     if unknown := sorted(set(names) - set(parsers.PARSERS)):
         parser.error(f"no parser {', '.join(unknown)}; there are {', '.join(parsers.PARSERS)}")
     print(HEADER, flush=True)

@@ -68,6 +68,15 @@ def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPa
     assert seen == [signal.SIG_DFL, signal.SIG_DFL]
 
 
+def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt("by somebody else")
+
+    monkeypatch.setattr("hyperpaint.io.store.verify", stop)
+    stopped = CliRunner().invoke(main, ["verify", "."])
+    assert (stopped.exit_code, stopped.stderr) == (130, "stopped by SIGINT\n")
+
+
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:

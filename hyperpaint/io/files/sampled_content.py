@@ -6,6 +6,8 @@ import hashlib
 import os
 from pathlib import Path
 
+from hyperpaint.base.input_files import open_input
+
 __all__ = ["sampled_digest"]
 
 SAMPLES = 256
@@ -30,7 +32,7 @@ def sampled_digest(path: Path) -> str:
     >>> sampled_digest(folder / "cube") == sampled_digest(folder / "copy")
     True
     """
-    with open(path, "rb") as file:
+    with open_input(path, "a cube") as file:
         size = os.fstat(file.fileno()).st_size
         digest = hashlib.sha256(f"{size} ".encode())
         if size <= SAMPLES * SAMPLE_BYTES:

@@ -8,7 +8,8 @@ from .reading import number
 
 __all__ = ["safe_cell", "text_of_cell"]
 
-_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+#: With the full-width signs, which spreadsheets take for the others, and blanks, which they pass over.
+_FORMULA = re.compile("'*(?:[\\t\\r]|\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 
 
 def safe_cell(text: str) -> str:

@@ -67,7 +67,14 @@ def write_csv_library(
     metadata = metadata_text(library, variables)
     columns = table_columns(library)
     kind = [] if variables == [CENTRE] else _KIND
-    head = _line([PAINT, *kind, *columns, *(repr(float(value)) for value in library["wavelength"].values)])
+    head = _line(
+        [
+            PAINT,
+            *kind,
+            *map(safe_cell, columns),
+            *(repr(float(value)) for value in library["wavelength"].values),
+        ]
+    )
     names = [_line([safe_cell(name)]) for name in names_of(library)]
     about = [
         _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
@@ -125,7 +132,7 @@ def _table(path: Path) -> _Table:
     head, wavelength = _head(next(cells, []), path.name)
     has_kind = head[1:3] == _KIND
     first = 3 if has_kind else 1
-    table = _Table(wavelength, [], {name: [] for name in head[first:]}, [], [])
+    table = _Table(wavelength, [], {text_of_cell(name): [] for name in head[first:]}, [], [])
     owner = _Owner()
     for at, row in enumerate(cells, 2):
         row[: len(head)] = map(text_of_cell, row[: len(head)])

@@ -204,3 +204,16 @@ def test_a_file_that_turns_into_a_pipe_is_not_waited_for(
     with pytest.raises(FormatError, match="a pipe, expected a series"):
         open_input(pipe, "a series")
     assert head_of(pipe, 4) == b""
+
+
+def test_a_folder_whose_name_reads_like_a_url_is_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "field::day1").mkdir()
+    (tmp_path / "field::day1" / "sky.txt").write_text("1")
+    assert read_limited("field::day1/sky.txt", 10, "a text") == b"1"
+    with pytest.raises(FormatError, match="a URL"):
+        input_path("other::day1/sky.txt")
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_limited("a\ud800b", 10, "a text")
