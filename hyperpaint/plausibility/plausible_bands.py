@@ -86,9 +86,9 @@ def judge_bands(
     spacing = float(np.median(np.abs(np.diff(wavelength)))) if wavelength.size > 1 else np.inf
     if wavelength.size < RULES.bands or not 0.0 < spacing <= RULES.spacing_nm or fwhm > RULES.fwhm_nm:
         return
-    order = np.argsort(wavelength)
+    rising = np.argsort(wavelength)
     # a camera of many filters has unlike gains in neighbouring bands, and a smooth radiance
-    roughness = min(_roughness(light[order], light[order]), _roughness((light * gain)[order], light[order]))
+    roughness = min(_roughness(each[rising], light[rising]) for each in (light, light * gain))
     if roughness > RULES.rough:
         yield Finding(
             KINDS["band-order"], name,
