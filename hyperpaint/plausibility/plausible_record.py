@@ -50,6 +50,7 @@ class RecordRules:
 
 
 RULES = RecordRules()
+_ANGLES = ("roll", "pitch", "heading")
 
 
 def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
@@ -109,6 +110,8 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
         if key in line.coords
     }
     gaps = {key: float(np.mean(~np.isfinite(values))) for key, values in pose.items()}
+    # angles that nothing measured at all are no gap: what needs them asks for them
+    gaps = {key: share for key, share in gaps.items() if share < 1.0 or key not in _ANGLES}
     if max(gaps.values()) > RULES.gap_share:
         lost = ", ".join(
             f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RULES.gap_share
@@ -123,7 +126,7 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
     north, east = np.radians(pose["latitude"][there]), np.radians(pose["longitude"][there])
     metres = 6.371e6 * np.stack([north, east * math.cos(float(north.mean()))])
     extent = float(np.hypot(*np.ptp(metres, axis=1)))
-    angles = [pose[key][there] for key in ("roll", "pitch", "heading") if key in pose]
+    angles = [pose[key][there] for key in _ANGLES if key in pose]
     angles = [values[np.isfinite(values)] for values in angles]
     turned = max((float(np.ptp(np.unwrap(each, period=360.0))) for each in angles if each.size), default=0.0)
     still = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))

@@ -15,6 +15,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
 from hyperpaint.plausibility.line_judging import _dark_of
+from hyperpaint.plausibility.plausible_record import judge_navigation
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -105,6 +106,13 @@ def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path
         (flight / f"raw_0{ending}").rename(flight / f"raw_7{ending}")
     collect.write_text(collect.read_text().replace("flight/raw_0", "flight/raw_7"))
     assert {each.kind.name for each in check_collect(collect)} == {"first-frame"}
+
+
+@pytest.mark.parametrize(("lost", "alarm"), [(("roll", "pitch", "heading"), False), (("latitude",), True)])
+def test_angles_that_nothing_measured_are_no_gap(lost: tuple[str, ...], alarm: bool, collect: Path) -> None:
+    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
+    blank = line.assign_coords({key: line[key] * np.nan for key in lost})
+    assert bool([*judge_navigation("raw_0", blank)]) is alarm
 
 
 def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
