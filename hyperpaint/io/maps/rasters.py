@@ -94,7 +94,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         rows, columns = (0, raster.height), (0, raster.width)
         if raster.height * raster.width > MOST_WHOLE_CELLS:
             rows, columns = _window(raster, path, around)
-        values = _decoded(raster, _read(raster, rows, columns))
+        values = _cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
         declared = _declared(raster)
     attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
@@ -119,20 +119,20 @@ def _declared(raster: Any) -> dict[str, Any]:
     return declared
 
 
-def _read(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
+def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
+    """Return heights of a window as floats, NaN where the raster has none: by its nodata or its own mask."""
+    from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
-    # no mask is asked for: GDAL would look for one beside the file
-    values: np.ndarray[Any, Any] = raster.read(1, window=Window.from_slices(rows, columns))
-    return values
-
-
-def _decoded(raster: Any, stored: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return heights as floats, NaN where the raster has none."""
+    window = Window.from_slices(rows, columns)
+    stored: np.ndarray[Any, Any] = raster.read(1, window=window)
     narrow = stored.dtype.itemsize <= 2 or stored.dtype == np.float32
     values = stored.astype(np.float32 if narrow else np.float64)
     if raster.nodata is not None:
         values[stored == raster.nodata] = np.nan
+    # one inside the file: of one beside it GDAL is not told
+    if MaskFlags.per_dataset in raster.mask_flag_enums[0]:
+        values[raster.read_masks(1, window=window) == 0] = np.nan
     scale, offset = raster.scales[0], raster.offsets[0]
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
@@ -166,7 +166,7 @@ def _window(
     if not inside.any():
         raise FormatError(f"{large}, and the flight is outside of it; give the DEM of this place")
     below = [
-        float(_decoded(raster, _read(raster, (int(r), int(r) + 1), (int(k), int(k) + 1)))[0, 0])
+        float(_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
         for r, k in zip(row[inside], column[inside], strict=True)
     ]
     heights = np.array(below)
