@@ -33,6 +33,9 @@ MOST_WHOLE_CELLS = 2**24
 MOST_WINDOW_CELLS = 2**25
 """Cells of a window: with what is made of them, half a gigabyte."""
 
+MOST_BLOCK_BYTES = 2**27
+"""Bytes of a block, tile or strip, which GDAL decodes whole even for one of its cells."""
+
 #: Nothing is looked for beside the file, and nothing that could be named is fetched.
 _ENVIRONMENT = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
@@ -40,6 +43,7 @@ _ENVIRONMENT = {
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
     "GDAL_HTTP_MAX_RETRY": "0",
     "VRT_VIRTUAL_OVERVIEWS": "NO",
+    "GDAL_CACHEMAX": 64,  # megabytes, not a share of the memory
 }
 
 
@@ -84,13 +88,21 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
 
     Returns float32, or float64 of what that does not hold: NaN in holes, scale and offset of the file
     applied, with coordinates of the cells' centres and `spatial_ref`.
-    Raises FormatError: As `open_raster`; it has several bands, or a window of too many cells is needed.
+    Raises FormatError: As `open_raster`; it has several bands, blocks over `MOST_BLOCK_BYTES`, or a window of
+        too many cells is needed.
     Raises SchemaError: It is large, and where the flight is, is not known.
     """
     with open_raster(path, "opening a DEM") as raster:
         if raster.count != 1:
             raise FormatError(f"{path}: {raster.count} bands, expected one of heights; cut that one out")
         a, b, c, d, e, f = tuple(raster.transform)[:6]
+        high, wide = raster.block_shapes[0]
+        block = high * wide * np.dtype(raster.dtypes[0]).itemsize
+        if block > MOST_BLOCK_BYTES:
+            raise FormatError(
+                f"{path}: blocks of {high} x {wide} cells, {block} bytes, expected at most "
+                f"{MOST_BLOCK_BYTES}, read whole for one cell; gdal_translate -co TILED=YES in.tif out.tif"
+            )
         rows, columns = (0, raster.height), (0, raster.width)
         if raster.height * raster.width > MOST_WHOLE_CELLS:
             rows, columns = _window(raster, path, around)

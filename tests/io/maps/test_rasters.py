@@ -208,3 +208,16 @@ def test_a_large_raster_is_not_read_whole(sparse: Path) -> None:
 def test_several_bands_are_no_heights(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="2 bands, expected one of heights"):
         read_heights(written(tmp_path / "dem.tif", count=2))
+
+
+def test_a_block_of_any_size_is_not_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "strip.tif"
+    place = rasterio.Affine(1.0, 0.0, 400000.0, 0.0, -1.0, 3800000.0)
+    profile = {"count": 1, "dtype": "uint8", "crs": "EPSG:32617", "transform": place, "sparse_ok": True}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=12_000, height=12_000, tiled=True, blockxsize=12_000,
+        blockysize=12_000, **profile,
+    ):  # fmt: skip
+        pass
+    with pytest.raises(FormatError, match=r"blocks of 12000 x 12000 cells.* gdal_translate -co TILED=YES"):
+        read_heights(path, ([-82.0], [34.0], [500.0]))
