@@ -65,6 +65,8 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
         )
     with needs_extra("rasterio", "geo", purpose):
         import rasterio
+        from rasterio._err import CPLE_BaseError
+        from rasterio.errors import CRSError
     try:
         with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
             warnings.simplefilter("ignore")  # of a file without a place
@@ -72,7 +74,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
                 if raster.tags(ns="OVERVIEWS"):
                     raise FormatError(f"{path} names another file for its overviews; translate it anew")
                 yield raster
-    except (rasterio.errors.RasterioError, UnicodeDecodeError) as error:
+    except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
         raise FormatError(
             f"{path}: GDAL cannot read it as {driver} ({error!s:.200}); copy it again"
         ) from error
@@ -88,14 +90,19 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
 
     Returns float32, or float64 of what that does not hold: NaN in holes, scale and offset of the file
     applied, with coordinates of the cells' centres and `spatial_ref`.
-    Raises FormatError: As `open_raster`; it has several bands, blocks over `MOST_BLOCK_BYTES`, or a window of
-        too many cells is needed.
+    Raises FormatError: As `open_raster`; it has several bands, is turned, has blocks over
+        `MOST_BLOCK_BYTES`, or a window of too many cells is needed.
     Raises SchemaError: It is large, and where the flight is, is not known.
     """
     with open_raster(path, "opening a DEM") as raster:
         if raster.count != 1:
             raise FormatError(f"{path}: {raster.count} bands, expected one of heights; cut that one out")
         a, b, c, d, e, f = tuple(raster.transform)[:6]
+        if b or d or not a or not e:
+            raise FormatError(
+                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}, expected "
+                "north up; gdalwarp in.tif out.tif"
+            )
         high, wide = raster.block_shapes[0]
         block = high * wide * np.dtype(raster.dtypes[0]).itemsize
         if block > MOST_BLOCK_BYTES:
@@ -160,6 +167,8 @@ def _window(
     raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the rows and columns of a raster that lie around a flight."""
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import CRSError, RasterioError
     from rasterio.warp import transform
 
     large = f"{path} has {raster.height} x {raster.width} cells"
@@ -171,9 +180,15 @@ def _window(
         raise FormatError(f"{large}, and no crs to find the flight in it; declare it with gdal_edit -a_srs")
     step = max(1, points.shape[1] // _TRACK_POINTS)
     longitude, latitude, _ = points[:, ::step]
-    x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
-    to_cells = ~raster.transform
-    column, row = to_cells * (x, y)
+    try:
+        x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
+    except (CPLE_BaseError, CRSError, RasterioError) as error:
+        raise FormatError(
+            f"{large}, and no longitude has a place in its crs ({error!s:.200}); declare its own with "
+            "gdal_edit -a_srs"
+        ) from error
+    column, row = ~raster.transform * (x, y)
+    column, row = (each[np.isfinite(column) & np.isfinite(row)] for each in (column, row))
     inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
     if not inside.any():
         raise FormatError(f"{large}, and the flight is outside of it; give the DEM of this place")

@@ -221,3 +221,16 @@ def test_a_block_of_any_size_is_not_decoded(tmp_path: Path) -> None:
         pass
     with pytest.raises(FormatError, match=r"blocks of 12000 x 12000 cells.* gdal_translate -co TILED=YES"):
         read_heights(path, ([-82.0], [34.0], [500.0]))
+
+
+def test_a_turned_raster_is_refused(tmp_path: Path) -> None:
+    turned = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
+    with pytest.raises(FormatError, match=r"rows do not run east.* gdalwarp"):
+        read_heights(written(tmp_path / "dem.tif", transform=turned))
+
+
+def test_a_large_raster_of_a_local_crs_is_refused(sparse: Path) -> None:
+    with rasterio.open(sparse, "r+") as raster:
+        raster.crs = rasterio.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
+    with pytest.raises(FormatError, match=r"no longitude has a place in its crs.* gdal_edit -a_srs"):
+        read_heights(sparse, ([-81.0], [33.4], [500.0]))
