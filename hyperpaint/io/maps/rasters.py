@@ -23,7 +23,19 @@ __all__ = ["open_raster", "read_heights"]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 #: What files begin with, and the driver that opens them: of one file each, which names no other.
-_DRIVERS = ((TIFF, "GTiff"), ((b"ncols", b"NCOLS"), "AAIGrid"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
+_DRIVERS = ((TIFF, "GTiff"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
+#: What the header of an ASCII grid may begin with, in capitals or not.
+_GRID = (
+    b"ncols",
+    b"nrows",
+    b"xllcorner",
+    b"xllcenter",
+    b"yllcorner",
+    b"yllcenter",
+    b"cellsize",
+    b"dx",
+    b"dy",
+)
 
 MOST_BYTES = 2**40
 
@@ -55,8 +67,9 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     Raises `MissingExtraError`: rasterio is not installed.
     """
     with open_input(path, "a raster", MOST_BYTES) as file:
-        head, place = file.read(8), os.path.abspath(path)
-    driver = next((name for heads, name in _DRIVERS if head.lstrip().startswith(heads)), "")
+        head, place = file.read(64).lstrip(), os.path.abspath(path)
+    driver = next((name for heads, name in _DRIVERS if head.startswith(heads)), "")
+    driver = driver or ("AAIGrid" if head.lower().startswith(_GRID) else "")
     driver = driver or ("SRTMHGT" if place.lower().endswith(".hgt") else "")
     if not driver:
         raise FormatError(

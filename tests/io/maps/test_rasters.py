@@ -234,3 +234,18 @@ def test_a_large_raster_of_a_local_crs_is_refused(sparse: Path) -> None:
         raster.crs = rasterio.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
     with pytest.raises(FormatError, match=r"no longitude has a place in its crs.* gdal_edit -a_srs"):
         read_heights(sparse, ([-81.0], [33.4], [500.0]))
+
+
+GRID = "NCols 3\nNRows 2\nXLLCorner 500000\nYLLCorner 3700000\nCellSize 2\nNODATA_value -9999\n"
+
+
+@pytest.mark.parametrize(
+    "header", [GRID, GRID.lower(), GRID.upper(), "nrows 2\nncols 3" + GRID.lower()[GRID.index("\nX") :]]
+)
+def test_headers_of_ascii_grids(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "dem.asc"
+    path.write_text(header + "1 2 3\n4 -9999 6\n")
+    path.with_suffix(".prj").write_text(rasterio.CRS.from_epsg(32617).to_wkt(version="WKT1_ESRI"))
+    heights = read_heights(path)
+    np.testing.assert_array_equal(heights, [[1.0, 2.0, 3.0], [4.0, np.nan, 6.0]])
+    assert "UTM" in heights.spatial_ref.crs_wkt
