@@ -1,7 +1,8 @@
 """Rasters of heights, and what else GDAL reads: few drivers, one file, no network, no more than a window.
 
 GDAL goes by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
-beside one are opened with it, and a tag may name where its overviews are. None of that is followed.
+beside one are opened with it, and a tag may name where its overviews are. None of that is followed but the
+``.prj`` of an ASCII grid, which holds its crs.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _GRID = (
 )
 
 MOST_BYTES = 2**40
+_MOST_PRJ_BYTES = 2**16
 
 MOST_WHOLE_CELLS = 2**24
 """Cells of a raster that is read whole; of a larger one a window is read."""
@@ -63,7 +65,10 @@ _ENVIRONMENT = {
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     """Yield a raster that rasterio has open; ``purpose`` is what needs rasterio.
 
-    Raises `FormatError`: It is no plain file, no raster of these kinds, damaged, or names other files.
+    Of files beside it the ``.prj`` of an ASCII grid alone is read.
+
+    Raises `FormatError`: It is no plain file, no raster of these kinds, damaged, or names other files; or its
+    ``.prj`` is no plain file, or of over 64 KiB.
     Raises `MissingExtraError`: rasterio is not installed.
     """
     with open_input(path, "a raster", MOST_BYTES) as file:
@@ -76,6 +81,9 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
             f"{path}: no TIFF, ASCII grid, SRTM .hgt or DTED, whatever its name says; other rasters become a "
             "GeoTIFF with gdal_translate"
         )
+    for prj in (os.path.splitext(place)[0] + suffix for suffix in (".prj", ".PRJ")):
+        if driver == "AAIGrid" and os.path.lexists(prj):
+            open_input(prj, "the crs of an ASCII grid", _MOST_PRJ_BYTES).close()
     with needs_extra("rasterio", "geo", purpose):
         import rasterio
         from rasterio._err import CPLE_BaseError

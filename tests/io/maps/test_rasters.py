@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.server
+import os
 import subprocess
 import sys
 import threading
@@ -203,6 +204,19 @@ def test_a_large_raster_is_not_read_whole(sparse: Path) -> None:
     wide = (np.array([-81.6, -80.9]), np.array([32.9, 34.2]), np.array([500.0, 500.0]))
     with pytest.raises(FormatError, match=r"of them around this flight, expected at most"):
         read_heights(sparse, wide)
+
+
+@pytest.mark.parametrize("suffix", [".prj", ".PRJ"])
+def test_a_prj_that_is_a_pipe_is_not_waited_for(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / "dem.asc"
+    path.write_text(GRID + "1 2 3\n4 5 6\n")
+    os.mkfifo(path.with_suffix(suffix))
+    with pytest.raises(FormatError, match=r"a pipe, expected the crs of an ASCII grid"):
+        read_heights(path)
+    path.with_suffix(suffix).unlink()
+    path.with_suffix(suffix).write_text(" " * 70_000)
+    with pytest.raises(FormatError, match="at most 65536 bytes"):
+        read_heights(path)
 
 
 def test_several_bands_are_no_heights(tmp_path: Path) -> None:
