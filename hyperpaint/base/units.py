@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pint
 
 __all__ = [
-    "canonical", "conversion_factor", "convert", "in_units", "plain", "quantify", "registry",
+    "canonical", "conversion_factor", "convert", "in_units", "is_unit", "plain", "quantify", "registry",
     "same_dimension", "takes_quantities",
 ]  # fmt: skip
 
@@ -192,6 +192,13 @@ def same_dimension(found: str, wanted: str) -> bool:
         return bool(_quantity(found).dimensionality == _quantity(wanted).dimensionality)
     except UnitsError:
         return False
+
+
+def is_unit(text: str) -> bool:
+    """Tell whether the brackets of a heading hold a unit, and no label such as ``8/h``, ``2024`` or ``N``."""
+    # a letter alone is rather a column's symbol, and a number in front no unit
+    plain_text = text if len(text) > 1 else {"s": "s", "K": "K", "m": "m", "°": "degree"}.get(text, "")
+    return bool(plain_text) and not plain_text[0].isdigit() and same_dimension(plain_text, plain_text)
 
 
 def canonical(text: str) -> str:

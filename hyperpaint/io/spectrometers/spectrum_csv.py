@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, Problems, UnitsError
+from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.base.units import conversion_factor
+from hyperpaint.base.units import conversion_factor, is_unit
 from hyperpaint.io.files.reading import numbers, read_limited_text
 
 if TYPE_CHECKING:
@@ -47,15 +47,18 @@ def _table(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
     """Return the columns of `read_spectrum_csv`, the first in nanometres, and the headings above them.
 
-    in_units: Whether the last heading names a unit of the wavelengths.
+    in_units: Whether headings, then with the comments above the numbers, name units.
     """
     problems = Problems(f"{path} is no spectrum", FormatError)
     rows: list[list[float]] = []
     above: list[str] = []
+    comments: list[str] = []
     text = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns").decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         content = line.strip().lstrip("\ufeff")
         if not content or content.startswith("#"):
+            if content and not rows:
+                comments.append(content)
             continue
         row = numbers(content.replace(",", " ").replace(";", " ").split())
         if row is not None and len(row) == 2:
@@ -68,7 +71,8 @@ def _table(
             above.append(content)
     table = np.array(rows, dtype=np.float64).reshape(-1, 2)
     if in_units:
-        table[:, 0] *= _factor(above, 0, "nm", path)
+        above = [*comments, *above]
+        table[:, 0] *= _factor(above, 0, path)
     wavelength, values = table.T.copy()
     if len(rows) < 2:
         problems.add(f"{len(rows)} lines of numbers, expected two at least")
@@ -80,30 +84,72 @@ def _table(
     return wavelength, values, above
 
 
-_UNIT = re.compile(r"[\[(]([^\[\]()]{1,40})[\])]$|(?:^|[ _])(nm|um|µm|μm|%|percent)$")
+_LENGTHS = {
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), "nm"),
+    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers"), "um"),
+    **dict.fromkeys(("micrometre", "micrometres"), "um"),
+    **dict.fromkeys(("angstrom", "angstroms", "å", "a"), "angstrom"),
+    **{name: name for name in ("mm", "cm", "m")},
+}
+_SHARES = {
+    **dict.fromkeys(("%", "percent", "per cent", "pct"), "percent"),
+    **dict.fromkeys(("1", "-", "fraction", "unitless", "dimensionless", "ratio", "decimal"), "1"),
+}
+_UNITS = ("nm", _LENGTHS), ("1", _SHARES)
+_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_AT_END = re.compile(r"/ *([^ /\d]+)$|(?:^|[ _,])(nm|um|µm|μm|percent|per cent|pct)$|(?<!\d)(?<!\d )(%)$")
+_PERCENT = re.compile(r"(?<!\d)(?<!\d )(?:%|\bper ?cent\b)", re.IGNORECASE)
+_WAVELENGTH = re.compile(r"(?:cent(?:er|re|ral) |band )?(?:wave ?lengths?|wvl?|wl|lambda|λ)?(?: in)?[ _/,:]*")
+_ASIDE = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 
 
-_PURE = ("", "-", "1", "fraction", "unitless")
+def _factor(headings: Sequence[str], column: int, path: Path) -> float:
+    """Return what turns a column into nm or a fraction, by the headings above it; 1 where these say none."""
+    wanted, exact = _UNITS[column]
+    units: dict[str, str] = {}
+    for heading in headings:
+        for name in _names(heading, column, last=heading == headings[-1]):
+            unit = exact.get(name.lower())
+            if unit is not None:
+                units[unit] = name
+            elif is_unit(name):
+                problem = f"{path}: heading {heading[:60]!r} names {name!r:.40}"
+                raise FormatError(f"{problem}, expected a unit such as {wanted!r}; correct the heading")
+    if len(units) > 1:
+        names = " and ".join(map(repr, units.values()))
+        raise FormatError(f"{path}: headings name {names} for one column, expected one; correct the headings")
+    percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
+    if column == 1 and not units and percent is not None:
+        raise FormatError(
+            f"{path}: {percent[:60]!r} speaks of percent, and not which column is in it; write [%] or [1] "
+            "behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
+        )
+    return conversion_factor(next(iter(units), wanted), wanted)
 
 
-def _factor(headings: Sequence[str], column: int, wanted: str, path: Path) -> float:
-    """Return what turns a column into a unit, by the last heading above it; 1 where that says none."""
-    cells = next((cells for text in headings[-1:] for cells in (_cells(text),) if len(cells) == 2), None)
-    unit = None if cells is None else _UNIT.search(cells[column])
-    name = "" if unit is None else str(unit[1] or unit[2]).strip()
-    if name.lower() in _PURE:
-        return 1.0
-    try:
-        return conversion_factor(name, wanted)
-    except UnitsError as error:
-        problem = f"{path}: heading {headings[-1][:60]!r} names {name!r}"
-        raise FormatError(f"{problem}, expected a unit such as {wanted!r}; correct the heading") from error
-
-
-def _cells(line: str) -> list[str]:
-    """Return the cells of a heading, parted as numbers below it may be."""
-    mark = next((mark for mark in (";", "\t", ",") if mark in line), None)
-    return [cell.strip() for cell in (line.split(mark, 2) if mark else line.split(None, 2))]
+def _names(heading: str, column: int, last: bool) -> list[str]:
+    """Return what may be the unit of a column; none where the heading is of no columns."""
+    comment, text = heading.startswith("#"), heading.lstrip("# \t")
+    # what brackets hold is put aside, and so parts no cells
+    aside = _BRACKETS.findall(text)
+    text = re.sub(r" *\x00", "\x00", _BRACKETS.sub("\x00", text.replace("\x00", " ")))
+    mark = next((mark for mark in (";", "\t", ",", "  ") if mark in text.strip()), None)
+    cells = [cell.strip() for cell in text.strip().split(mark, 1)]
+    if mark in (None, "  ") and len(cells) == 2 and cells[1].startswith(("nm ", "um ", "µm ", "μm ", "/")):
+        cells = [f"{cells[0]} {cells[1].split(None, 1)[0]}", "".join(cells[1].split(None, 1)[1:])]
+    if len(cells) != 2:
+        return []
+    names: list[list[str]] = []
+    for cell in cells:
+        inside = [aside.pop(0).strip() for _ in range(cell.count("\x00"))]
+        bare = " ".join(cell.replace("\x00", " ").split())
+        end = _AT_END.search(bare)
+        names.append([*inside, *([] if end is None else [end[1] or end[2] or end[3]])])
+    plain = [" ".join(_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells]
+    of_columns = bool(_WAVELENGTH.fullmatch(plain[0])) and (plain[0] != "" or bool(names[0]))
+    if _ASIDE.search(plain[1]) or not (of_columns or (last and not comment)):
+        return []
+    return [re.sub(r"^in ", "", " ".join(name.split())) for name in names[column]]
 
 
 _MAX_HEADING_LINES = 40
@@ -117,7 +163,8 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     ----------
     path
         Text of two columns, separated by a comma, semicolon, tab or blanks, below 40 lines of headings or
-        less. Units that the last of these names, ``Wavelength [um];R [%]``, are converted.
+        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; what else
+        stands in brackets, ``R (8/h)``, is a label.
 
     Returns
     -------
@@ -142,7 +189,7 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
 
     path = Path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, in_units=True)
-    values = values * _factor(headings, 1, "1", path)
+    values = values * _factor(headings, 1, path)
     if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
         raise FormatError(
             f"{path}: values from {values.min():g} to {values.max():g}, expected reflectance as a fraction; "
