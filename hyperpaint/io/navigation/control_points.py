@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, Problems, UnitsError
-from hyperpaint.base.units import conversion_factor
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.units import is_unit, same_dimension
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.flightline.headwall import name_rows, table_of
 
@@ -18,7 +19,7 @@ from .navigation_records import limited_numbers
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_control_points"]
+__all__ = ["column_heading", "metres_of", "read_control_points"]
 
 _MAX_BYTES = 16 << 20
 _MOST_ROWS = 100_000
@@ -33,8 +34,19 @@ _ALIASES = {
     **dict.fromkeys(("flightline", "flight_line", "image"), "flightline"),
     **dict.fromkeys(("name", "point", "id", "label"), "name"),
 }
-_SUFFIXES = ("m", "ft", "km", "cm", "mm", "feet", "px")
+_SUFFIXES = ("m", "ft", "km", "cm", "mm", "foot", "feet", "px", "usft", "ftus")
+_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _PIXELS = ("", "1", "px", "pixel", "pixels")
+_ONE_BASED = re.compile(r"\b(?:1|one)[ -]?based|(?:from|at) (?:1|one)\b", re.IGNORECASE)
+_METRES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "intft", "internationalfoot", "internationalfeet"), 0.3048),
+    **dict.fromkeys(("usft", "ftus", "usfoot", "usfeet", "sft", "surveyfoot", "surveyfeet"), 1200 / 3937),
+    **dict.fromkeys(("ussurveyfoot", "ussurveyfeet", "ussft", "sftus"), 1200 / 3937),
+    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+    "cm": 0.01,
+    "mm": 0.001,
+}
 
 
 def read_control_points(path: str | Path) -> xr.Dataset:
@@ -42,9 +54,10 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
     The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
     at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, in
-    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft``; and, where they are of
-    several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A comment
-    ``# crs: EPSG:32617`` before the header names the map.
+    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (what else stands in
+    brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); and, where they
+    are of several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A
+    comment ``# crs: EPSG:32617`` before the header names the map.
 
     Parameters
     ----------
@@ -85,12 +98,18 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     if len(rows) < 2 or len(rows) > _MOST_ROWS:
         raise FormatError(f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}")
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
-    headings = [_heading(cell) for cell in _cells(rows[0][1], mark)]
+    cells = _cells(rows[0][1], mark)
+    headings = [column_heading(cell) for cell in cells]
     header = [_ALIASES.get(name, "") for name, _ in headings]
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
     for name in _NUMBERS:
         if header.count(name) != 1:
             problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
+    for name, cell in zip(header, cells, strict=True):
+        if name.endswith("_track") and _ONE_BASED.search(cell):
+            problems.add(
+                f"column {name!r} is {cell.strip()[:40]!r}, expected pixels counted from 0; subtract 1"
+            )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
     numbers = {
@@ -128,32 +147,43 @@ def _cells(line: str, mark: str) -> list[str]:
         return []
 
 
-def _heading(cell: str) -> tuple[str, str]:
-    """Return the name of a column, and the unit that follows it; empty without one.
+def column_heading(cell: str) -> tuple[str, str]:
+    """Return the name of a column, and the unit that follows it; empty without one, whatever else follows.
 
     Examples
     --------
-    >>> _heading("Easting [m]"), _heading("height_ft"), _heading("Flight line")
-    (('easting', 'm'), ('height', 'ft'), ('flight_line', ''))
+    >>> column_heading("Easting [m]"), column_heading("height_ft"), column_heading("Line (0-based)")
+    (('easting', 'm'), ('height', 'ft'), ('line', ''))
     """
-    text, unit = cell.strip(), ""
-    place = max(text.rfind("["), text.rfind("("))
-    if place >= 0 and text.endswith(("]", ")")):
-        text, unit = text[:place].strip(), text[place + 1 : -1].strip()
-    name = text.lower().replace(" ", "_")
+    inside = [text.strip() for held in _BRACKETS.findall(cell) for text in re.split("[,;]", held)]
+    unit = next((text for text in inside if _metres(text) or text.lower() in _PIXELS or _is_unit(text)), "")
+    name = "_".join(_BRACKETS.sub(" ", cell).lower().split())
     if not unit and name.rpartition("_")[2] in _SUFFIXES:
         name, _, unit = name.rpartition("_")
     return name, unit
 
 
+def metres_of(name: str, unit: str, problems: Problems) -> float:
+    """Return the metres of one unit of a column; 1 where none is given, or one of something else."""
+    metres = _metres(unit or "m")
+    if metres is None:
+        problems.add(f"column {name!r} in {unit!r:.40}, expected a unit of length, such as [m] or [ft]")
+    return metres or 1.0
+
+
+def _metres(unit: str) -> float | None:
+    return _METRES.get(re.sub(r"[ ._-]", "", unit).lower())
+
+
+def _is_unit(text: str) -> bool:
+    # a number of metres is none, but too near one to be passed over as a label
+    return is_unit(text) or same_dimension(text, "m")
+
+
 def _factor(name: str, unit: str, problems: Problems) -> float:
     """Return the metres, or pixels, of one unit of a column; 1 where none is given."""
-    if name.endswith("_track"):
-        if unit.lower() not in _PIXELS:
-            problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
-        return 1.0
-    try:
-        return conversion_factor(unit or "m", "m")
-    except UnitsError:
-        problems.add(f"column {name!r} in {unit!r:.40}, expected a unit of length, such as [m] or [ft]")
-        return 1.0
+    if not name.endswith("_track"):
+        return metres_of(name, unit, problems)
+    if unit.lower() not in _PIXELS:
+        problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
+    return 1.0

@@ -51,23 +51,47 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
 
 @pytest.mark.parametrize(
     ("unit", "metres"),
-    [("[ft]", 0.3048), ("(feet)", 0.3048), ("[km]", 1000.0)],
+    [
+        ("[ft]", 0.3048),
+        ("(feet)", 0.3048),
+        ("[km]", 1000.0),
+        ("(FT)", 0.3048),
+        ("(M)", 1.0),
+        ("[KM]", 1e3),
+        ("[US survey feet]", 1200 / 3937),
+        ("[ftUS]", 1200 / 3937),
+        ("(us-ft)", 1200 / 3937),
+        ("(UTM 17N)", 1.0),
+        ("(grid) [ft]", 0.3048),
+        ("(E)", 1.0),
+        ("(8/h)", 1.0),
+    ],
 )
 def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: float) -> None:
     path = tmp_path / "points.csv"
-    path.write_text(f"line,sample,east {unit},north_m,height_ft\n1,2,3,4,50\n")
+    path.write_text(f"line (0-based);sample [px];east {unit};north_m;height (ft, ellipsoidal)\n1;2;3;4;50\n")
     points = read_control_points(path)
     assert points.east.item() == pytest.approx(3 * metres, rel=1e-11)
     assert (points.north.item(), points.height.item()) == (4.0, 50 * 0.3048)
 
 
-@pytest.mark.parametrize(("heading", "told"), [("east [s]", "'east' in 's'"), ("east (UTM 17)", "'UTM 17'")])
+@pytest.mark.parametrize(
+    ("heading", "told"),
+    [("east [s]", "'east' in 's'"), ("east [degree]", "'degree'"), ("east [2 m]", "'2 m'")],
+)
 def test_a_unit_of_something_else_is_refused(tmp_path: Path, heading: str, told: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"line [m],sample,{heading},north,height\n1,2,3,4,50\n")
     with pytest.raises(FormatError, match=r"'along_track' in 'm', expected pixels") as caught:
         read_control_points(path)
     assert told in str(caught.value)
+
+
+def test_pixels_counted_from_1_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("line (1-based),sample,east,north,height\n1,2,3,4,50\n")
+    with pytest.raises(FormatError, match="counted from 0; subtract 1"):
+        read_control_points(path)
 
 
 def test_no_file(tmp_path: Path) -> None:
