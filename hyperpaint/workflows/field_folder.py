@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems
 from hyperpaint.base.schema import CROSS_TRACK
 
 if TYPE_CHECKING:
@@ -311,11 +311,15 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     Raises `FormatError`: it has no column that says so in its name, or cells that are no finite numbers.
     """
     from hyperpaint.io.files.reading import read_limited_text
+    from hyperpaint.io.navigation.control_points import column_heading, metres_of
 
     text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
         "utf-8-sig", "replace"
     )
-    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
+    try:
+        rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
+    except csv.Error as error:
+        raise FormatError(f"it is no table of text, {error}; expected rows of short cells") from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
     if len(columns) != 1 or len(rows) < 2:
         raise FormatError(
@@ -329,7 +333,10 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
         raise FormatError(f"a height is no number: {error}") from error
     if not np.isfinite(heights).all():
         raise FormatError("a height is not finite")
-    return heights
+    problems = Problems("its heights cannot be used", FormatError)
+    metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
+    problems.raise_if_any()
+    return heights * metres
 
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:

@@ -11,7 +11,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.workflows.collect_template import unknown_keys, write_collect_toml
-from hyperpaint.workflows.field_folder import find_field_files
+from hyperpaint.workflows.field_folder import _surveyed_heights, find_field_files
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +156,34 @@ def test_a_survey_of_a_slope_is_no_height_of_the_ground(folder: Path) -> None:
     found = find_field_files(folder)
     assert found.survey is None
     assert any("3.50 m apart in height" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("heading", "metres"),
+    [
+        ("ellipsoidal_height_ft", 0.3048),
+        ("Ellipsoidal height [US survey feet]", 1200 / 3937),
+        ("hae (M)", 1.0),
+    ],
+)
+def test_surveyed_heights_come_in_metres(tmp_path: Path, heading: str, metres: float) -> None:
+    (tmp_path / "survey.csv").write_text(f"name,{heading}\nA,500.0\nB,500.0\n")
+    assert _surveyed_heights(tmp_path / "survey.csv").tolist() == [500.0 * metres] * 2
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("name,hae [degree]\nA,1.0\n", "'hae' in 'degree', expected a unit of length"),
+        (f"name,hae\n{'A' * 200_000},1.0\n", "no table of text, field larger than"),
+    ],
+)
+def test_a_survey_in_other_units_or_of_endless_cells_is_refused(
+    tmp_path: Path, text: str, problem: str
+) -> None:
+    (tmp_path / "survey.csv").write_text(text)
+    with pytest.raises(hp.errors.FormatError, match=problem):
+        _surveyed_heights(tmp_path / "survey.csv")
 
 
 def test_binned_pixels_leave_the_field_of_view_open(folder: Path) -> None:
