@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
-from hyperpaint.base.input_files import open_input
+from hyperpaint.base.input_files import head_of, open_input
 from hyperpaint.io.files.reading import number
 
 __all__ = ["open_raster", "read_heights"]
@@ -40,6 +40,7 @@ _GRID = (
 
 MOST_BYTES = 2**40
 _MOST_PRJ_BYTES = 2**16
+_MOST_AUX_BYTES = 2**20
 
 MOST_WHOLE_CELLS = 2**24
 """Cells of a raster that is read whole; of a larger one a window is read."""
@@ -111,8 +112,8 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
 
     Returns float32, or float64 of what that does not hold: NaN in holes, scale and offset of the file
     applied, with coordinates of the cells' centres and `spatial_ref`.
-    Raises FormatError: As `open_raster`; it has several bands, is turned, has blocks over
-        `MOST_BLOCK_BYTES`, or a window of too many cells is needed.
+    Raises FormatError: As `open_raster`; it has several bands, is turned, lacks crs, transform or
+        what a file beside it says, has blocks over `MOST_BLOCK_BYTES`, or needs a window of too many cells.
     Raises SchemaError: It is large, and where the flight is, is not known.
     """
     with open_raster(path, "opening a DEM") as raster:
@@ -124,6 +125,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}, expected "
                 "north up; gdalwarp in.tif out.tif"
             )
+        _check_alone(raster, path)
         high, wide = raster.block_shapes[0]
         block = high * wide * np.dtype(raster.dtypes[0]).itemsize
         if block > MOST_BLOCK_BYTES:
@@ -145,6 +147,47 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         "spatial_ref": ((), 0, attrs),
     }
     return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
+
+
+#: Elements of an ``.aux.xml`` that change what heights are, or where.
+_SAYS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
+
+
+def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
+    """Refuse a raster without a place, or without what a file beside it says: none of those is read."""
+    from rasterio.enums import MaskFlags
+
+    place = os.path.abspath(path)
+    stem = os.path.splitext(place)[0]
+    is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
+    lacks = {
+        "a nodata": raster.nodata is None and not is_masked,
+        "a transform": raster.transform.is_identity,
+        "a crs": raster.crs is None,
+    }
+    aux = head_of(f"{place}.aux.xml", _MOST_AUX_BYTES)
+    beside = {what: f"{place}.aux.xml" for element, what in _SAYS.items() if lacks[what] and element in aux}
+    for what, name in (
+        ("a nodata", f"{place}.msk"),
+        *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
+        ("a transform", f"{place}w"),
+        ("a crs", f"{stem}.prj"),
+    ):
+        if lacks[what] and os.path.exists(name):
+            beside.setdefault(what, name)
+    if beside:
+        named = ", ".join(f"{what} in {os.path.basename(name)}" for what, name in beside.items())
+        srs = f" -a_srs {os.path.basename(stem)}.prj" if beside.get("a crs", "").endswith(".prj") else ""
+        raise FormatError(
+            f"{path} is read alone, and what it lacks is beside it: {named}; make one file of them: "
+            f"gdal_translate{srs} in.tif out.tif"
+        )
+    missing = [what for what in ("a transform", "a crs") if lacks[what]]
+    if missing:
+        raise FormatError(
+            f"{path} has no place without {' and '.join(missing)}; give it with gdal_translate "
+            "-a_srs EPSG:<code> -a_ullr <west north east south>"
+        )
 
 
 def _declared(raster: Any) -> dict[str, Any]:

@@ -263,3 +263,39 @@ def test_headers_of_ascii_grids(tmp_path: Path, header: str) -> None:
     heights = read_heights(path)
     np.testing.assert_array_equal(heights, [[1.0, 2.0, 3.0], [4.0, np.nan, 6.0]])
     assert "UTM" in heights.spatial_ref.crs_wkt
+
+
+_AUX = "<PAMDataset><PAMRasterBand band='1'><NoDataValue>-9999</NoDataValue></PAMRasterBand></PAMDataset>"
+BARE = {"nodata": None, "crs": None, "transform": rasterio.Affine.identity()}
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize(
+    ("lacking", "name", "text", "said"),
+    [
+        ("nodata", "dem.tif.aux.xml", _AUX, "a nodata in dem.tif.aux.xml"),
+        ("nodata", "dem.tif.msk", "", "a nodata in dem.tif.msk"),
+        ("transform", "dem.tfw", "2\n0\n0\n-2\n1\n1\n", "a transform in dem.tfw"),
+        ("crs", "dem.prj", "", "a crs in dem.prj; .* gdal_translate -a_srs dem.prj"),
+    ],
+)
+def test_what_a_raster_lacks_and_has_beside_it(
+    tmp_path: Path, lacking: str, name: str, text: str, said: str
+) -> None:
+    whole, lone = written(tmp_path / "whole.tif"), tmp_path / "dem.tif"
+    (tmp_path / name).write_text(text)
+    lone.write_bytes(whole.read_bytes())
+    assert np.isnan(read_heights(lone)[1, 1])  # it lacks nothing
+    bait = (tmp_path / name).read_text()
+    lone.unlink()
+    written(lone, **{lacking: BARE[lacking]})
+    (tmp_path / name).write_text(bait)
+    with pytest.raises(FormatError, match=said):
+        read_heights(lone)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("lacking", ["transform", "crs"])
+def test_a_raster_without_a_place_is_refused(tmp_path: Path, lacking: str) -> None:
+    with pytest.raises(FormatError, match=f"no place without a {lacking}; give it with gdal_translate"):
+        read_heights(written(tmp_path / "dem.tif", **{lacking: BARE[lacking]}))
