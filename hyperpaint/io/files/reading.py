@@ -37,7 +37,9 @@ MOST_LINES = 200_000
 """Lines of a text whose rows are bands, points or samples: ten times those of the longest spectra."""
 
 
-def read_limited_text(path: Path, limit: int, expected: str, lines: int = MOST_LINES) -> bytes:
+def read_limited_text(
+    path: Path, limit: int, expected: str, lines: int = MOST_LINES, mend: str = "check the file"
+) -> bytes:
     """Return the bytes of a text file, as `read_limited`; its lines are bounded too, before any is split.
 
     A line is split into cells, each of which takes thirty times its bytes, and so does an empty line.
@@ -48,7 +50,7 @@ def read_limited_text(path: Path, limit: int, expected: str, lines: int = MOST_L
     data = read_limited(path, limit, expected)
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > lines:
-        raise FormatError(f"{path}: {count} lines, expected {expected} of at most {lines}; check the file")
+        raise FormatError(f"{path}: {count} lines, expected {expected} of at most {lines}; {mend}")
     start = 0
     while len(data) - start > LONGEST_LINE:
         end = max(data.rfind(mark, start, start + LONGEST_LINE + 1) for mark in (b"\n", b"\r"))

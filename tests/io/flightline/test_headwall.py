@@ -12,6 +12,7 @@ from hypothesis import given, settings, strategies as st
 from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.flightline.headwall import (
+    MOST_ROWS,
     FrameIndex,
     exposure_seconds,
     match_frames,
@@ -243,3 +244,10 @@ def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
     assert frames.mean.shape == (978, 1600)
     assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)
     assert (frames.mean.min(), frames.mean.max()) == (2, 47)
+
+
+def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
+    path = tmp_path / "frameIndex_0.txt"
+    path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MOST_ROWS)
+    with pytest.raises(FormatError, match="at most 2000000; cut it to the flight, or give an SBET file"):
+        read_table(path, "frame index", needs=["frame#"])
