@@ -351,7 +351,7 @@ def placed(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
         else:
             room.mkdir()
             stem = file.name.partition(".")[0]
-            beside = file.parent.glob(f"{stem}*") if file.suffix in (".hdr", ".json") else [file]
+            beside = file.parent.glob(f"{stem}*") if file.suffix in (".hdr", ".json", ".asc") else [file]
             for neighbour in beside:
                 (room / neighbour.name).write_bytes(neighbour.read_bytes())
         copies.append((room / file.name, file.read_bytes()))

@@ -73,6 +73,7 @@ def write_side_inputs(folder: Path) -> None:
         "box.obj": _obj(),
         "heights.asc": "ncols 4\nnrows 3\nxllcorner 500000\nyllcorner 3700000\ncellsize 2\n"
         "NODATA_value -9999\n" + "1 2 3 4\n5 6 -9999 8\n9 10 11.5 12\n",
+        "heights.prj": "Projection UTM\nDatum WGS84\nZone 17\nUnits METERS\n",
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_bytes(text.encode())
