@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems, needs_extra
 from hyperpaint.base.units import is_unit, same_dimension
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.flightline.headwall import name_rows, table_of
@@ -24,6 +26,7 @@ __all__ = ["column_heading", "metres_of", "read_control_points"]
 _MAX_BYTES = 16 << 20
 _MOST_ROWS = 100_000
 _LARGEST = 1e8
+_SAME_UNIT = 1e-9  # of rounding; feet of two kinds differ by 2e-6
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -57,7 +60,8 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (what else stands in
     brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); and, where they
     are of several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A
-    comment ``# crs: EPSG:32617`` before the header names the map.
+    comment ``# crs: EPSG:32617`` before the header names the map; east and north come out in its
+    unit, in which they are read where they name none.
 
     Parameters
     ----------
@@ -67,15 +71,17 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``along_track_pixel``, ``cross_track_pixel`` [1], ``east``, ``north``, ``height`` [m] (point),
-        float64, coordinates ``name`` and ``flightline`` (str; empty where the file has none), and the
-        attribute ``crs`` where it is named.
+        ``along_track_pixel``, ``cross_track_pixel`` [1], ``east``, ``north`` [m, or the unit of ``crs``],
+        ``height`` [m] (point), float64, coordinates ``name`` and ``flightline`` (str; empty where the file
+        has none), and the attribute ``crs`` where it is named.
 
     Raises
     ------
     FormatError
         The file cannot be read; columns are missing or doubled, or in a unit that is none of length; cells
         are no finite numbers; all problems, up to a few, are listed.
+    MissingExtraError
+        The file names a map, coordinates in another unit than metres, and pyproj is not installed.
 
     Examples
     --------
@@ -112,8 +118,14 @@ def read_control_points(path: str | Path) -> xr.Dataset:
             )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
+    crs = _crs(comments)
+    named = {units[name] for name in ("east", "north")} - {""}
+    # without pyproj, metres stay what they are: a use of the map asks for it
+    of_map = crs and (any(_metres(unit) != 1.0 for unit in named) or (named and find_spec("pyproj")))
+    axis = _map_axis(crs, problems) if crs and of_map else None
     numbers = {
-        name: limited_numbers(table, name, _LARGEST, problems) * _factor(name, units[name], problems)
+        name: limited_numbers(table, name, _LARGEST, problems)
+        * _factor(name, units[name], problems, axis if name in ("east", "north") else None)
         for name in _NUMBERS
     }
     for name, values in numbers.items():
@@ -133,11 +145,34 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         },
         attrs={"source": path.name},
     )
-    for comment in comments:
-        key, _, value = comment.lstrip("# \t").partition(":")
-        if key.strip().lower() == "crs" and value.strip():
-            points.attrs["crs"] = value.strip()[:10_000]
-    return points
+    if axis is not None:
+        for name in ("east", "north"):
+            points[name].attrs["units"] = "m" if axis[1] == 1.0 else axis[0]
+    return points if crs is None else points.assign_attrs(crs=crs)
+
+
+def _crs(comments: list[str]) -> str | None:
+    """Return the map that comments name, the last where there are several."""
+    pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
+    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
+    return maps[-1][:10_000] if maps else None
+
+
+def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
+    """Return the unit of a map's axes, and the metres, or radians, of one."""
+    with needs_extra("pyproj", "geo", "the unit of a map of control points"):
+        import pyproj
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            axes = pyproj.CRS.from_user_input(crs).to_2d().axis_info
+    except (pyproj.exceptions.CRSError, ValueError):
+        axes = []
+    units = {(axis.unit_name, axis.unit_conversion_factor) for axis in axes}
+    if len(units) != 1:
+        problems.add(f"crs {crs[:80]!r} names no map whose unit PROJ knows, expected such as 'EPSG:32617'")
+        return None
+    return units.pop()
 
 
 def _cells(line: str, mark: str) -> list[str]:
@@ -180,10 +215,23 @@ def _is_unit(text: str) -> bool:
     return is_unit(text) or same_dimension(text, "m")
 
 
-def _factor(name: str, unit: str, problems: Problems) -> float:
-    """Return the metres, or pixels, of one unit of a column; 1 where none is given."""
-    if not name.endswith("_track"):
+def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
+    """Return the metres, pixels, or units of a map's axis, of one unit of a column; 1 where none is given."""
+    if name.endswith("_track"):
+        if unit.lower() not in _PIXELS:
+            problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
+        return 1.0
+    if axis is None or not unit:
         return metres_of(name, unit, problems)
-    if unit.lower() not in _PIXELS:
-        problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
-    return 1.0
+    of_axis, size = axis
+    # whoever writes ft beside a map in US survey feet means those of the map
+    if unit.lower() in ("ft", "foot", "feet") and "foot" in of_axis.lower():
+        return 1.0
+    if _metres(of_axis) is None:
+        if unit.lower() != of_axis.lower() and not (
+            of_axis == "degree" and unit.lower().startswith(("deg", "°"))
+        ):
+            problems.add(f"column {name!r} in {unit!r:.40}, expected {of_axis!r}, the unit of the crs")
+        return 1.0
+    factor = metres_of(name, unit, problems) / size
+    return 1.0 if abs(factor - 1.0) < _SAME_UNIT else factor

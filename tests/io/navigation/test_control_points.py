@@ -87,6 +87,42 @@ def test_a_unit_of_something_else_is_refused(tmp_path: Path, heading: str, told:
     assert told in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("crs", "unit", "east"),
+    [
+        ("EPSG:2263", "ft", 3.0), ("EPSG:2263", "US survey feet", 3.0), ("EPSG:2263", "m", 3 * 3937 / 1200),
+        ("EPSG:2263", "UTM", 3.0), ("EPSG:32617", "ft", 3 * 0.3048), ("EPSG:32617", "m", 3.0),
+        ("EPSG:2222", "ft", 3.0), ("EPSG:4326", "degrees", 3.0),
+    ],
+)  # fmt: skip
+def test_east_and_north_come_in_the_unit_of_their_map(
+    tmp_path: Path, crs: str, unit: str, east: float
+) -> None:
+    pytest.importorskip("pyproj")
+    path = tmp_path / "points.csv"
+    path.write_text(f"# crs: {crs}\nline,sample,east [{unit}],north [{unit}],height [ft]\n1,2,3,3,50\n")
+    points = read_control_points(path)
+    assert points.east.item() == points.north.item() == pytest.approx(east, rel=1e-11)
+    assert points.height.item() == 50 * 0.3048
+    assert (points.east.attrs["units"] == "m") == (crs == "EPSG:32617" or unit == "UTM")
+
+
+@pytest.mark.parametrize(
+    ("crs", "unit", "problem"),
+    [
+        ("EPSG:4326", "m", "'east' in 'm', expected 'degree', the unit of the crs"),
+        ("EPSG:2263", "degree", "'east' in 'degree', expected a unit of length"),
+        ("EPSG:0", "ft", "crs 'EPSG:0' names no map"),
+    ],
+)
+def test_units_that_are_not_of_the_map_are_refused(tmp_path: Path, crs: str, unit: str, problem: str) -> None:
+    pytest.importorskip("pyproj")
+    path = tmp_path / "points.csv"
+    path.write_text(f"# crs: {crs}\nline,sample,east [{unit}],north,height\n1,2,3,4,50\n")
+    with pytest.raises(FormatError, match=problem):
+        read_control_points(path)
+
+
 def test_pixels_counted_from_1_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("line (1-based),sample,east,north,height\n1,2,3,4,50\n")
