@@ -129,7 +129,7 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
 
 def _names(heading: str, column: int, last: bool) -> list[str]:
     """Return what may be the unit of a column; none where the heading is of no columns."""
-    comment, text = heading.startswith("#"), heading.lstrip("# \t")
+    comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
     # what brackets hold is put aside, and so parts no cells
     aside = _BRACKETS.findall(text)
     text = re.sub(r" *\x00", "\x00", _BRACKETS.sub("\x00", text.replace("\x00", " ")))

@@ -41,7 +41,7 @@ def test_a_label_is_no_factor(tmp_path: Path, heading: str) -> None:
         "Wavelength/um;R/%", "Wavelength [um],Reflectance, %", "Wavelength um, Reflectance %",
         "Wavelength [um],Reflectance [%]\n-----,-----", "Wavelength,R\num,%", "wavelength_um\tR_percent",
         "Wavelength [µm],R (8/h) [%]", "Wavelength [Microns];R (per cent)", "# Wavelength [um],R [%]\na,b",
-        "Wavelength um R %", "Wavelength   um   Reflectance   %",
+        "Wavelength um R %", '"Wavelength um","Reflectance %"', "Wavelength   um   Reflectance   %",
     ],
 )  # fmt: skip
 def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> None:
