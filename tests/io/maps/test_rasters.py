@@ -168,12 +168,14 @@ def sparse(tmp_path: Path) -> Path:
 
 
 _READ_LARGE = """
-import resource, sys
+import sys
 from rasterio.warp import transform
 from hyperpaint.io.maps.rasters import read_heights
 longitude, latitude = transform("EPSG:32617", "EPSG:4326", [500100.0, 500300.0], [3699900.0, 3699800.0])
 heights = read_heights(sys.argv[1], (longitude, latitude, [200.0, 210.0]))
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+# ru_maxrss would be that of the process which started this one, where that was larger
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+peak = int(status["VmHWM"].split()[0])
 print(*heights.shape, float(heights.sel(x=500100.5, y=3699900.5)), peak)
 """
 
