@@ -108,7 +108,7 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
         descriptor = os.open(place, _FLAGS)
     except (OSError, ValueError) as error:
         raise FormatError(
-            f"{str(place)!r}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+            f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
         ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
