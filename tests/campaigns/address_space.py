@@ -109,7 +109,8 @@ def _child(collect: str, out: str, room: str) -> None:
     if int(room):
         _limit(int(before["VmSize"]) + int(room), Path(collect))
     begun = time.perf_counter()
-    hp.process(collect, out)
+    # the counts repeat a short flight, and its dark is not theirs
+    hp.process(collect, out, accept=["dark-pattern"])
     after = _status()
     found = {
         "imports": before["VmSize"] / MIB,

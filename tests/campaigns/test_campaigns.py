@@ -50,8 +50,14 @@ def test_every_parser_is_named() -> None:
     assert tuple(faults("parsers").PARSERS) == PARSERS
 
 
+def _needs(parser: str) -> None:
+    if parser in ("mesh-ply", "mesh-glb"):
+        pytest.importorskip("trimesh")
+
+
 @pytest.mark.parametrize("name", PARSERS)
 def test_mutated_inputs_are_read_or_refused(name: str, seeds: Path) -> None:
+    _needs(name)
     made = faults("parsers").run_part(name, seeds, range(150))
     assert made.good, str(made.wrong)
     assert made.notes["refused"] > 20  # the mutations do damage
@@ -60,6 +66,7 @@ def test_mutated_inputs_are_read_or_refused(name: str, seeds: Path) -> None:
 
 @pytest.mark.parametrize("name", PARSERS)
 def test_whole_seeds_are_read(name: str, seeds: Path) -> None:
+    _needs(name)
     parser = faults("parsers").PARSERS[name]
     refused = {}
     with warnings.catch_warnings():
@@ -76,8 +83,9 @@ def test_whole_seeds_are_read(name: str, seeds: Path) -> None:
 @pytest.mark.parametrize("name", ["frame-index", "irradiance-csv", "control-points", "nmea", "library-text"])
 def test_long_texts_take_time_with_their_size(name: str, piece: str, seeds: Path, tmp_path: Path) -> None:
     long_texts = importlib.import_module("campaigns.long_texts")
-    _, wrong = long_texts.judge(name, piece, (10**6, 2 * 10**6, 4 * 10**6), tmp_path, seeds)
-    assert not wrong
+    sizes = (10**6, 2 * 10**6, 4 * 10**6)
+    # another process that takes the cores for a moment is no growth: what is quadratic fails every time
+    assert not all(long_texts.judge(name, piece, sizes, tmp_path, seeds)[1] for _ in range(3))
 
 
 def test_a_number_names_an_input(seeds: Path) -> None:

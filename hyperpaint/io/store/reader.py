@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
 
 from .documents import check_node
+from .groups import groups_above
 from .location import Location, clean_group
 from .record import (
     PLACE,
@@ -20,6 +21,7 @@ from .record import (
     SETTINGS,
     GroupRecord,
     attributes_checksum,
+    has_sealed_attributes,
     metadata_checksum,
     read_record,
     read_seal,
@@ -176,6 +178,14 @@ def _opened_groups(location: Location, groups: list[str], **kwargs: Any) -> xr.D
             opened[group] = open_group(location.url, group, **kwargs)
         except IncompleteStoreError as error:
             problems.add(str(error), mend="open the others by open_store(path, group)")
+    for above in dict.fromkeys(each for group in groups for each in groups_above(group) if each):
+        try:
+            node = location.metadata(above)
+            intact = node is not None and has_sealed_attributes(node)
+        except IncompleteStoreError:
+            intact = False
+        if not intact:
+            problems.add(f"the metadata of /{above} are missing or damaged; write one of its groups again")
     problems.raise_if_any()
     return xr.DataTree.from_dict(opened)
 

@@ -15,6 +15,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
+from hyperpaint.io.store.record import PLACE, SETTINGS
 
 from .outcome import Outcome, in_parallel
 
@@ -127,7 +128,11 @@ def _opened(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
         return "refused"
     except Exception as error:
         return f"open_store raised {type(error).__name__}: {error!s:.150}"
-    return "same" if all(loaded[name].identical(whole[name]) for name in whole) else "missed"
+    # a group's own record stays in the store
+    plain = {name: group.assign_attrs() for name, group in whole.items()}
+    for group in plain.values():
+        group.attrs = {key: value for key, value in group.attrs.items() if key not in (PLACE, SETTINGS)}
+    return "same" if all(loaded[name].identical(plain[name]) for name in whole) else "missed"
 
 
 def _plain(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
