@@ -14,7 +14,7 @@ _CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)],
 _QUADS = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
 _FACES = np.array([[quad[i] for i in corner] for quad in _QUADS for corner in ((0, 1, 2), (0, 2, 3))])
 _RING = [[1, 1], [5, 1], [5, 4], [1, 4], [1, 1]]
-_RADCAL = """!FRM4SOC_CP
+RADCAL = """!FRM4SOC_CP
 !RADCAL
 [DEVICE]
 X1
@@ -60,7 +60,7 @@ def write_side_inputs(folder: Path) -> None:
     """Write one small file of every kind."""
     texts = {
         "flight.nmea": "".join(_sentence(each.encode()).decode() + "\r\n" for each in _SENTENCES),
-        "radcal.txt": _RADCAL,
+        "radcal.txt": RADCAL,
         "panel.csv": "Diffuse target;95 %\nWavelength [nm];R [%]\n"
         + "".join(f"{400 + 50 * row};{98.1 - row / 10}\n" for row in range(12)),
         "zenith.txt": "nm R\n" + "".join(f"{400 + row} {0.98 - row / 1000}\n" for row in range(60)),

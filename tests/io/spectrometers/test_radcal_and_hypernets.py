@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from campaigns.faults.seed_files import RADCAL
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -32,26 +33,6 @@ def test_a_real_calibration(shared_data: Path) -> None:
     assert np.isnan(made.panel_radiance[0])
 
 
-SMALL = """!FRM4SOC_CP
-!RADCAL
-[DEVICE]
-X1
-[LAMPDATA]
-400 0 2.0 1.0
-500 0 4.0 1.0
-[END_OF_LAMPDATA]
-[PANELDATA]
-400 0 0.99 1.2
-500 0 0.99 1.2
-[END_OF_PANELDATA]
-[CALDATA]
-0 0 1024 0 0 0 1024 0 512 0
-1 400 1e-4 1.5 10 0 900 1 901 1
-2 410 1e-4 1.5 10 0 950 1 951 1
-[END_OF_CALDATA]
-"""
-
-
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
@@ -64,9 +45,9 @@ X1
 )
 def test_damaged_calibrations_are_refused(tmp_path: Path, old: str, new: str, problem: str) -> None:
     path = tmp_path / "cal.txt"
-    path.write_text(SMALL)
+    path.write_text(RADCAL)
     assert hp.io.read_radcal(path).sizes["wavelength"] == 2
-    path.write_text(SMALL.replace(old, new, 1))
+    path.write_text(RADCAL.replace(old, new, 1))
     with pytest.raises(FormatError, match=problem):
         hp.io.read_radcal(path)
 
