@@ -86,10 +86,10 @@ class PackedColumns(Mapping[str, list[str]]):
         self._places = {name: place for place, name in enumerate(names)}
         self._packed: list[list[str]] = [[] for _ in names]
 
-    def extend(self, rows: Sequence[Sequence[str]]) -> None:
-        """Add rows of as many cells as there are columns; no cell holds the end of a line."""
-        for place, cells in enumerate(zip(*rows, strict=True)):
-            self._packed[place].append("\n".join(cells))
+    def extend(self, columns: Iterable[Sequence[str]]) -> None:
+        """Add cells to every column, as many to each; no cell holds the end of a line."""
+        for packed, cells in zip(self._packed, columns, strict=False):
+            packed.append("\n".join(cells))
 
     def __getitem__(self, name: str) -> list[str]:
         return [cell for packed in self._packed[self._places[name]] for cell in packed.split("\n")]

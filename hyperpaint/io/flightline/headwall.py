@@ -10,8 +10,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,141 +20,20 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.files.reading import MOST_LINES, PackedColumns, numbered_lines, read_limited_text
+from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-_MAX_SETTINGS = 16 << 20
-_MAX_TABLE = 1 << 28
-MOST_ROWS = 2_000_000
-"""Rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200 Hz.
-
-Reading takes 170 bytes a row of a frame index and 240 of a record of nine columns, half a gigabyte at most.
-"""
-
-_BLOCK = 4096
 _MAX_FRAME = 1 << 40
 _SECOND = 1_000_000
 _DAY = 86_400 * _SECOND
 _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
-_INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
 _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
 _FRAME_INDEX = re.compile(r"frameindex_?(\d{0,12})\.txt", re.IGNORECASE)
 _IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
-
-
-# --- text and tables ---------------------------------------------------------------------------------------
-
-
-def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MOST_LINES) -> str:
-    """Return the text of a side file, its line ends made those of Unix.
-
-    Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
-    is binary.
-    """
-    mend = "cut it to the flight, or give an SBET file" if lines == MOST_ROWS else "check the file"
-    data = read_limited_text(path, limit, "a text file", lines, mend)
-    if b"\0" in data:
-        raise FormatError(
-            f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
-        )
-    # as bytes, one copy after the other: such files have a hundred megabytes
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
-    return data.decode("latin-1")
-
-
-@dataclass(frozen=True)
-class Table:
-    """A text table with one header line, its cells still text."""
-
-    name: str  # File name, for messages
-    rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
-    columns: Mapping[str, list[str]]  # Column name in lower case to cells
-
-
-def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
-    """Read a tab-separated table by its header names.
-
-    ``path``: the file; blank lines are skipped; ``what``: names the kind of file in messages; ``needs``:
-    columns, in lower case, without which it is another kind of file.
-
-    Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
-    with rows of another number of cells than the header.
-    """
-    path = Path(path)
-    text = read_text(path, _MAX_TABLE, MOST_ROWS)
-    first = text.partition("\n")[0]
-    # an older program separates the two columns of a frame index with blanks
-    separator = "\t" if "\t" in first else None
-    names = [cell.strip().lower() for cell in first.rstrip("\t").split(separator)]
-    missing = [name for name in needs if name not in names]
-    if missing or len(set(names)) != len(names):
-        raise FormatError(
-            f"{path}: a {what} starts with a header that names {list(needs)} once, found {first[:120]!r}"
-        )
-
-    def rows() -> Iterator[tuple[int, list[str]]]:
-        for number, line in numbered_lines(text):
-            if number > 1 and line.strip():
-                row = line.split(separator, -1 if separator else len(names) - 1)
-                while len(row) > len(names) and not row[-1].strip():
-                    row.pop()  # a tab at the end of the line
-                yield number, row
-
-    return table_of(path, names, rows())
-
-
-def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> Table:
-    """Return cells under the names of their columns.
-
-    ``rows``: line number and cells of each, taken one at a time.
-
-    Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
-    """
-    numbers, wrong = array("q"), array("q")
-    columns = PackedColumns(names)
-    block: list[list[str]] = []
-    for number, cells in rows:
-        if len(cells) != len(names):
-            wrong.append(number)
-            continue
-        numbers.append(number)
-        block.append(cells)
-        if len(block) == _BLOCK:
-            columns.extend(block)
-            block.clear()
-    columns.extend(block)
-    if wrong:
-        raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
-    if not numbers:
-        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}")
-    return Table(path.name, np.array(numbers, np.int64), columns)
-
-
-def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
-    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: what a row is."""
-    shown = ", ".join(str(int(number)) for number in rows[:5])
-    if len(rows) == 1:
-        return f"{row} {shown}"
-    return f"{row}s {shown}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
-
-
-def to_integers(table: Table, name: str) -> NDArray[np.int64]:
-    """Return a column of whole numbers.
-
-    Raises `FormatError`: Cells are not whole numbers; their lines are named.
-    """
-    cells = [cell.strip() for cell in table.columns[name]]
-    # the common case at a tenth of the time: digits only, none empty, none too long for int64
-    if "".join(cells).isdecimal() and min(map(len, cells)) > 0 and max(map(len, cells)) <= 16:
-        return np.array(list(map(int, cells)), np.int64)
-    wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
-    if wrong:
-        raise FormatError(f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}")
-    return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)
 
 
 # --- settings ----------------------------------------------------------------------------------------------

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hyperpaint.base.errors import PaintWarning, TimeError
-from hyperpaint.io.flightline.headwall import check_increasing, name_rows
+from hyperpaint.io.files.text_tables import name_rows
+from hyperpaint.io.flightline.headwall import check_increasing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

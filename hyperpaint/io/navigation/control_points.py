@@ -14,7 +14,7 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
 from hyperpaint.base.units import is_unit, same_dimension
 from hyperpaint.io.files.reading import read_limited_text
-from hyperpaint.io.flightline.headwall import name_rows, table_of
+from hyperpaint.io.files.text_tables import name_rows, table_of
 
 from .navigation_records import limited_numbers
 

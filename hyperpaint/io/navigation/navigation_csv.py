@@ -14,7 +14,7 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import numbered_lines
-from hyperpaint.io.flightline.headwall import MOST_ROWS, Table, name_rows, read_text, table_of
+from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers

@@ -18,16 +18,8 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
-from hyperpaint.io.flightline.headwall import (
-    FrameIndex,
-    Table,
-    check_increasing,
-    name_rows,
-    read_table,
-    read_text,
-    time_of_day,
-    to_integers,
-)
+from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
+from hyperpaint.io.flightline.headwall import FrameIndex, check_increasing, time_of_day
 
 from .clocks import (
     NAT,

@@ -14,7 +14,7 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
-from hyperpaint.io.flightline.headwall import MOST_ROWS, read_text
+from hyperpaint.io.files.text_tables import MOST_ROWS, read_text
 
 from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses

@@ -11,14 +11,13 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.files.text_tables import MOST_ROWS, read_table
 from hyperpaint.io.flightline.headwall import (
-    MOST_ROWS,
     FrameIndex,
     exposure_seconds,
     match_frames,
     read_frame_index,
     read_settings,
-    read_table,
     sum_dark,
 )
 
@@ -173,6 +172,18 @@ def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
 
 
 # --- lines of a cube ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rows", [1, 5, 40_000])
+def test_a_regular_table_is_read_as_an_irregular_one(tmp_path: Path, rows: int) -> None:
+    lines = [f"{row}\t{row % 7} x\t" for row in range(rows)]
+    regular = read_table(write(tmp_path / "r.txt", "a\tb\tc\n" + "\n".join(lines)), "table", needs=["a"])
+    # a tab too many in the last line, and a line of blanks
+    text = "a\tb\tc\n" + "\n".join(lines) + "\t\n \t \n"
+    other = read_table(write(tmp_path / "o.txt", text), "table", needs=["a"])
+    assert dict(regular.columns) == dict(other.columns)
+    np.testing.assert_array_equal(regular.rows, other.rows)
+    np.testing.assert_array_equal(regular.rows, np.arange(2, rows + 2))
 
 
 def test_as_many_lines_as_rows_go_by_row() -> None:
