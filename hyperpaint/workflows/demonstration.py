@@ -212,6 +212,9 @@ class _Sums:
 
 # --- the demonstration -------------------------------------------------------------------------------------
 
+_HEAD_BYTES = 2**16
+"""Bytes at the begin of a file in which a simulation says that it wrote it."""
+
 
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     """Refuse a folder whose content a simulated collect must not replace.
@@ -226,7 +229,7 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
     raw_files = [path for pattern in patterns for path in folder.glob(pattern)]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
-    if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in raw_files) or (
+    if any(CAMERA_SOFTWARE.encode() not in head_of(path, _HEAD_BYTES) for path in raw_files) or (
         toml.exists() and not simulated
     ):
         raise StoreError(

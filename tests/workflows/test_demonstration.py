@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -133,5 +134,12 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
 def test_real_raw_data_are_never_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("ENVI\nsamples = 640\n")
+    with pytest.raises(hp.StoreError, match="not simulated"):
+        refuse_foreign(tmp_path, overwrite=True)
+
+
+def test_a_pipe_among_the_files_is_not_waited_for(tmp_path: Path) -> None:
+    (tmp_path / "flight").mkdir()
+    os.mkfifo(tmp_path / "flight" / "gps.hdr")
     with pytest.raises(hp.StoreError, match="not simulated"):
         refuse_foreign(tmp_path, overwrite=True)
