@@ -136,7 +136,7 @@ class TableReader:
             self.problems.add(f"{place} {key} = {value!r}: no such file ({path})")
             return None
         if _is_special(path):
-            self.problems.add(f"{place} {key} = {value!r}: a pipe or device, expected a file or folder")
+            self.problems.add(f"{place} {key} = {value!r}: {_NO_FILE}")
             return None
         return path
 
@@ -151,7 +151,9 @@ class TableReader:
                 except ValueError as error:
                     self.problems.add(f"{place} {key} = {shown(text)}: {error}")
                     continue
-                paths += [match for match in matches if not _is_special(match)]
+                for match in filter(_is_special, matches):  # left out, it would be missed by nobody
+                    self.problems.add(f"{place} {key} = {text!r}: {match} is {_NO_FILE}")
+                paths += matches
                 if not matches:
                     self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder / base}")
             elif (path := self.path(place, key, text)) is not None:
@@ -164,6 +166,9 @@ def _anchored(pattern: str) -> tuple[str, str]:
     parts = Path(pattern).parts
     plain = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
     return str(Path(*plain)), "/".join(parts[len(plain) :])
+
+
+_NO_FILE = "a pipe or device, expected a file or folder"
 
 
 def _is_special(path: Path) -> bool:

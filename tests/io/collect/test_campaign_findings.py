@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,18 @@ def test_globs_that_recurse_or_never_end(pattern: str, said: str, tmp_path: Path
     path = tmp_path / "collect.toml"
     path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
     with pytest.raises(CollectError, match=said):
+        read_collect(path)
+
+
+def test_a_pipe_that_a_glob_matches_is_missed(tmp_path: Path) -> None:
+    # it was left out, and with it a spectrum of the sky, without a word
+    os.mkfifo(tmp_path / "sky.asd")
+    (tmp_path / "sky_1.asd").touch()
+    path = tmp_path / "collect.toml"
+    path.write_text('[irradiance]\nfiles = "*.asd"\n')
+    with pytest.raises(
+        CollectError, match=r"files = '\*\.asd': .*sky\.asd is a pipe or device, expected a file"
+    ):
         read_collect(path)
 
 
