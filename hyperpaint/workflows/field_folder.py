@@ -267,16 +267,20 @@ class _Seen:
         """Return the calibration, else the lab sweep, of which there is one."""
         from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 
-        calibrations, sweeps = [], []
+        calibrations, sweeps, reasons = [], [], []
         for path in self.calibrations:
-            with contextlib.suppress(PaintError):
+            try:
                 open_calibration(path)
                 calibrations.append(path)
-                continue
-            with contextlib.suppress(PaintError):
-                open_sweep(path)
-                sweeps.append(path)
+            except PaintError as error:
+                try:
+                    open_sweep(path)
+                    sweeps.append(path)
+                except PaintError:
+                    reasons.append(f"{self._shown(path)} is not used: {error}")
         several = calibrations or sweeps
+        if not several:
+            self.notes += reasons
         if len(several) > 1:
             names = ", ".join(map(self._shown, several))
             self.notes.append(f"several calibrations ({names}): none is chosen; name one with --calibration")

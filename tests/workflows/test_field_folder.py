@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -192,6 +194,13 @@ def test_binned_pixels_leave_the_field_of_view_open(folder: Path) -> None:
     found = find_field_files(folder)
     assert {cube.lens for cube in found.cubes} == {None}
     assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
+
+
+def test_a_calibration_that_does_not_open_is_said(folder: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "camera.zarr")
+    found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
+    assert found.calibration is None
+    assert any(re.match(r".*camera\.zarr is not used: .* a pipe", note) for note in found.notes)
 
 
 def test_a_processed_store_is_no_calibration_to_choose(folder: Path) -> None:
