@@ -46,6 +46,7 @@ from .radiometry.counts_to_reflectance import (
     reflectance as reflectance,
 )
 from .radiometry.panels import Panel as Panel
+from .radiometry.whole_lines import slab as slab
 from .regions import (
     Region as Region,
     Regions as Regions,

@@ -141,8 +141,9 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     Raises
     ------
     SchemaError
-        ``dims`` names a role or a dim that does not exist.
+        ``dims`` names a role or a dim that does not exist; or arrays are those of cubed or cupy.
     """
+    _refuse_foreign_arrays(dataset)
     dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
@@ -165,6 +166,26 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         dataset = dataset.reset_index(indexed)
     names = {old: new for old, new in names.items() if old != new}
     return dataset.rename_dims(names) if names else dataset
+
+
+_FOREIGN_ARRAYS = {
+    "cubed": "map hyperpaint.slab over its blocks (docs/engines.md), or open with dask or chunks=None",
+    "cupy": "take it from the GPU first, by dataset.as_numpy() or array.get(): the kernels run on processors",
+}
+
+
+def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
+    """Refuse arrays that would be taken for numpy's or dask's; no package is imported to tell them."""
+    for name, variable in dataset.variables.items():
+        data = variable._data
+        for each in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
+            package = type(each).__module__.partition(".")[0]
+            if package in _FOREIGN_ARRAYS:
+                raise SchemaError(
+                    f"{name!r} is an array of {package}",
+                    expected="numpy or dask",
+                    mend=_FOREIGN_ARRAYS[package],
+                )
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:

@@ -13,3 +13,4 @@ from .uncertainty import (
     estimate_noise as estimate_noise,
     mean_uncertainty as mean_uncertainty,
 )
+from .whole_lines import slab as slab
