@@ -50,7 +50,7 @@ FORMAT_VERSION = 2
 groups that a store is to hold; 1, of hyperpaint 0.1, does not."""
 
 CHUNK_LINES = 32
-"""Lines in one storage chunk, and in one task on threads (see the design decisions in the README)."""
+"""Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md)."""
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 

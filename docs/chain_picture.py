@@ -1,0 +1,81 @@
+"""The picture of the chain on the front page and in the README, from the store of the demonstration.
+
+hyperpaint demo --out demo
+python docs/chain_picture.py demo docs/_static/chain.png
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.patches import Polygon
+
+import hyperpaint as hp
+
+FLAGS = {hp.Quality.GLINT: "#e8b400", hp.Quality.SHADOW: "#3b5bdb", hp.Quality.MIXED_EDGE: "#9e9e9e"}
+
+
+def draw(folder: Path, path: Path) -> None:
+    """Draw five stages side by side: counts, irradiance, reflectance, flags and regions, signatures."""
+    stored = xr.open_zarr(folder / "lot.zarr", group="flightlines/raw_0")
+    line = stored.paint.reflectance(uncertainty=True).paint.flag()
+    regions = hp.read_regions(folder / "regions.geojson")
+    paints = hp.extract_signatures(line, regions)
+    figure, axes = plt.subplots(1, 5, figsize=(15, 3.5), layout="constrained", facecolor="white")
+    figure.get_layout_engine().set(wspace=0.09)
+
+    counts = line.counts.isel(band=int(np.argmin(np.abs(line.wavelength.values - 550.0)))).values
+    axes[0].imshow(counts, cmap="gray", origin="lower", aspect="equal", vmax=np.percentile(counts, 99))
+    axes[0].set_title("raw counts")
+
+    record = line.irradiance
+    wavelength = record.irradiance_wavelength.values
+    light = (wavelength >= 400) & (wavelength <= 1000)
+    axes[1].plot(wavelength[light], record.mean("irradiance_time").values[light], color="#d98c00", lw=1)
+    axes[1].set(title="+ irradiance of the sky", xlabel="wavelength [nm]", ylim=(0, None))
+    axes[1].set_ylabel("[W m$^{-2}$ nm$^{-1}$]")
+
+    colour = line.paint.rgb().transpose("along_track", "cross_track", "rgb").values
+    axes[2].imshow(colour, origin="lower")
+    axes[2].set_title("= reflectance")
+
+    quality = line.quality.values
+    axes[3].imshow(0.35 * colour + 0.65, origin="lower")
+    for flag, shade in FLAGS.items():
+        layer = np.zeros((*quality.shape, 4))
+        layer[(quality & int(flag)) != 0] = (*plt.matplotlib.colors.to_rgb(shade), 0.8)
+        axes[3].imshow(layer, origin="lower")
+        axes[3].plot([], [], "s", color=shade, label=str(flag.name).lower().replace("_", " "))
+    shades = dict(zip(paints["paint"].values, hp.paints.paint_colours(paints), strict=True))
+    for region in regions:
+        ring = region.polygon
+        axes[3].add_patch(Polygon(ring, fill=False, edgecolor="#d6336c", lw=1.2))
+    axes[3].set_title("\N{RIGHTWARDS ARROW} clean paint, and what is not")
+    axes[3].legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=3, frameon=False, fontsize=8,
+                   handletextpad=0.1, columnspacing=0.8)  # fmt: skip
+
+    for name, shade in shades.items():
+        paint = paints.sel(paint=name)
+        spread = np.hypot(paint.reflectance_u_random.fillna(0), paint.reflectance_u_systematic.fillna(0))
+        axes[4].fill_between(
+            paints.wavelength, paint.reflectance - spread, paint.reflectance + spread, color=shade, alpha=0.3
+        )
+        axes[4].plot(paints.wavelength, paint.reflectance, color=shade, lw=1.4)
+    axes[4].set(
+        title="\N{RIGHTWARDS ARROW} paint signatures",
+        xlabel="wavelength [nm]",
+        ylabel="reflectance factor [1]",
+        ylim=(0, None),
+    )
+    axes[4].set_facecolor("#eceff1")
+    for ax in (axes[0], axes[2], axes[3]):
+        ax.set(xticks=[], yticks=[])
+    figure.savefig(path, dpi=100)
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]), Path(sys.argv[2]))
