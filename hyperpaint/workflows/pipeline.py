@@ -59,7 +59,7 @@ def local_folder(out: str | Path, command: str) -> Path:
     if _URL.match(os.fspath(out)):
         raise StoreError(
             f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
-            "write the groups of open_collect with to_store, which takes URLs (docs: clusters, 'Object stores')"
+            "write the groups of open_collect with to_store, which takes URLs (guide, 'Object stores')"
         )
     return Path(out)
 

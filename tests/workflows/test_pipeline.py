@@ -336,6 +336,6 @@ def test_a_run_killed_at_its_first_metadata_is_run_again(source: Path, tmp_path:
 @pytest.mark.parametrize("out", ["memory://lot.zarr", "s3://bucket/lot.zarr", Path("gs://bucket/lot.zarr")])
 def test_a_url_is_refused(out: Any, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(hp.StoreError, match=r"to_store, which takes URLs \(docs: clusters, 'Object stores'\)"):
+    with pytest.raises(hp.StoreError, match=r"to_store, which takes URLs \(guide, 'Object stores'\)"):
         hp.process(source / "collect.toml", out)
     assert list(tmp_path.iterdir()) == []
