@@ -51,6 +51,11 @@ Examples:
     "--accept", metavar="NAME", multiple=True,
     help="Go on with this finding of `hyperpaint check`; may be given several times.",
 )  # fmt: skip
+@click.option(
+    "--codec", type=click.Choice(["compact", "fast"]), default="compact",
+    help="'fast' compresses in half the time, and takes a seventh (counts) to two fifths (reflectance) more "
+    "room; every reader reads both.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def process(collect: Path, out: Path | None, quiet: bool, **options: Any) -> None:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .disk import at_once
-from .layout import encode_chunk, storage_chunks
+from .layout import Codec, encode_chunk, storage_chunks
 from .location import plain_file, replace_file
 from .record import checksum
 
@@ -37,6 +37,7 @@ class Target:
     folder: Path | None  # On a local disk: chunks are then encoded and written without zarr's event loop
     chunk: tuple[int, ...]  # Storage chunk
     fill: Any  # Fills what an edge chunk lacks
+    codec: Codec = "compact"
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
         """Write a block of whole chunks that starts at the chunk ``offset`` of the grid; return checksums.
@@ -57,7 +58,8 @@ class Target:
                 self.array[self.region(position)] = piece
             else:
                 key = self.array.metadata.encode_chunk_key(position)
-                write_chunk(self.folder, key, encode_chunk(piece, self.chunk, self.fill), int(sums[index]))
+                encoded = encode_chunk(piece, self.chunk, self.fill, self.codec)
+                write_chunk(self.folder, key, encoded, int(sums[index]))
         return sums
 
     def region(self, position: tuple[int, ...]) -> tuple[slice, ...]:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
-from .layout import storage_chunks
+from .layout import Codec, storage_chunks
 from .location import Location, sync
 
 if TYPE_CHECKING:
@@ -42,11 +42,12 @@ RUN_AGAIN = "run again: the chunks that are finished will be taken up"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-def disk_needed(dataset: xr.Dataset) -> int:
+def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
     """Return the bytes a group takes on disk at the most, margin included: as if it were all noise.
 
     Of a sample only the bits that can differ count: those up to the saturation of the counts, and the
-    mantissa that is kept of a rounded float. What is not noise takes less: real counts of 12 bits about half.
+    mantissa that is kept of a rounded float, in whole bytes where these are shuffled (``"fast"``). What is
+    not noise takes less: real counts of 12 bits about half.
 
     Examples
     --------
@@ -58,7 +59,9 @@ def disk_needed(dataset: xr.Dataset) -> int:
     needed, blocks = 0.0, 16
     for name, variable in dataset.variables.items():
         bits = 8 * variable.dtype.itemsize
-        share = min(1.0, _noise_bits(dataset, str(name)) / bits + NOISE_SHARE) if bits else 1.0
+        noisy = _noise_bits(dataset, str(name))
+        noisy = -(-noisy // 8) * 8 if codec == "fast" else noisy
+        share = min(1.0, noisy / bits + NOISE_SHARE) if bits else 1.0
         needed += share * variable.nbytes
         chunk = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
         chunks = math.prod(-(-size // step) for size, step in zip(variable.shape, chunk, strict=True))

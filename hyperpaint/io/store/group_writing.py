@@ -42,13 +42,14 @@ class Job:
     dataset: xr.Dataset
     token: str
     settings: str = ""  # Of the run that writes it
+    codec: layout.Codec = "compact"
 
     @property
     def content(self) -> str:
-        """Names what is built: one group is never made by two versions of the program."""
+        """Names what is built: one group is never made by two versions of the program, or with two codecs."""
         from dask.base import tokenize
 
-        return str(tokenize(self.token, version_of_program()))
+        return str(tokenize(self.token, version_of_program(), self.codec))
 
     @property
     def member(self) -> Member:
@@ -87,9 +88,9 @@ def write_arrays(
     variables = {str(name): variable for name, variable in dataset.variables.items()}
     streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
-        _write_metadata(dataset, list(streamed), place.url)
+        _write_metadata(dataset, list(streamed), place.url, job.codec)
         node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
-        targets = {name: _target(node, name, variable, place) for name, variable in streamed.items()}
+        targets = {name: _target(node, name, job, place) for name in streamed}
         finished = _taken_up(targets, leftovers)
         lazy = {
             name: chunks.lazy_checksums(variable, targets[name], finished[name])
@@ -137,13 +138,14 @@ def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRe
                 yield folder.joinpath(name, "c", *map(str, position))
 
 
-def _target(node: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
+def _target(node: Any, name: str, job: Job, place: Location) -> chunks.Target:
     import zarr
 
     config: Any = {"write_empty_chunks": True}
     array = zarr.open_array(node.store_path / name, mode="r+", zarr_format=3, config=config)
     folder = None if place.local is None else place.local / name
-    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
+    fill = layout.fill_value(job.dataset.variables[name].dtype)
+    return chunks.Target(array, folder, array.chunks, fill, job.codec)
 
 
 def _taken_up(
@@ -164,10 +166,10 @@ def _remove_hidden(place: Location) -> None:
         hidden.unlink(missing_ok=True)
 
 
-def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
+def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str, codec: layout.Codec) -> None:
     """Let xarray write the metadata of all variables and the values of those that are not streamed."""
     holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
     template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
-    template, encoding = template[list(dataset.variables)], layout.encoding(dataset)
+    template, encoding = template[list(dataset.variables)], layout.encoding(dataset, codec)
     with without_known_warnings():
         template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from .disk import errors_of_the_system
 from .groups import damaged_groups, groups_above, is_listed
+from .layout import Codec
 from .location import METADATA, Location
 from .root_record import Member, check_set
 from .stage import clear_up
@@ -25,14 +26,16 @@ class WholeRun:
     """Writes the groups of a run, each of which was named when it began; made by `whole_run`."""
 
     def __init__(
-        self, turn: Turn | None, location: Location, members: Mapping[str, Member], *, overwrite: bool
-    ) -> None:
+        self, turn: Turn | None, location: Location, members: Mapping[str, Member], *, overwrite: bool,
+        codec: Codec,
+    ) -> None:  # fmt: skip
         self._turn, self._location, self._members, self._overwrite = turn, location, members, overwrite
+        self._codec = codec
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
         """Write a group; bars go to stderr, so that stdout holds results only."""
         assert self._turn is not None  # a run without pending groups writes none
-        job = job_of(group, dataset, self._members[group])
+        job = job_of(group, dataset, self._members[group], self._codec)
         shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with shown, errors_of_the_system(self._location, {group: dataset}):
             for each in refused_jobs([job], groups_above(group), self._location, overwrite=self._overwrite):
@@ -42,12 +45,12 @@ class WholeRun:
 @contextlib.contextmanager
 def whole_run(
     path: Path, members: Mapping[str, Member], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any],
-    *, command: str, overwrite: bool,
+    *, command: str, overwrite: bool, codec: Codec = "compact",
 ) -> Iterator[WholeRun]:  # fmt: skip
     """Hold a store for a run, and seal it when that ends well; nothing is done where all is there.
 
     ``members``: every group of the run; ``pending``: those that it will write; ``attrs``: of the root;
-    ``command``: finishes an interrupted run, with ``{store}`` in place of the path.
+    ``command``: finishes an interrupted run, with ``{store}`` in place of the path; ``codec``: of `to_store`.
 
     Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
     groups are lacking at the end, of this run or of another that was begun.
@@ -65,7 +68,7 @@ def whole_run(
                 turn = stack.enter_context(
                     Turn.at(location, members, list(pending), above, command=command, overwrite=overwrite)
                 )
-        yield WholeRun(turn, location, members, overwrite=overwrite)
+        yield WholeRun(turn, location, members, overwrite=overwrite, codec=codec)
         if turn is not None:
             with errors_of_the_system(location, pending):
                 sealed = turn.finish({"": dict(attrs)})

@@ -7,9 +7,9 @@ import os
 import uuid
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.base.units import takes_quantities
 
@@ -53,10 +53,11 @@ def to_store(
     overwrite: bool = False,
     progress: bool = False,
     source_token: str | None = None,
+    codec: layout.Codec = "compact",
 ) -> PathT:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
-    Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + bitshuffle, then
+    Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + shuffle, then
     crc32c). `xarray.open_zarr(path, group=...)` opens the result as it went in: counts as uint16, reflectance
     as float32, times to the nanosecond.
 
@@ -94,6 +95,10 @@ def to_store(
         lazy ones, the values for others. What reads files lazily without dask, or a Zarr store other than by
         `open_store`, has no name that follows its content: it is always written anew. Give a token there, or
         where names do not follow the data, such as a digest of the files read and of the parameters.
+    codec
+        ``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor time
+        for a seventh (counts) to two fifths (rounded reflectance) more room. Values are the same, and so is
+        the content: what is there whole is not written again for another codec.
 
     Returns
     -------
@@ -116,8 +121,9 @@ def to_store(
     >>> xr.open_zarr("memory://lot.zarr", group="flightlines/raw_0")["counts"].data.chunksize
     (32, 3, 2)
     """
+    check_codec(codec)
     location = Location.of(path)
-    jobs, attrs = _plan(data, clean_group(group), source_token)
+    jobs, attrs = _plan(data, clean_group(group), source_token, codec)
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         _refuse_own_source(jobs, location)
         above = _groups_without_arrays(jobs, attrs)
@@ -260,7 +266,7 @@ def real_folder(local: Path) -> Path:
 
 
 def _plan(
-    data: xr.Dataset | xr.DataTree, group: str, source_token: str | None
+    data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, codec: layout.Codec
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
     """Return the groups to write, and the attributes of groups without variables."""
     import xarray as xr
@@ -281,13 +287,20 @@ def _plan(
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
         else:
-            jobs.append(Job(name, prepared, _token(dataset, source_token)))
+            jobs.append(Job(name, prepared, _token(dataset, source_token), codec=codec))
     return jobs, attrs
 
 
-def job_of(group: str, dataset: xr.Dataset, member: Member) -> Job:
+def job_of(group: str, dataset: xr.Dataset, member: Member, codec: layout.Codec) -> Job:
     """Return what is to be written of a group of a run, which says itself what it is made from."""
-    return Job(group, layout.prepare(dataset, group), _token(dataset, member.identity), member.settings)
+    token = _token(dataset, member.identity)
+    return Job(group, layout.prepare(dataset, group), token, member.settings, codec)
+
+
+def check_codec(codec: str) -> None:
+    """Refuse a word that is no codec (`SchemaError`)."""
+    if codec not in get_args(layout.Codec):
+        raise SchemaError(f"codec={codec!r}, expected 'compact' or 'fast'")
 
 
 def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
@@ -376,12 +389,19 @@ def _held(location: Location, groups: Collection[str]) -> Iterator[Staging | Non
         yield stage
 
 
-def check_room(groups: Mapping[str, xr.Dataset], path: str | Path, tokens: Mapping[str, str]) -> None:
+def check_room(
+    groups: Mapping[str, xr.Dataset],
+    path: str | Path,
+    tokens: Mapping[str, str],
+    codec: layout.Codec = "compact",
+) -> None:
     """Refuse groups (name to what `to_store` will be given) that together do not fit on a store's disk.
 
     ``tokens`` are their source tokens; the error gives the figures.
     """
-    jobs = [Job(name, dataset, _token(dataset, tokens[name])) for name, dataset in groups.items()]
+    jobs = [
+        Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
+    ]
     _check_disk(jobs, Location.of(path))
 
 
@@ -390,7 +410,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
         return
     stage = Staging(real_folder(location.local))
     begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.content)]
-    check_disk(location.local, sum(disk_needed(job.dataset) for job in jobs), begun)
+    check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:

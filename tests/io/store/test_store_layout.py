@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import Any
 
 import dask.array as da
 import numpy as np
@@ -53,10 +55,19 @@ def test_storage_chunks(dims: tuple[str, ...], shape: tuple[int, ...], expected:
 
 @pytest.mark.parametrize("dtype", ["uint16", "float32", "float64", "int64", "uint8", "bool", "int16"])
 @pytest.mark.parametrize("lines", [32, 5])
-def test_chunk_has_the_bytes_that_zarr_writes(dtype: str, lines: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("codec", ["compact", "fast"])
+@pytest.mark.parametrize("package", ["blosc", "numcodecs"])
+def test_chunk_has_the_bytes_that_zarr_writes(
+    dtype: str, lines: int, codec: Any, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if package == "blosc":
+        pytest.importorskip("blosc")
+    else:
+        monkeypatch.setitem(sys.modules, "blosc", None)
+    monkeypatch.setattr(layout, "_blosc", layout._blosc.__wrapped__)
     values = (np.random.default_rng(0).random((lines, 7, 11)) * 100).astype(dtype)
     variable = xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype))
-    encoding = layout.encoding_of(variable)
+    encoding = layout.encoding_of(variable, codec)
     array = zarr.create_array(
         tmp_path / "a.zarr",
         shape=(lines, 7, 11),
@@ -66,7 +77,7 @@ def test_chunk_has_the_bytes_that_zarr_writes(dtype: str, lines: int, tmp_path: 
         fill_value=encoding["fill_value"],
     )
     array[:] = values
-    encoded, crc = layout.encode_chunk(values, encoding["chunks"], encoding["fill_value"])
+    encoded, crc = layout.encode_chunk(values, encoding["chunks"], encoding["fill_value"], codec)
     assert (tmp_path / "a.zarr/c/0/0/0").read_bytes() == encoded + crc
 
 

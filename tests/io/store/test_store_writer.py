@@ -18,7 +18,7 @@ import xarray as xr
 import zarr
 from support.codecs import plain_zarr
 
-from hyperpaint.base.errors import StoreError
+from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
 from hyperpaint.io.store.groups import reads_from
 
@@ -435,6 +435,20 @@ def test_each_source_block_is_computed_once(tmp_path: Path) -> None:
     with dask.config.set(scheduler="synchronous"):
         to_store(shared, tmp_path / "a.zarr")
     assert len(calls) == 3
+
+
+def test_the_fast_codec_holds_the_same_values_and_any_reader_reads_it(tmp_path: Path) -> None:
+    source, path = flightline(), tmp_path / "a.zarr"
+    to_store(source, path, GROUP, source_token="a", codec="fast")
+    assert b'"shuffle":"shuffle"' in (path / GROUP / "counts/zarr.json").read_bytes().replace(b" ", b"")
+    assert_same(open_store(path, GROUP), source)
+    assert_same(xr.open_zarr(path, group=GROUP), source)
+    assert verify(path).ok
+    written = (path / GROUP / "counts/c/0/0/0").stat().st_mtime_ns
+    to_store(source, path, GROUP, source_token="a")  # the same content, which stays as it is
+    assert (path / GROUP / "counts/c/0/0/0").stat().st_mtime_ns == written
+    with pytest.raises(SchemaError, match="'compact' or 'fast'"):
+        to_store(source, path, codec="zstd")  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
