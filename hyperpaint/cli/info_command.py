@@ -26,11 +26,14 @@ from hyperpaint.report.summaries import (
     range_of,
     size_of,
     times_of,
+    with_times,
 )
 
 from .console import EXISTING
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from hyperpaint.workflows.field_folder import FieldFolder
 
 __all__ = ["describe_path", "facts_of_path", "info"]
@@ -436,11 +439,13 @@ def _group(path: Path, name: str) -> Facts:
     from hyperpaint.io.store import open_group, open_unverified
     from hyperpaint.io.store.record import COMPLETE
 
+    # without dask, pint and what else xarray imports to chunk, to decode times and to build an index
+    opened_by = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
-        group = open_group(path, name)
+        group = with_times(open_group(path, name, **opened_by))
         yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
     except IncompleteStoreError as error:
-        group = open_unverified(path, name)
+        group = with_times(open_unverified(path, name, **opened_by))
         # what the store writer began carries its stamp from the first moment on
         foreign = COMPLETE not in group.attrs and "hyperpaint_version" not in group.attrs
         unsealed = "no completion record (not written by hyperpaint's store writer)"
@@ -456,8 +461,12 @@ def _group(path: Path, name: str) -> Facts:
     else:
         named = "paint" in group.coords and group["paint"].ndim == 1
         yield "paints", _first_of(group["paint"].values.tolist()) if named else ""
-        yield from ((str(key), form_of(array)) for key, array in sorted(group.data_vars.items(), key=str))
+        yield from ((name, form_of(array)) for name, array in _sorted(group))
         yield from facts_of_bands(group)
+
+
+def _sorted(group: xr.Dataset) -> list[tuple[str, xr.DataArray]]:
+    return sorted(((str(name), array) for name, array in group.data_vars.items()), key=lambda item: item[0])
 
 
 def _joined(facts: Facts) -> str:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Facts", "counted", "facts_of_bands", "facts_of_grid", "facts_of_irradiance", "facts_of_line",
     "facts_of_map", "form_of", "range_of", "size_of", "stored_overview", "summary_html", "summary_text",
-    "times_of",
+    "times_of", "with_times",
 ]  # fmt: skip
 
 
@@ -131,6 +131,25 @@ def times_of(times: Any) -> str:
     return f"{first} to {last} UTC{lost}"
 
 
+def with_times(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset that was opened with ``decode_times=False`` with its times.
+
+    Those of our stores are 64-bit counts already. xarray's own decoding, left to times of others, imports
+    dask and pint to ask whether the numbers are theirs, which takes longer than all else of a summary.
+    """
+    import xarray as xr
+
+    coded = {name: one for name, one in dataset.variables.items() if " since " in str(one.attrs.get("units"))}
+    if any(one.attrs["units"] != _STORED_TIMES or one.dtype != np.int64 for one in coded.values()):
+        return xr.decode_cf(dataset, mask_and_scale=False)
+    times = {
+        name: xr.Variable(one.dims, one.values.view("M8[ns]"), fastpath=True) for name, one in coded.items()
+    }
+    coords = xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
+    variables = {name: times[name] for name in times if name in dataset.data_vars}
+    return dataset.assign(variables).assign_coords(coords)
+
+
 def size_of(count: int) -> str:
     """Return a number of bytes for reading."""
     size = float(count)
@@ -141,6 +160,7 @@ def size_of(count: int) -> str:
     return f"{size:.1f} GB"
 
 
+_STORED_TIMES = "nanoseconds since 1970-01-01"
 _MOST_READ_BYTES = 8 * 2**20
 _MOST_NAMES = 40
 

@@ -143,13 +143,16 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     """
     import dask
 
-    from hyperpaint.io.store.computing import client_in_force
+    from hyperpaint.io.store.computing import client_in_force, scheduler_in_force
 
     if address is None:
         client = client_in_force()
         if client is not None:
             _wait_for_workers(client)
-        yield client
+        # dask need not look for a client again
+        chosen = client is not None or dask.config.get("scheduler", None)
+        with dask.config.set({} if chosen else {"scheduler": scheduler_in_force()}):
+            yield client
         return
     with needs_extra("distributed", "distributed", "processing on a cluster"):
         from distributed import Client

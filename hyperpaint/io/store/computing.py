@@ -60,7 +60,6 @@ def compute(
         block. Other errors of a task are raised as they are, with a note that names it.
     """
     import numpy as np
-    from dask.base import get_scheduler
     from dask.highlevelgraph import HighLevelGraph
 
     if not lazy:
@@ -75,7 +74,7 @@ def compute(
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
     if client is None:
-        results = _on_threads(get_scheduler(collections=arrays), graph, blocks, group, progress=progress)
+        results = _on_threads(scheduler_in_force(), graph, blocks, group, progress=progress)
     else:
         results = _on_cluster(client, graph, blocks, group)
         results = _with_bar(results, len(blocks)) if progress else results
@@ -87,10 +86,23 @@ def compute(
 
 def client_in_force() -> Client | None:
     """Return the client with which dask computes, None where it is none."""
+    client = getattr(scheduler_in_force(), "__self__", None)
+    return client if hasattr(client, "scheduler_info") else None
+
+
+def scheduler_in_force() -> Any:
+    """Return what dask computes arrays with.
+
+    dask itself imports distributed to ask for a client, which takes a quarter of a second; where nobody has
+    imported it, there is none.
+    """
+    import dask
+    import dask.threaded
     from dask.base import get_scheduler
 
-    client = getattr(get_scheduler(), "__self__", None)
-    return client if hasattr(client, "scheduler_info") else None
+    if "distributed" in sys.modules or dask.config.get("scheduler", None):
+        return get_scheduler() or dask.threaded.get
+    return dask.threaded.get
 
 
 @contextlib.contextmanager

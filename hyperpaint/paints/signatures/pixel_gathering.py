@@ -9,6 +9,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
+from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
 
 if TYPE_CHECKING:
@@ -90,12 +91,11 @@ def _taken(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: 
 def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
     """Compute everything at once, so that what the tasks share is computed once."""
     import dask
-    from dask.base import get_scheduler
 
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
-    client = getattr(get_scheduler(), "__self__", None)
-    if client is not None and hasattr(client, "scheduler_info"):
+    client = client_in_force()
+    if client is not None:
         from distributed import as_completed
 
         futures = client.compute(tasks)
