@@ -22,7 +22,8 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
     if most <= last:
         return
     share = float(np.mean(sample.most > last))
-    multiple = f", all multiples of {sample.divisor}: left-justified" if sample.divisor > 1 else ""
+    shifted = sample.divisor > 1 and sample.divisor.bit_count() == 1  # by whole bits
+    multiple = f", all multiples of {sample.divisor}: left-justified" if shifted else ""
     yield Finding(
         KINDS["stray-counts" if share < STRAY_SHARE else "counts-over-range"], name,
         f"counts up to {most}{multiple}, above {last} in {100 * share:.3g} % of the elements",

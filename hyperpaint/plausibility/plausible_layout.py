@@ -29,6 +29,9 @@ class LayoutRules:
         Mean squared difference of neighbouring bands over twice the variance [1]: from where on it is looked
         for a better layout, and how many times smoother that is: 30 times in another interleave, 1000 times
         with bytes exchanged.
+    unlike
+        The same [1] above which bands have nothing in common in the other layout either (1: noise): one band
+        of status words makes a picture rougher than noise, and every other layout smoother.
     separate, separation
         Share of the variance that bands explain in the better interleave, and over that share as it is [1]:
         light and camera give every band a level of its own, and a wrong order mixes them. Without it,
@@ -39,6 +42,7 @@ class LayoutRules:
     pixels: int = 64
     rough: float = 0.1
     smoother: float = 10.0
+    unlike: float = 0.5
     separate: float = 0.06
     separation: float = 0.5
 
@@ -78,9 +82,10 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
     own = views.pop(header.interleave)
     if own.roughness <= RULES.rough:
         return
+    smooth = min(own.roughness / RULES.smoother, RULES.unlike)
     if header.dtype.itemsize == 2:
         swapped = _View(*(part.astype(header.dtype).byteswap().astype(np.float64) for part in own))
-        if swapped.roughness * RULES.smoother < own.roughness:
+        if swapped.roughness < smooth:
             other = "0 (little)" if header.dtype.newbyteorder("<") != header.dtype else "1 (big)"
             yield Finding(
                 KINDS["byte-order"], name,
@@ -90,7 +95,7 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
             return
     order, best = min(views.items(), key=lambda item: item[1].roughness)
     least = max(RULES.separate, RULES.separation * own.separation)
-    if best.roughness * RULES.smoother < own.roughness and best.separation > least:
+    if best.roughness < smooth and best.separation > least:
         yield Finding(
             KINDS["interleave"], name,
             f"neighbouring bands differ by {own.roughness:.2g} of the variance as {header.interleave}, by "

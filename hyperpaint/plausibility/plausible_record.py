@@ -59,6 +59,12 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         return
     spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
     times = line[IRRADIANCE_TIME].values
+    if not np.isfinite(spectra).any():
+        yield Finding(
+            KINDS["irradiance-level"], name,
+            f"none of the {len(spectra)} spectra has a value: all are zero, or undefined", "daylight",
+        )  # fmt: skip
+        return
     yield from _judge_changes(name, spectra, times, line["time"].values)
     channels = line["irradiance_wavelength"].values.astype(np.float64)
     place = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}

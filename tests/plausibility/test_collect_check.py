@@ -15,7 +15,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
 from hyperpaint.plausibility.line_judging import _dark_of
-from hyperpaint.plausibility.plausible_record import judge_navigation
+from hyperpaint.plausibility.plausible_record import judge_irradiance, judge_navigation
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -71,6 +71,32 @@ def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_
     (finding,) = check_collect(collect)
     assert finding.kind.name == "stray-counts"
     assert not finding.kind.refused
+
+
+def test_a_band_of_status_words_is_no_order_of_bytes(collect: Path) -> None:
+    def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        # light that hardly varies, so that the words are all that the picture shows
+        frames = counts.reshape(40, 40, 24) // 64 + 400
+        frames[:, 5] = 65000
+        return frames
+
+    _change(collect.parent / "flight/raw_0", stamped)
+    findings = check_collect(collect)
+    assert "counts-over-range" in {each.kind.name for each in findings}
+    assert "byte-order" not in {each.kind.name for each in findings}
+
+
+def test_counts_of_one_value_are_not_called_left_justified(collect: Path) -> None:
+    _change(collect.parent / "flight/raw_0", lambda counts: counts * 0 + 65000)
+    (found,) = (each.found for each in check_collect(collect) if each.kind.name == "counts-over-range")
+    assert found == "counts up to 65000, above 4095 in 100 % of the elements"
+
+
+def test_a_record_of_zeros_is_no_daylight(collect: Path) -> None:
+    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
+    (finding,) = judge_irradiance("raw_0", line.assign(irradiance=line["irradiance"] * np.nan))
+    assert finding.kind.name == "irradiance-level"
+    assert "spectra has a value: all are zero, or undefined" in finding.found
 
 
 def test_a_record_that_stands_still_matters_to_reflectance_only(
