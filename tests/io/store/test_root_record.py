@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import warnings
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -440,40 +439,3 @@ def test_a_copied_part_with_swapped_groups_is_not_whole(store: Path, tmp_path: P
         os.rename(copy / old, copy / new)
     consolidate(copy)
     assert f"/raw_0: swapped or copied: by its own record it is /{LINES[1]}" in problems(copy)
-
-
-# --- released formats ---
-
-
-@pytest.fixture
-def released(tmp_path: Path) -> Path:
-    """Unpack a store of format 1: two lines written by `to_store` of 0.1, before root records."""
-    with zipfile.ZipFile(Path(__file__).with_name("released") / "format_1.zip") as archive:
-        archive.extractall(tmp_path)
-    return tmp_path / "format_1.zarr"
-
-
-def test_a_store_of_format_1_opens_with_a_note(released: Path) -> None:
-    report = hp.verify(released)
-    assert report.ok
-    assert "written by hyperpaint 0.1" in report.notes[0]
-    assert "note: " in str(report)
-    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
-        tree = hp.open_store(released)
-    for number in (1, 2):
-        expected = np.random.default_rng(number).integers(0, 4096, (40, 3, 4), dtype="uint16")
-        np.testing.assert_array_equal(tree[f"flightlines/raw_{number}"]["counts"].values, expected)
-    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
-        hp.open_store(released, "flightlines/raw_1")
-
-
-def test_a_store_of_format_1_takes_more_groups(released: Path) -> None:
-    hp.to_store(line(7), released, "signatures")
-    report = hp.verify(released)
-    assert report.ok
-    assert "held groups before the record" in report.notes[0]
-    with pytest.warns(PaintWarning, match="held groups before the record"):
-        hp.open_store(released)
-    assert hp.open_store(released, "flightlines/raw_1").sizes["band"] == 3
-    shutil.rmtree(released / "flightlines/raw_1")
-    assert "/flightlines/raw_1: deleted" in problems(released)
