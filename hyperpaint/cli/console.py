@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "SIGNALLED", "WRONG_INPUT",
-    "beside", "given_of", "is_watched", "progress_bar", "say_outcome",
+    "beside", "given_of", "is_watched", "progress_bar", "refuse_in_store", "say_outcome",
 ]  # fmt: skip
 
 PLACE = click.Path(path_type=Path)
@@ -59,6 +59,13 @@ def progress_bar(label: str, shown: bool) -> Iterator[Any]:
 def beside(source: Path, name: str) -> Path:
     """Return where a product goes that nobody gave a place: to its source, under a name of its own."""
     return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
+
+
+def refuse_in_store(store: Path, *products: Path | None) -> None:
+    """Refuse to write a product into the store that it is made from, whatever may be overwritten."""
+    for path in products:
+        if path is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
+            raise click.UsageError(f"{path} is in the store itself; choose another path")
 
 
 def given_of(options: Mapping[str, Any]) -> dict[str, Any]:

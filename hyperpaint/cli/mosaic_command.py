@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, FILE, PLACE, beside, given_of, is_watched, progress_bar
+from .console import EXISTING, FILE, PLACE, beside, given_of, is_watched, progress_bar, refuse_in_store
 from .location_options import takes_location
 
 __all__ = ["make_mosaic"]
@@ -57,6 +57,7 @@ def make_mosaic(
     out = out or beside(store, "mosaic.tif")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}: expected a name that ends in .tif or .zarr")
+    refuse_in_store(store, out, seamlines)
     for path in (out, seamlines):
         if path is not None and path.exists() and not overwrite:
             raise click.UsageError(f"{path} exists; give another place, or --overwrite")

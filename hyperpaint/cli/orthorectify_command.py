@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar
+from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar, refuse_in_store
 from .location_options import takes_location
 
 __all__ = ["make_map"]
@@ -66,6 +66,7 @@ def make_map(store: Path, line: str | None, out: Path | None, quiet: bool, **opt
         raise click.UsageError(f"--geozarr is of Zarr stores, and --out is {out}")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}: expected a name that ends in .tif or .zarr")
+    refuse_in_store(store, out)
     given = given_of(options)
     with progress_bar("looking", is_watched(quiet)) as shown:
         orthomap = map_of_store(store, line, progress=shown, **given)

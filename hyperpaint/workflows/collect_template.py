@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError
+from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.io.files.toml_tables import UNKNOWN
 
@@ -50,11 +50,13 @@ def write_collect_toml(
     Raises
     ------
     StoreError
-        The file is there already, or cannot be written.
+        The file is there already, is another than a ``.toml``, or cannot be written.
     """
     from hyperpaint.io.files.publishing import publish_file
 
     path = found.folder / "collect.toml" if path is None else Path(path)
+    if path.exists() and path.suffix.lower() != ".toml":
+        raise StoreError(f"{path} is no collect.toml, and stays as it is; choose another path")
     text = "\n".join(_text(found, path.parent))
     publish_file(path, text.encode(), overwrite=overwrite)
     return path

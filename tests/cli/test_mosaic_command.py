@@ -55,7 +55,10 @@ def test_what_is_wrong_is_said(store: Path) -> None:
     for options, reason in (
         (["--out", "map.png"], "ends in .tif or .zarr"),
         (["--line", "raw_9", "--out", "map.zarr"], "there is no raw_9"),
-        (["--out", str(store)], "exists"),
+        (["--out", str(store), "--overwrite"], "in the store itself"),
+        (["--out", str(store / "map.tif")], "in the store itself"),
+        (["--out", "map.tif", "--seamlines", str(store / "zarr.json"), "--overwrite"], "in the store itself"),
+        (["--out", str(store.parent), "--overwrite"], "ends in .tif or .zarr"),
     ):
         done = CliRunner().invoke(main, ["mosaic", str(store), *options])
         assert done.exit_code == 2

@@ -50,6 +50,11 @@ def test_what_is_wrong_is_said(store: Path) -> None:
     done = CliRunner().invoke(main, ["orthorectify", str(store), "--line", "raw_9", "--out", "map.zarr"])
     assert done.exit_code == 2
     assert "there is no 'raw_9'" in done.output
+    for place in (store, store / "map.tif", store / "flightlines" / "map.zarr"):
+        done = CliRunner().invoke(main, ["orthorectify", str(store), "--out", str(place), "--overwrite"])
+        assert done.exit_code == 2
+        assert "in the store itself" in done.output
+        assert hp.verify(store).ok
 
 
 # rioxarray multiplies transforms the old way

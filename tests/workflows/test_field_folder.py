@@ -196,6 +196,14 @@ def test_binned_pixels_leave_the_field_of_view_open(folder: Path) -> None:
     assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
 
 
+def test_what_is_no_toml_is_not_written_over(folder: Path) -> None:
+    for name in ("flight/settings.txt", "flight/raw_0", "calibration.zarr/zarr.json"):
+        before = (folder / name).read_bytes()
+        with pytest.raises(hp.StoreError, match=r"is no collect\.toml, and stays as it is"):
+            write_collect_toml(find_field_files(folder), folder / name, overwrite=True)
+        assert (folder / name).read_bytes() == before
+
+
 def test_a_calibration_that_does_not_open_is_said(folder: Path, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "camera.zarr")
     found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
