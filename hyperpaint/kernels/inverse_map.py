@@ -15,7 +15,7 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import InverseTile, LinePositions, MapCells
 
-__all__ = ["FIRST", "LAST", "NADIR", "fill_between", "invert_lines"]
+__all__ = ["FIRST", "LAST", "NADIR", "fill_between", "invert_lines", "look_at_lines"]
 
 
 NADIR, FIRST, LAST = 0, 1, 2
@@ -90,18 +90,23 @@ def _nearest_corner(
 
 
 @kernel
-def _to_cells(east: Array, north: Array, frame: Array, x: Array, y: Array) -> tuple[float, float]:
-    """Write where the pixels of a line lie, in cells; return the least and the largest row."""
-    low, high = math.inf, -math.inf
-    for j in range(east.size):
+def _to_cells(
+    east: Array, north: Array, frame: Array, x: Array, y: Array, reach: tuple[float, float, float, float]
+) -> tuple[int, int]:
+    """Write where the pixels of a line lie, in cells; return the first and last column within reach.
+
+    ``reach`` is the least and the largest row, and column, that a corner of a patch over the tile can lie at.
+    """
+    for j in range(east.size):  # apart from what follows, which has branches: this is done eight at a time
         e, n = east[j] - frame[0], north[j] - frame[1]
         x[j] = frame[2] * e + frame[3] * n
         y[j] = frame[4] * e + frame[5] * n
-        if y[j] < low:
-            low = y[j]
-        if y[j] > high:
-            high = y[j]
-    return low, high
+    first, last = 0, east.size - 1
+    while first <= last and not (reach[0] <= y[first] <= reach[1] and reach[2] <= x[first] <= reach[3]):
+        first += 1
+    while last > first and not (reach[0] <= y[last] <= reach[1] and reach[2] <= x[last] <= reach[3]):
+        last -= 1
+    return first, last
 
 
 @kernel
@@ -118,17 +123,21 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     columns = east.shape[1]
     x0, y0, x1, y1 = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
     box = np.empty((5, columns))
-    low0, high0 = _to_cells(positions.east_before, positions.north_before, frame, x0, y0)
+    # no edge of a patch is longer, and no corner farther from a cell inside than two edges
+    away = 2.0 * cells.longest + 1.0
+    reach = (first_row - away, last_row + away, first_col - away, last_col + away)
+    start0, stop0 = _to_cells(positions.east_before, positions.north_before, frame, x0, y0, reach)
     for i in range(east.shape[0]):
-        low1, high1 = _to_cells(east[i], north[i], frame, x1, y1)
+        start1, stop1 = _to_cells(east[i], north[i], frame, x1, y1, reach)
+        start, stop = max(start0, start1), min(stop0, stop1)
         start_v = -_OUTER if first + i == 1 else -_EDGE
         end_v = 1.0 + _OUTER if first + i == last else 1.0 - _EDGE
-        if low0 <= high0 and low1 <= high1 and max(high0, high1) >= first_row and min(low0, low1) <= last_row:
-            for j in range(columns):
+        if start < stop:
+            for j in range(start, stop + 1):
                 box[0, j], box[1, j] = min(x0[j], x1[j]) - _OUTER, max(x0[j], x1[j]) + _OUTER
                 box[2, j], box[3, j] = min(y0[j], y1[j]) - _OUTER, max(y0[j], y1[j]) + _OUTER
                 box[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
-            for j in range(columns - 1):
+            for j in range(start, stop):
                 if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is not known
                     continue
                 if hidden.size and hidden[i, j]:
@@ -179,7 +188,7 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
                             nearest[1, r, c] = j + aside
         x0, x1 = x1, x0
         y0, y1 = y1, y0
-        low0, high0 = low1, high1
+        start0, stop0 = start1, stop1
 
 
 @kernel
@@ -220,3 +229,27 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
                     math.ceil(max(crossing[k], first_col)), math.floor(min(crossing[k + 1], last_col)) + 1
                 ):
                     inside[row - first_row, col - first_col] = True
+
+
+@kernel
+def look_at_lines(east: Array, north: Array, frame: Array, out: Array) -> None:
+    """Write the box and the ends of lines, of the pixels that have a place; NaN stays where none has.
+
+    ``frame`` (6,) are east and north of an anchor, then what turns ways from there into ways to the right,
+    and down; ``out`` (line, 8 or more) the least and the largest way to the right and down [m], then east and
+    north of the first and the last pixel.
+    """
+    for line in range(east.shape[0]):
+        left, right, upper, lower = math.inf, -math.inf, math.inf, -math.inf
+        for column in range(east.shape[1]):
+            if not (math.isfinite(east[line, column]) and math.isfinite(north[line, column])):
+                continue
+            e, n = east[line, column] - frame[0], north[line, column] - frame[1]
+            x, y = frame[2] * e + frame[3] * n, frame[4] * e + frame[5] * n
+            if left == math.inf:
+                out[line, 4], out[line, 5] = east[line, column], north[line, column]
+            out[line, 6], out[line, 7] = east[line, column], north[line, column]
+            left, right = min(left, x), max(right, x)
+            upper, lower = min(upper, y), max(lower, y)
+        if left < math.inf:
+            out[line, 0], out[line, 1], out[line, 2], out[line, 3] = left, right, upper, lower

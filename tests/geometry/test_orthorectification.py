@@ -345,6 +345,16 @@ def test_types_that_are_no_numbers_are_refused() -> None:
         hp.geometry.orthorectify(line.assign(odd), variables=list(odd))
 
 
+def test_places_that_are_kept_have_the_bits_of_those_that_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = located(fly(100, 10)).chunk(along_track=32)
+    for grid in ("north", "flight"):
+        kept = hp.geometry.orthorectify(line, grid=grid, variables=["quality"]).compute()
+        with monkeypatch.context() as patched:
+            patched.setattr("hyperpaint.geometry.orthorectification.mapping._MAX_KEPT_BYTES", 0)
+            again = hp.geometry.orthorectify(line, grid=grid, variables=["quality"]).compute()
+        xr.testing.assert_identical(kept, again)
+
+
 def test_progress_is_told() -> None:
     told: list[tuple[int, int]] = []
     hp.geometry.orthorectify(

@@ -7,17 +7,17 @@ however long the flight.
 from __future__ import annotations
 
 import math
+import uuid
 from dataclasses import dataclass
 from typing import Any
 
-import dask
 import dask.array as da
 import numpy as np
 from dask.callbacks import Callback
+from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.georeference.coverage import line_ends
 
 __all__ = [
     "Axes", "Box", "MapGrid", "Progress", "Survey", "box_of", "covering", "direction_of_flight",
@@ -173,6 +173,8 @@ _SAMPLED_LINES = 64
 """Lines that the direction of flight is found from."""
 _SAMPLED_COLUMNS = 64
 """Columns of a line, at the least, that its spacing is the median of."""
+_TOGETHER = 8
+"""Slabs of a task."""
 _COLUMNS = 10
 """Of a line: its box (4), its ends (4), its median spacing across and along (2)."""
 
@@ -228,7 +230,9 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     SchemaError
         No pixel has a place.
     """
-    surveyed = _computed(east, north, list(range(east.numblocks[0])), axes, progress)
+    slabs = range(east.numblocks[0])
+    groups = [list(slabs[first : first + _TOGETHER]) for first in slabs[::_TOGETHER]]
+    surveyed = _computed(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
     starts = np.cumsum([len(rows) for rows, _ in surveyed])
     for (_, (_, before)), (_, (after, _)), start in zip(surveyed, surveyed[1:], starts, strict=False):
@@ -244,7 +248,8 @@ def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
     touched = np.unique(slabs)
-    surveyed = _computed(east, north, touched.tolist(), Axes((1.0, 0.0), (0.0, 0.0)), None)
+    groups = [[slab] for slab in touched.tolist()]
+    surveyed = _computed(east, north, groups, Axes((1.0, 0.0), (0.0, 0.0)), None)
     rows = [
         table[lines[slabs == slab] - edges[slab], 4:8]
         for slab, (table, _) in zip(touched, surveyed, strict=True)
@@ -260,51 +265,54 @@ _NOTHING_PLACED = (
 
 
 def _computed(
-    east: da.Array, north: da.Array, slabs: list[int], axes: Axes, progress: Progress | None
+    east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    """Return what is found in slabs, with the progress reported where possible."""
-    blocks = [array.to_delayed(optimize_graph=False).ravel() for array in (east, north)]
-    look = dask.delayed(_looked_at, pure=False)
-    tasks = [look(blocks[0][slab], blocks[1][slab], axes) for slab in slabs]
+    """Return what is found in groups of slabs that follow one another, with the progress where possible."""
+    # as one array: a collection a slab would cost more than the look
+    name = f"look-{uuid.uuid4().hex}"
+    layer = {
+        (name, k): (_looked_at, *([(of.name, slab, 0) for slab in group] for of in (east, north)), axes)
+        for k, group in enumerate(groups)
+    }
+    graph = HighLevelGraph.from_collections(name, layer, dependencies=[east, north])
+    lazy = da.Array(graph, name, chunks=((1,) * len(groups),), meta=np.empty(0, object))
     if progress is None:
-        return list(dask.compute(*tasks))
-    waiting = {task.key for task in tasks}
+        return list(lazy.compute())
+    waiting, slabs = dict(zip(layer, groups, strict=True)), sum(map(len, groups))
 
     def report(key: Any, *_: Any) -> None:
-        if key in waiting:
-            waiting.discard(key)
-            progress(len(tasks) - len(waiting), len(tasks))
+        if waiting.pop(key, None) is not None:
+            progress(slabs - sum(map(len, waiting.values())), slabs)
 
     # schedulers of a cluster do not call it: they report the end alone
     with Callback(posttask=report):
-        surveyed = list(dask.compute(*tasks))
+        surveyed = list(lazy.compute())
     if waiting:
-        progress(len(tasks), len(tasks))
+        progress(slabs, slabs)
     return surveyed
 
 
-def _looked_at(east: Floats, north: Floats, axes: Axes) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Return the rows of the lines of a slab (line, `_COLUMNS`), and where some pixels of its ends lie."""
-    out = np.full((len(east), _COLUMNS), np.nan)
-    step = max(1, east.shape[1] // _SAMPLED_COLUMNS)
-    some = np.stack([east[:, ::step], north[:, ::step]])
-    ends = some[:, 0].copy(), some[:, -1].copy()
-    is_placed = np.isfinite(east) & np.isfinite(north)
-    lines = np.flatnonzero(is_placed.any(axis=1))
-    if not lines.size:
-        return out, ends
-    x, y = axes.along(east[lines], north[lines])
-    for column, (way, reduce, empty) in enumerate(
-        ((x, np.min, np.inf), (x, np.max, -np.inf), (y, np.min, np.inf), (y, np.max, -np.inf))
-    ):
-        out[lines, column] = reduce(
-            way if is_placed.all() else np.where(is_placed[lines], way, empty), axis=1
-        )
-    out[lines, 4:8] = line_ends(east[lines], north[lines]).reshape(-1, 4)
-    across = [part[:, 1::step] - part[:, :-1:step] for part in (east, north)]
-    out[:, 8] = _medians(np.hypot(*across))
+def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
+    """Return the rows of the lines of some slabs (line, `_COLUMNS`), and where pixels of their ends lie.
+
+    As an array of this one object.
+    """
+    from hyperpaint.kernels.inverse_map import look_at_lines
+
+    out = np.full((sum(map(len, easts)), _COLUMNS), np.nan)
+    frame = np.array([*axes.anchor, *axes.right, *axes.down])
+    first = 0
+    for east, north in zip(easts, norths, strict=True):
+        look_at_lines(east, north, frame, out[first : first + len(east)])
+        first += len(east)
+    step = max(1, easts[0].shape[1] // _SAMPLED_COLUMNS)
+    some = np.stack([np.concatenate([part[:, ::step] for part in of]) for of in (easts, norths)])
+    after = np.stack([np.concatenate([part[:, 1::step] for part in of]) for of in (easts, norths)])
+    out[:, 8] = _medians(np.hypot(*(after - some[:, :, : after.shape[2]])))
     out[:-1, 9] = _medians(np.hypot(*np.diff(some, axis=1)))
-    return out, ends
+    looked = np.empty(1, object)
+    looked[0] = out, (some[:, 0].copy(), some[:, -1].copy())
+    return looked
 
 
 def _medians(steps: Floats) -> Floats:

@@ -26,11 +26,12 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
+from hyperpaint.io.store.computing import client_in_force
 
 from .grids import MapGrid, Progress, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
 from .indexing import RULES, Plan, areas_between, needed_slabs
 from .plausibility import swath_attrs
-from .tiling import Tiles, in_slabs, mapped, prepared, tile_windows
+from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
 
 __all__ = ["map_report", "orthorectify"]
 
@@ -49,6 +50,8 @@ _MAX_PARALLAX_PX = 1.05
 On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind cars
 is shown; with 0.6 no fewer than with 1.05, and more of what was seen is lost (support/hidden_ground.py).
 """
+_MAX_KEPT_BYTES = 64 * 2**20
+"""Places of pixels that are kept from the look at all lines, for the tiles: 6,500 lines of 640 columns."""
 _MAX_TILES = 100_000
 """A graph of more takes minutes and gigabytes before anything is computed."""
 
@@ -147,7 +150,8 @@ def orthorectify(
     the surface falls away steeper than the line of sight, and nothing between them was seen. Some cells along
     the edges of what stands up, which were seen in part, go with it.
 
-    Where pixels lie is computed twice: once to learn the extent, and once a tile. Of a long line over a DEM,
+    Where pixels lie is computed once of a line on level ground of up to 4 million pixels, else twice: once to
+    learn the extent, and once a tile. Of a long line over a DEM,
     ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` trades 16 bytes a
     pixel for it.
 
@@ -269,8 +273,23 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
         surface = require(line, _RELIEF, "a map without hidden ground")
         height, zenith = (in_slabs(surface[name], lines).astype(np.float64) for name in _RELIEF)
         relief = [height, np.tan(np.radians(zenith))]
-    east, north = (in_slabs(each, lines).astype(np.float64) for each in coordinates.values())
-    return [east, north, *relief], crs
+    places = [in_slabs(each, lines).astype(np.float64) for each in coordinates.values()]
+    is_lazy = any(each.chunks is not None for each in coordinates.values())
+    # heights are computed with them, in the same tasks, and would be once more all the same
+    return [*(_kept(places) if is_lazy and not relief else places), *relief], crs
+
+
+def _kept(places: list[da.Array]) -> list[da.Array]:
+    """Return places in memory, of a line that is not too long, to follow rays once (eager)."""
+    if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
+        return places
+    kept = [np.empty(place.shape) for place in places]
+    da.store(places, kept, lock=False)
+    names = (f"kept-{place.name}" for place in places)
+    return [
+        in_memory(*each, place.chunks)
+        for each, place in zip(zip(kept, names, strict=True), places, strict=True)
+    ]
 
 
 def _planned(

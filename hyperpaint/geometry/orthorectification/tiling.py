@@ -34,7 +34,7 @@ from .indexing import (
     reading_of,
 )
 
-__all__ = ["Tiles", "empty_value", "in_slabs", "mapped", "prepared", "tile_windows"]
+__all__ = ["Tiles", "empty_value", "in_memory", "in_slabs", "mapped", "prepared", "tile_windows"]
 
 
 Place = tuple[int, int]
@@ -333,6 +333,10 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
     if not isinstance(values, np.ndarray):
         lazy: da.Array = array.chunk(chunks).data
         return lazy
-    name = f"in-memory-{uuid.uuid4().hex}"
+    return in_memory(values, f"in-memory-{uuid.uuid4().hex}", tuple(chunks.values()))
+
+
+def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
+    """Return an array in memory as one of chunks, which are views of it."""
     meta = np.empty((0,) * values.ndim, values.dtype)
-    return da.from_array(_InMemory(values), tuple(chunks.values()), name, asarray=False, meta=meta)
+    return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)

@@ -74,7 +74,8 @@ def compute(
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
     if client is None:
-        results = _on_threads(scheduler_in_force(), graph, blocks, group, progress=progress)
+        stages = _stages(blocks, targets)
+        results = _on_threads(scheduler_in_force(), graph, blocks, stages, group, progress=progress)
     else:
         results = _on_cluster(client, graph, blocks, group)
         results = _with_bar(results, len(blocks)) if progress else results
@@ -137,6 +138,27 @@ def _blocks(name: str, sums: da.Array, target: Target) -> dict[Key, _Block]:
     return blocks
 
 
+def _stages(blocks: Mapping[Key, _Block], targets: Mapping[str, Target]) -> dict[Key, int]:
+    """Return when each block is computed: those of a map by rows of tiles, or by columns of a wide one."""
+    shapes = [
+        targets[block.array].array.shape for block in blocks.values() if _is_of_map(targets[block.array])
+    ]
+    if not shapes:
+        return dict.fromkeys(blocks, 0)
+    axis = int(shapes[0][1] > shapes[0][0])
+
+    def cells(block: _Block, edge: str) -> int:
+        return int(getattr(block.sums[axis], edge) * targets[block.array].chunk[axis])
+
+    of_map = {key: block for key, block in blocks.items() if _is_of_map(targets[block.array])}
+    size = max(cells(block, "stop") - cells(block, "start") for block in of_map.values())
+    return {key: cells(block, "start") // size if key in of_map else 0 for key, block in blocks.items()}
+
+
+def _is_of_map(target: Target) -> bool:
+    return (target.array.metadata.dimension_names or ())[:2] == ("y", "x")
+
+
 def _fed(graph: Mapping[Key, Any], blocks: Mapping[Key, _Block], key: Any) -> list[_Block]:
     """Return the blocks that a task of the graph is needed for."""
     from dask.core import get_deps
@@ -163,15 +185,17 @@ def _place(group: str, blocks: Iterable[_Block]) -> str:
 
 
 def _on_threads(
-    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, *, progress: bool
-) -> Found:
-    """Yield keys and checksums, all at the end; ``get`` is any scheduler of dask in this process."""
+    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], stages: Mapping[Key, int], group: str, *,
+    progress: bool,
+) -> Found:  # fmt: skip
+    """Yield keys and checksums, a stage at a time; ``get`` is any scheduler of dask in this process."""
     from dask.callbacks import Callback
 
-    keys = list(blocks)
+    from .stages import in_stages
+
     with contextlib.ExitStack() as stack:
         if progress:
-            bar = stack.enter_context(_bar(len(keys)))
+            bar = stack.enter_context(_bar(len(blocks)))
             bar.advance(0)
 
             def count(key: Any, *_: Any) -> None:
@@ -180,11 +204,10 @@ def _on_threads(
 
             stack.enter_context(Callback(posttask=count))
         try:
-            results = get(graph, keys)
+            yield from in_stages(get, graph, stages)
         except Exception as error:
             failed = _failed_task(error)
             _raise_named(error, _place(group, [] if failed is None else _fed(graph, blocks, failed)))
-    yield from zip(keys, results, strict=True)
 
 
 def _failed_task(error: BaseException) -> Any:

@@ -1,0 +1,72 @@
+"""Maps are computed stage by stage: every task once, and what is shared is held no longer than needed."""
+
+from __future__ import annotations
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.io.store.stages import in_stages
+
+
+def _slabs_and_tiles(slabs: int, counted: list[int]) -> tuple[dict, dict]:
+    """Return a graph in which a tile reads two slabs of which the next reads one, and the tiles' stages."""
+
+    def slab(number: int) -> np.ndarray:
+        counted.append(number)
+        return np.full(3, number)
+
+    graph: dict = {("slab", k): (slab, k) for k in range(slabs)}
+    graph |= {("tile", k): (np.add, ("slab", k), ("slab", k + 1)) for k in range(slabs - 1)}
+    return graph, {("tile", k): k for k in range(slabs - 1)}
+
+
+def test_tasks_that_stages_share_are_computed_once_and_in_turn() -> None:
+    counted: list[int] = []
+    graph, stages = _slabs_and_tiles(6, counted)
+    seen = []
+    for (_, tile), value in in_stages(dask.get, graph, stages):
+        seen.append(tile)
+        assert (value == 2 * tile + 1).all()
+        assert max(counted) == tile + 1, "no slab is read ahead of its stage"
+    assert seen == list(range(5))
+    assert sorted(counted) == list(range(6))
+
+
+def test_one_stage_is_one_call() -> None:
+    calls = []
+
+    def get(graph: dict, keys: list) -> list:
+        calls.append(len(keys))
+        return dask.get(graph, keys)
+
+    graph, stages = _slabs_and_tiles(4, [])
+    values = dict(in_stages(get, graph, dict.fromkeys(stages, 0)))
+    assert calls == [3]
+    assert [int(value[0]) for value in values.values()] == [1, 3, 5]
+
+
+def test_a_wide_map_is_stored_by_columns(tmp_path) -> None:
+    order: list[int] = []
+
+    def tile(block_info: dict | None = None) -> np.ndarray:
+        (rows, columns) = block_info[None]["chunk-location"]
+        order.append(columns)
+        return np.full(block_info[None]["chunk-shape"], 10.0 * rows + columns)
+
+    def cells(rows: int, columns: int) -> xr.Dataset:
+        chunks = ((256,) * rows, (256,) * columns)
+        lazy = da.map_blocks(tile, chunks=chunks, dtype=float, meta=np.empty((0, 0)))
+        return xr.Dataset({"red": (("y", "x"), lazy)})
+
+    with dask.config.set(scheduler="sync"):
+        hp.to_store(cells(2, 4), tmp_path / "wide.zarr")
+        assert order == sorted(order)
+        order.clear()
+        hp.to_store(cells(4, 2), tmp_path / "high.zarr")
+    assert order != sorted(order)
+    stored = hp.open_store(tmp_path / "wide.zarr").red.values
+    assert stored[0, 300] == 1.0
+    assert stored[300, 900] == 13.0
