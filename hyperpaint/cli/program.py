@@ -27,15 +27,15 @@ from .console import SIGNALLED, WRONG_INPUT, is_watched
 __all__ = ["main"]
 
 COMMANDS = {
-    **{name: name for name in ("calibrate", "check", "demo", "export", "info", "init", "process")},
-    **{name: name for name in ("render", "run", "simulate", "validate", "verify")},
+    **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
+    **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
 
 
-RESUMED = ("process", "render", "run")
+RESUMED = ("follow", "process", "render", "run")
 """Commands that, stopped and called again, go on from what is finished."""
 
 

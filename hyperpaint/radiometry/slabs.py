@@ -7,14 +7,17 @@ task then makes one pass over the slab's counts. Nothing is read while the graph
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from dask.base import tokenize
+from dask.delayed import Delayed
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
@@ -38,9 +41,15 @@ from .panel_judging import PanelClosure
 from .panel_scale import scale_of_lines
 
 __all__ = [
-    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "of_panels", "run_slab",
-    "small",
+    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "of_panels", "plan_of",
+    "run_slab", "small",
 ]  # fmt: skip
+
+
+_OF_LINES = ("dark_index", "dark_weight", "line_flags")
+_IN_LIGHT = ("rate", "scale", "panel_weights", "series", "lines")
+"""Fields of a plan of which a slab takes what `Plan.light` makes of them."""
+_OF_NO_SLAB = ("closure", "panel_u", "misfit", "starts")
 
 
 @dataclass(frozen=True)
@@ -85,6 +94,19 @@ class Plan:
     panel_weights: Floats | None = None  #: (line, panel) of several panels; None else
     #: (line,) relative standard uncertainty of the scale that panels give; None without
     panel_u: Floats | None = None
+
+    def digest(self, start: int, stop: int) -> str:
+        """Return what names all that the kernels take for lines ``start`` to ``stop`` beside their counts."""
+        lines = [getattr(self, name)[start:stop] for name in _OF_LINES]
+        smear = None if self.stray is None else self.stray.smear[start:stop]
+        return str(tokenize(self._shared, lines, smear, self.light(start, stop)))
+
+    @functools.cached_property
+    def _shared(self) -> str:
+        """What names all that every slab takes; of a new field that is so until it is excepted here."""
+        names = {field.name for field in fields(self)} - {*_OF_LINES, *_IN_LIGHT, *_OF_NO_SLAB, "stray"}
+        stray = None if self.stray is None else self.stray._replace(smear=np.empty(0))
+        return str(tokenize([getattr(self, name) for name in sorted(names)], stray))
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
@@ -200,6 +222,19 @@ def of_panels(plan: Plan, name: str) -> Array:
         names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
         array = names[name] if name in names else getattr(plan.closure, name)
     return array.astype(np.float32) if array.dtype == np.float64 else array
+
+
+def plan_of(cube: da.Array) -> Plan:
+    """Return the plan of a cube, or its quality, that `calibrated` made."""
+    graph = cube.__dask_graph__()
+    pending = [cube.name]
+    while pending:
+        key = pending.pop(0)
+        if key.startswith("make_plan-"):
+            plan: Plan = Delayed(key, graph).compute(scheduler="sync")
+            return plan
+        pending += graph.dependencies[key]
+    raise SchemaError("this array was not calibrated here: it has no plan")
 
 
 def calibrated(

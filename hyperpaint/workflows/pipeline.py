@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.record import GroupRecord
+    from hyperpaint.io.store.store_runs import TakeUp
 
 __all__ = [
     "Outcome", "computing_on", "kept_groups", "local_folder", "process", "run",
@@ -291,8 +292,12 @@ def run(
     collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
     alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
     accept: Collection[str] = (), overwrite: bool = False, progress: bool = False, codec: Codec = "compact",
+    take_up: TakeUp | None = None,
 ) -> Outcome:  # fmt: skip
-    """Do what `process` does, and return what was written; the arguments are those of `process`."""
+    """Do what `process` does, and return what was written; the arguments are those of `process`.
+
+    ``take_up`` hands over what was written of a line in flight (`hyperpaint.workflows.following`).
+    """
     from hyperpaint.io.store.budget import limited_threads, parse_size
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.root_record import Member
@@ -339,7 +344,14 @@ def run(
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(
             whole_run(
-                out, members, products, opened.tree.attrs, command=command, overwrite=overwrite, codec=codec
+                out,
+                members,
+                products,
+                opened.tree.attrs,
+                command=command,
+                overwrite=overwrite,
+                codec=codec,
+                take_up=take_up,
             )
         )
         for name, dataset in products.items():

@@ -439,16 +439,20 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
         yield PanelEntry(table["line"], along, across, factor, table.get("uncertainty", 0.0), tilt)
 
 
-def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
+def parse_collect(
+    path: Path, problems: Problems, *, need_irradiance: bool, tables: Mapping[str, Any] | None = None
+) -> Collect:
     """Return what of a ``collect.toml`` is valid, so that what it names can be checked as well.
 
     ``path``: the file; ``problems``: takes what is wrong; ``need_irradiance``: false where only radiance is
-    wanted. What is `Unavailable` has had its problem noted.
+    wanted; ``tables``: its content, where that is not as in the file. What is `Unavailable` has had its
+    problem noted.
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     try:
-        reader = _Reader(path, load_tables(path, "a collect.toml"), problems)
+        raw = load_tables(path, "a collect.toml") if tables is None else tables
+        reader = _Reader(path, raw, problems)
     except FormatError as error:
         raise CollectError(str(error)) from error
     irradiance = _irradiance(reader)

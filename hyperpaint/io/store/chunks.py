@@ -223,7 +223,7 @@ def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) 
 
     def moved(position: tuple[int, ...]) -> int | None:
         key = array.metadata.encode_chunk_key(position)
-        value = _recorded(leftover, key)
+        value = recorded(leftover, key)
         if value is None:
             return None
         path = folder / key
@@ -266,7 +266,12 @@ def _record_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.done")
 
 
-def _recorded(folder: Path, key: str) -> int | None:
+def forget(folder: Path, key: str) -> None:
+    """Drop the record of a chunk, without which it is not taken up."""
+    _record_of(folder / key).unlink(missing_ok=True)
+
+
+def recorded(folder: Path, key: str) -> int | None:
     """Return the recorded checksum of a chunk; None without one, or where anything is a link or a pipe."""
     record = _record_of(folder / key)
     try:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = ["Job", "seal_group", "write_arrays"]
+__all__ = ["Job", "seal_group", "targets_of", "write_arrays"]
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,17 @@ def _target(node: Any, name: str, job: Job, place: Location) -> chunks.Target:
     return chunks.Target(array, folder, array.chunks, fill, job.codec)
 
 
+def targets_of(dataset: xr.Dataset, folder: Path, codec: layout.Codec) -> dict[str, chunks.Target]:
+    """Return where blocks of lazy variables go in a folder that takes chunks only, no metadata."""
+    import zarr
+
+    metadata = zarr.storage.MemoryStore()
+    _write_metadata(dataset, list(map(str, dataset.variables)), metadata, codec)
+    node = zarr.open_group(metadata, mode="r+", zarr_format=3, use_consolidated=False)
+    job, place = Job("", dataset, "", codec=codec), Location.of(folder)
+    return {name: _target(node, name, job, place) for name in map(str, dataset.variables)}
+
+
 def _taken_up(
     targets: Mapping[str, chunks.Target], leftovers: list[Path]
 ) -> dict[str, dict[tuple[int, ...], int]]:
@@ -166,7 +177,7 @@ def _remove_hidden(place: Location) -> None:
         hidden.unlink(missing_ok=True)
 
 
-def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str, codec: layout.Codec) -> None:
+def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: Any, codec: layout.Codec) -> None:
     """Let xarray write the metadata of all variables and the values of those that are not streamed."""
     holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
     template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)

@@ -66,6 +66,11 @@ class Staging:
         prefix = _build_prefix(group, content)
         return [entry for entry in self._entries() if entry.name.startswith(prefix)]
 
+    def begun(self) -> list[str]:
+        """Return the groups of which earlier attempts built something."""
+        groups = (_group_of_build(entry.name) for entry in self._entries())
+        return list(dict.fromkeys(group for group in groups if group is not None))
+
     def discard_others(self, group: str, content: str) -> None:
         """Remove what earlier attempts built of a group with other content."""
         prefix = _build_prefix(group, content)
@@ -199,6 +204,11 @@ def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
         for name in filter(is_temporary, names):
             if stat.S_ISREG(os.lstat(places[name]).st_mode):
                 yield places[name]
+
+
+def flight_content(codec: str) -> str:
+    """Return what stands in the place of the content of a group whose line is still being recorded."""
+    return f"flight_{codec}"
 
 
 def discard(build: Path) -> None:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .disk import errors_of_the_system
+from .group_writing import Job
 from .groups import damaged_groups, groups_above, is_listed
 from .layout import Codec
 from .location import METADATA, Location
 from .root_record import Member, check_set
-from .stage import clear_up
+from .stage import Staging, clear_up
 from .writer import Turn, is_sealed, job_of, real_folder, refused_jobs
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["WholeRun", "whole_run"]
+__all__ = ["TakeUp", "WholeRun", "whole_run"]
+
+TakeUp = Callable[[Staging, Job], None]
+"""Called before a group is written: hands blocks of it over that were written elsewhere."""
 
 
 class WholeRun:
@@ -27,10 +31,10 @@ class WholeRun:
 
     def __init__(
         self, turn: Turn | None, location: Location, members: Mapping[str, Member], *, overwrite: bool,
-        codec: Codec,
+        codec: Codec, take_up: TakeUp | None = None,
     ) -> None:  # fmt: skip
         self._turn, self._location, self._members, self._overwrite = turn, location, members, overwrite
-        self._codec = codec
+        self._codec, self._take_up = codec, take_up
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
         """Write a group; bars go to stderr, so that stdout holds results only."""
@@ -39,18 +43,21 @@ class WholeRun:
         shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with shown, errors_of_the_system(self._location, {group: dataset}):
             for each in refused_jobs([job], groups_above(group), self._location, overwrite=self._overwrite):
+                if self._take_up is not None and self._turn.stage is not None:
+                    self._take_up(self._turn.stage, each)
                 self._turn.write(each, progress=progress)
 
 
 @contextlib.contextmanager
 def whole_run(
     path: Path, members: Mapping[str, Member], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any],
-    *, command: str, overwrite: bool, codec: Codec = "compact",
+    *, command: str, overwrite: bool, codec: Codec = "compact", take_up: TakeUp | None = None,
 ) -> Iterator[WholeRun]:  # fmt: skip
     """Hold a store for a run, and seal it when that ends well; nothing is done where all is there.
 
     ``members``: every group of the run; ``pending``: those that it will write; ``attrs``: of the root;
-    ``command``: finishes an interrupted run, with ``{store}`` in place of the path; ``codec``: of `to_store`.
+    ``command``: finishes an interrupted run, with ``{store}`` in place of the path; ``codec``: of `to_store`;
+    ``take_up``: see `TakeUp`.
 
     Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
     groups are lacking at the end, of this run or of another that was begun.
@@ -68,7 +75,7 @@ def whole_run(
                 turn = stack.enter_context(
                     Turn.at(location, members, list(pending), above, command=command, overwrite=overwrite)
                 )
-        yield WholeRun(turn, location, members, overwrite=overwrite, codec=codec)
+        yield WholeRun(turn, location, members, overwrite=overwrite, codec=codec, take_up=take_up)
         if turn is not None:
             with errors_of_the_system(location, pending):
                 sealed = turn.finish({"": dict(attrs)})

@@ -36,7 +36,7 @@ from .groups import (
 from .location import METADATA, Location, clean_group
 from .record import OWN_ATTRS
 from .root_record import Intention, Member, intention, read_set
-from .stage import Staging, clear_up, discard, staging
+from .stage import Staging, clear_up, discard, flight_content, staging
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -195,6 +195,11 @@ class Turn:
             if not location.has("", METADATA) and len(pending) > 1 and "" not in pending:
                 turn.announce()
             yield turn
+
+    @property
+    def stage(self) -> Staging | None:
+        """Where groups are built; None behind a URL."""
+        return self._stage
 
     @property
     def _record(self) -> str:
@@ -409,7 +414,12 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
     stage = Staging(real_folder(location.local))
-    begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.content)]
+    begun = [
+        folder
+        for job in jobs
+        for content in (job.content, flight_content(job.codec))
+        for folder in stage.leftovers(job.group, content)
+    ]
     check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)
 
 

@@ -1,0 +1,92 @@
+"""Slabs that were written of a line in flight, and which of them are those that the batch would write."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
+
+from .store_inputs import KEPT_BITS
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.io.store.group_writing import Job
+    from hyperpaint.io.store.stage import Staging
+    from hyperpaint.radiometry.slabs import Plan
+
+__all__ = ["PRODUCTS", "digest_of", "form_of", "take_up"]
+
+PRODUCTS = ("reflectance", "quality")
+"""What is made of counts in flight."""
+
+
+def form_of(bands: int, columns: int, dtype: np.dtype[Any]) -> xr.Dataset:
+    """Return arrays of counts and products, with lines enough for any flight and no values."""
+    import dask.array as da
+    import xarray as xr
+
+    lines = CHUNK_LINES * 2**20
+    cube = {"counts": dtype, "reflectance": np.dtype(np.float32)}
+    variables = {
+        name: (CUBE, da.zeros((lines, bands, columns), dtype=each, chunks=-1)) for name, each in cube.items()
+    }
+    flags = da.zeros((lines, columns), dtype=np.uint16, chunks=-1)
+    return xr.Dataset({**variables, "quality": ((ALONG_TRACK, CROSS_TRACK), flags)})
+
+
+def digest_of(plan: Plan, first: int) -> str:
+    """Return what names all that makes the products of a slab, beside its counts."""
+    from dask.base import tokenize
+
+    return str(tokenize(NUMERICS_VERSION, KEPT_BITS, plan.digest(first, first + CHUNK_LINES)))
+
+
+def take_up(stage: Staging, job: Job) -> None:
+    """Hand over to the writer what was written of a line in flight, as far as it is what would be written.
+
+    Every slab is judged: its counts by their checksum, read again from the cube; its products by all that
+    they were calibrated with.
+    """
+    from hyperpaint.io.store.flight_blocks import FlightBlocks
+    from hyperpaint.radiometry.slabs import plan_of
+
+    dataset = job.dataset
+    if "quality" not in dataset or "counts" not in dataset or dataset.sizes[ALONG_TRACK] < CHUNK_LINES:
+        return
+    counts = dataset["counts"]
+    form = form_of(counts.shape[1], counts.shape[2], counts.dtype)
+    names = [name for name in ("counts", *PRODUCTS) if name in dataset]
+    for blocks in FlightBlocks.begun(stage, job.group, form[names], job.codec):
+        plan = plan_of(dataset["quality"].data)
+        sums = slab_sums(counts)
+        slabs = range(len(sums))
+        blocks.forget([slab for slab in slabs if blocks.checksum("counts", slab) != sums[slab]], names)
+        whole = counts.sizes[ALONG_TRACK] // CHUNK_LINES
+        other = [
+            slab
+            for slab in slabs
+            if slab >= whole or blocks.digests.get(slab) != digest_of(plan, slab * CHUNK_LINES)
+        ]
+        blocks.forget(other, [name for name in names if name != "counts"])
+        blocks.hand_over(stage, job)
+
+
+def slab_sums(counts: xr.DataArray) -> list[int]:
+    """Return the checksum of every slab of counts, read anew."""
+    import dask.array as da
+
+    from hyperpaint.io.store.record import checksum
+
+    def sums(block: Any) -> Any:
+        slabs = range(0, len(block), CHUNK_LINES)
+        each = [checksum(block[first : first + CHUNK_LINES]) for first in slabs]
+        return np.array(each, np.uint32)[:, None, None]
+
+    data = counts.data
+    chunks = (tuple(-(-size // CHUNK_LINES) for size in data.chunks[0]), (1,), (1,))
+    read = da.map_blocks(sums, data, dtype=np.uint32, chunks=chunks, meta=np.empty((0, 0, 0), np.uint32))
+    return [int(value) for value in read.compute().ravel()]
