@@ -13,7 +13,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 
 
 def bounds(requirements: list[str]) -> dict[str, str]:
-    """Return the lower bound of every requirement by its name; conda has dask without its array as dask-core."""
+    """Return the lower bound of every requirement by its name; dask-core is dask."""
     parts = (re.fullmatch(r"([\w.-]+)(?:\[.*\])? ?>=([\d.]+)", each) for each in requirements)
     return {part[1].replace("dask-core", "dask").lower(): part[2] for part in parts if part}
 
