@@ -11,7 +11,7 @@ from .console import EXISTING, EXISTING_FILE, PLACE, beside, is_watched, progres
 
 __all__ = ["export"]
 
-_LIBRARIES = ("envi", "csv", "ecostress", "zarr")
+_LIBRARIES = ("envi", "csv", "parquet", "ecostress", "zarr")
 _NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
@@ -30,11 +30,11 @@ Examples:
 @click.argument("library", metavar="LIB", type=EXISTING)
 @click.option(
     "--format", "form", required=True, type=click.Choice(["dirsig", *_LIBRARIES]),
-    help="DIRSIG materials, an ENVI .sli, a CSV table, one text file a paint, or a Zarr store.",
+    help="DIRSIG materials, an ENVI .sli, a table in CSV or Parquet, one text file a paint, or a Zarr store.",
 )  # fmt: skip
 @click.option(
     "--out", metavar="OUT", type=PLACE,
-    help="Where to write: a file for envi (.sli) and csv, a new or empty folder for the others.  "
+    help="Where to write: a file for envi (.sli), csv and parquet, a new or empty folder for the others.  "
     "[default: beside LIB, of its name for a file, of the format's for a folder]",
 )  # fmt: skip
 @click.option(

@@ -30,7 +30,7 @@ COMMANDS = {
     **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
     **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
-    "signatures": "make_signatures",
+    "signatures": "make_signatures", "check-library": "check_library",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
 
@@ -53,7 +53,7 @@ class Program(click.Group):
         """Return the command of that name, from its own file."""
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f".{cmd_name}_command", __package__)
+        module = import_module(f".{cmd_name.replace('-', '_')}_command", __package__)
         command: click.Command = getattr(module, COMMANDS[cmd_name])
         return command
 

@@ -23,6 +23,7 @@ from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
 from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
+from .parquet_library import is_parquet, read_parquet_library
 from .plain_table import read_plain_table
 from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
 
@@ -81,6 +82,7 @@ def open_library(
         * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
           table with wavelengths in its first column: several files make one library where their wavelengths
           are equal;
+        * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
         * what `hyperpaint.write_library` wrote, CSV and Zarr among it; a path inside a store names a group.
     wavelength, fwhm
         Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
@@ -245,6 +247,9 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
         from hyperpaint.io.dirsig import open_emissivity
 
         return open_emissivity(path)
+    if is_parquet(head_of(path, 4)):
+        options.refuse_for(path)
+        return read_parquet_library(path)
     if suffix not in _ENVI_SUFFIXES and is_csv_library(head):
         options.refuse_for(path)
         return read_csv_library(path)

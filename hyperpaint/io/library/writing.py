@@ -15,6 +15,7 @@ from hyperpaint.base.units import takes_quantities
 from .csv_library import write_csv_library
 from .ecostress import write_ecostress_library
 from .envi_library import write_envi_library
+from .parquet_library import write_parquet_library
 from .records import CENTRE, checked_library, spectral_variables
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,
     "ecostress": write_ecostress_library,
     "csv": write_csv_library,
+    "parquet": write_parquet_library,
     "zarr": _write_store,
 }
 FORMATS = tuple(_WRITERS)
@@ -49,10 +51,11 @@ FORMATS = tuple(_WRITERS)
 
 _CURVES = {
     "envi": ("centre", "all"), "ecostress": ("centre",), "csv": ("centre", "all"), "zarr": ("all", "centre"),
+    "parquet": ("centre", "all"),
 }  # fmt: skip
 """What of a paint each format can hold, the default first."""
 
-_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr"}
+_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 
 
 @takes_quantities()
@@ -72,6 +75,8 @@ def write_library(
     * ``csv``: ``x.csv``, which opens as a table in pandas, R and spreadsheets and uploads to EcoSIS: the
       paint, a column for each thing said of it, then reflectance [1] at wavelengths [nm]; units and all else
       in ``x.csv.json``.
+    * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row a spectrum, and ``x.parquet.json``;
+      needs the extra ``library`` (pyarrow).
     * ``zarr``: a store, see `hyperpaint.to_store`.
     * ``ecostress``: a folder with ``<paint>.spectrum.txt`` for every paint; centres at good bands, and what
       is one value a paint.
@@ -89,9 +94,9 @@ def write_library(
         The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
         to a name without a suffix.
     format
-        One of the above; by default that of the suffix: ``.sli``, ``.csv`` or ``.zarr``.
+        One of the above; by default that of the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
     curves
-        ``centre`` for one spectrum a paint, the default of ``envi``, ``csv`` and ``ecostress``: members,
+        ``centre`` for one spectrum a paint, the default of all but ``zarr``: members,
         quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``;
         ``ecostress`` cannot hold it.
     overwrite
@@ -115,6 +120,8 @@ def write_library(
         Something is there already, is being written, or cannot be written; what was there stays.
     UnitsError
         Units cannot be read.
+    MissingExtraError
+        Parquet is asked for, and pyarrow is not installed.
 
     Examples
     --------
@@ -138,7 +145,7 @@ def write_library(
     if chosen not in _WRITERS:
         given = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .zarr"
+            f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr"
         )
     kinds = _CURVES[chosen]
     if curves is not None and curves not in kinds:

@@ -1,0 +1,283 @@
+"""Paint libraries as Parquet, in the columns of OpenSpecLib: a row a spectrum, readable by pandas and DuckDB.
+
+Our own files have the metadata of the library beside them, ``<file>.json``, as CSV has; spectra that are no
+centres say what they are in ``additional_properties``. Files of others need equal wavelengths in all rows.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats, Floats32
+from hyperpaint.base.errors import FormatError, needs_extra
+from hyperpaint.base.schema import BAND
+from hyperpaint.io.files.publishing import published_files
+
+from .library_spectra import Spectra, check_wavelengths, library_of, reflectances
+from .metadata import metadata_path, metadata_text, paint_columns
+from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import xarray as xr
+
+__all__ = ["is_parquet", "read_parquet_library", "write_parquet_library"]
+
+_MAGIC = b"PAR1"
+_OURS = b"hyperpaint"
+_MOST_ROWS, _MOST_VALUES = 2_000_000, 2**28
+_NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
+_NM_OF_WAVENUMBER = 1e7  # over cm-1
+_PURPOSE = "Parquet"
+
+#: Columns of OpenSpecLib that hold text: those that must not be empty, and those that may.
+_TEXTS = (
+    "id", "name", "source.library", "source.library_version", "source.original_id", "source.url",
+    "source.license", "source.citation", "material.name", "material.category", "measurement.technique",
+    "spectral_data.type", "spectral_data.wavelength_unit", "additional_properties",
+)  # fmt: skip
+_OPTIONAL_TEXTS = (
+    "source.filename", "material.subcategory", "material.formula", "sample.id", "sample.description",
+    "sample.particle_size", "sample.origin", "sample.owner", "sample.preparation", "measurement.instrument",
+    "measurement.instrument_type", "measurement.laboratory", "measurement.geometry", "quality.notes",
+)  # fmt: skip
+
+
+def is_parquet(head: bytes) -> bool:
+    """Tell Parquet from its first bytes."""
+    return head[:4] == _MAGIC
+
+
+# --- writing -----------------------------------------------------------------------------------------------
+
+
+def write_parquet_library(
+    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
+) -> None:
+    """Write a checked library to ``path``, and its metadata to ``<path>.json``.
+
+    Raises MissingExtraError: pyarrow is not installed.
+    Raises SchemaError: Names or metadata cannot be written.
+    Raises StoreError: Files exist, or cannot be written.
+    """
+    with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow.parquet as pq
+    variables = spectral_variables(library)
+    metadata = metadata_text(library, variables)
+    names = names_of(library)
+    about = paint_columns(library)
+    schema = _schema().with_metadata({b"openspeclib_version": b"0", b"source": _OURS})
+    common = _common(library)
+    with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
+        metadata_file.write_bytes(metadata.encode())
+        with pq.ParquetWriter(table, schema, compression="zstd") as writer:
+            for block in blocks_of(library, variables, progress):
+                rows = [
+                    _row(
+                        common,
+                        names[paint],
+                        _own(about, paint),
+                        (block.variable, int(paint), int(inner)),
+                        values,
+                    )
+                    for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True)
+                ]
+                writer.write_batch(_batch(rows, schema))
+
+
+def _schema() -> pa.Schema:
+    import pyarrow as pa
+
+    numbers = pa.list_(pa.float64())
+    return pa.schema(
+        [
+            *(pa.field(name, pa.string(), nullable=False) for name in _TEXTS),
+            *(pa.field(name, pa.string()) for name in _OPTIONAL_TEXTS),
+            pa.field("material.keywords", pa.list_(pa.string()), nullable=False),
+            pa.field("sample.collection_date", pa.date32()),
+            pa.field("measurement.date", pa.date32()),
+            pa.field("spectral_data.wavelength_min", pa.float64(), nullable=False),
+            pa.field("spectral_data.wavelength_max", pa.float64(), nullable=False),
+            pa.field("spectral_data.num_points", pa.int32(), nullable=False),
+            pa.field("spectral_data.wavelengths", numbers, nullable=False),
+            pa.field("spectral_data.values", numbers, nullable=False),
+            pa.field("spectral_data.bandpass", numbers),
+            pa.field("quality.has_bad_bands", pa.bool_(), nullable=False),
+            pa.field("quality.bad_band_count", pa.int32(), nullable=False),
+            pa.field("quality.coverage_fraction", pa.float64(), nullable=False),
+        ]
+    )
+
+
+def _common(library: xr.Dataset) -> dict[str, Any]:
+    """Return what all rows share."""
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
+
+    def said(name: str) -> str:
+        return str(attrs.get(name, "unknown"))
+
+    return {
+        "source.library": "hyperpaint", "source.library_version": said("paint_library_version"),
+        "source.url": "", "source.license": said("licence"), "source.citation": said("title"),
+        "material.category": "man_made",
+        "material.subcategory": "car paint", "measurement.technique": "reflectance",
+        "measurement.geometry": said("measurement_geometry"), "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm", "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(), "spectral_data.num_points": wavelength.size,
+        "spectral_data.wavelengths": wavelength,
+        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
+    }  # fmt: skip
+
+
+def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
+    return {name: column[paint] for name, column in about.items()}
+
+
+def _row(
+    common: dict[str, Any], name: str, about: dict[str, Any], key: Key, values: Floats32
+) -> dict[str, Any]:
+    """Return the cells of a spectrum; ``key`` is its variable, its paint and its place within it."""
+    variable, paint, place = key
+    missing = int((~np.isfinite(values)).sum())
+    identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
+    more = {**about, "variable": variable, "paint": paint, "place": place}
+    keywords = [str(about[each]) for each in ("colour", "finish", "make", "model") if about.get(each)]
+    return common | {
+        "id": f"hyperpaint:{identity}", "name": name, "source.original_id": identity, "material.name": name,
+        "material.keywords": keywords, "additional_properties": json.dumps(more, allow_nan=False),
+        "spectral_data.values": values.astype(np.float64), "quality.has_bad_bands": missing > 0,
+        "quality.bad_band_count": missing, "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+    }  # fmt: skip
+
+
+def _batch(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
+    import pyarrow as pa
+
+    columns = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+# --- reading -----------------------------------------------------------------------------------------------
+
+
+def read_parquet_library(path: Path) -> xr.Dataset:
+    """Read a library in the columns of OpenSpecLib, ours or of others.
+
+    Raises FormatError: It is damaged, too large, lacks columns, holds other than reflectance, or has rows of
+        different wavelengths.
+    Raises MissingExtraError: pyarrow is not installed.
+    """
+    with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    try:
+        with pq.ParquetFile(os.fspath(path)) as file:
+            rows = _rows(file, path.name)
+            is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(f"{path.name} cannot be read as Parquet: {error!s:.200}; copy it again") from error
+    if is_ours and metadata_path(path).exists():
+        return _restored(path, rows)
+    return library_of(_spectra(path.name, rows))
+
+
+_WANTED = (
+    "name", "additional_properties", "spectral_data.type", "spectral_data.wavelength_unit",
+    "spectral_data.wavelengths", "spectral_data.values", "source.license", "source.citation",
+)  # fmt: skip
+
+
+def _rows(file: Any, source: str) -> list[dict[str, Any]]:
+    """Return the rows of a file, of columns that are needed; refuse what would fill the memory."""
+    missing = [name for name in _WANTED if name not in file.schema_arrow.names]
+    if missing:
+        raise FormatError(
+            f"{source}: columns {', '.join(missing)} are missing; expected those of OpenSpecLib"
+        )
+    if not 0 < file.metadata.num_rows <= _MOST_ROWS:
+        raise FormatError(f"{source}: {file.metadata.num_rows} rows, expected 1 to {_MOST_ROWS}")
+    rows: list[dict[str, Any]] = []
+    values = 0
+    for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
+        values += sum(len(each.flatten()) for each in batch.columns if hasattr(each, "flatten"))
+        if values > _MOST_VALUES:
+            raise FormatError(f"{source}: more than {_MOST_VALUES} values; split it")
+        lists = ("spectral_data.wavelengths", "spectral_data.values")
+        plain = {name: batch.column(name) for name in _WANTED}
+        for at in range(batch.num_rows):
+            row = {name: plain[name][at].as_py() for name in _WANTED if name not in lists}
+            row |= {name: _numbers(plain[name][at].values) for name in lists}
+            rows.append(row)
+    return rows
+
+
+def _numbers(values: Any) -> Floats:
+    """Return a cell's numbers; NaN for those that are null, none for a null cell."""
+    return np.empty(0) if values is None else np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
+
+
+def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
+    """Return the library that was written, with the metadata beside it."""
+    keys: list[Key] = []
+    for at, row in enumerate(rows):
+        try:
+            more = json.loads(row["additional_properties"])
+            key = (str(more["variable"]), int(more["paint"]), int(more["place"]))
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise FormatError(
+                f"{path.name}: row {at} does not say what it is; write the library anew"
+            ) from error
+        keys.append(key)
+    names = [str(row["name"]) for row, key in zip(rows, keys, strict=True) if key[0] == CENTRE]
+    if sorted({key[1] for key in keys}) != list(range(len(names))) or any(key[2] < -1 for key in keys):
+        raise FormatError(f"{path.name}: numbers of its paints have gaps; write the library anew")
+    wavelength, values = _stacked(path.name, rows)
+    check_wavelengths(wavelength, path.name)
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, values.astype(np.float32))], {})
+
+
+def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
+    """Return the wavelengths that all rows have (band,), and their values (row, band)."""
+    first = rows[0]["spectral_data.wavelengths"]
+    for at, row in enumerate(rows):
+        if not np.array_equal(row["spectral_data.wavelengths"], first):
+            found = (
+                f"{row['spectral_data.wavelengths'].size} wavelengths in row {at}, {first.size} in the first"
+            )
+            raise FormatError(
+                f"{source}: rows have different wavelengths ({found}); choose rows of one instrument first"
+            )
+        if row["spectral_data.values"].shape != first.shape:
+            raise FormatError(f"{source}: row {at} has another number of values than wavelengths")
+    return first, np.stack([row["spectral_data.values"] for row in rows])
+
+
+def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
+    """Return rows of others as spectra."""
+    units = {str(row["spectral_data.wavelength_unit"]) for row in rows}
+    kinds = {str(row["spectral_data.type"]) for row in rows}
+    if kinds != {"reflectance"}:
+        raise FormatError(
+            f"{source}: it holds {', '.join(sorted(kinds))}, expected reflectance; filter it first"
+        )
+    if len(units) != 1 or not units <= {*_NM_PER_UNIT, "cm-1"}:
+        raise FormatError(
+            f"{source}: wavelengths are in {', '.join(sorted(units))}, expected one of nm, um, cm-1"
+        )
+    axis, values = _stacked(source, rows)
+    unit = units.pop()
+    with np.errstate(divide="ignore"):
+        wavelength = _NM_OF_WAVENUMBER / axis if unit == "cm-1" else axis * _NM_PER_UNIT[unit]
+    columns = {"licence": [str(row["source.license"]) for row in rows]}
+    return Spectra(
+        source, "OpenSpecLib Parquet", [str(row["name"]) for row in rows], wavelength,
+        reflectances(values, source, said=None, given=None), columns=columns,
+    )  # fmt: skip

@@ -1,0 +1,392 @@
+"""The specification of a paint library (docs/paint-library.md), and the check of a library against it.
+
+What a library must say is said, or said to be unknown: a reader who finds nothing cannot tell which.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+
+from .records import CENTRE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["TERMS", "LibraryFinding", "LibraryReport", "check_library", "declare_library", "library_terms"]
+
+VERSION = 1
+"""Version of the specification, the attribute `VERSION_NAME` of a library."""
+VERSION_NAME = "paint_library_version"
+UNKNOWN = "unknown"
+_LONGEST_TEXT = 4000
+_MOST_NAMES = 5
+
+
+class Term(NamedTuple):
+    """A word that every library says, of all its paints or of each."""
+
+    name: str
+    words: tuple[str, ...]  #: those that there are; () where any text is one
+    meaning: str
+
+
+TERMS = (
+    Term("quantity", ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
+         "A reflectance factor, or the reflectance of a sphere with or without the mirror image"),
+    Term("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
+    Term("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
+    Term("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
+    Term("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
+    Term("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
+)  # fmt: skip
+"""What a library must say, or say to be unknown."""
+
+#: The largest and least reflectance that is no slip of units: glint beside a panel, noise of a black one.
+_REFLECTANCE_RANGE = (-0.1, 2.0)
+#: Sunlight to thermal infrared [nm]: micrometres lie below, wavenumbers and picometres above.
+_WAVELENGTH_RANGE_NM = (150.0, 50_000.0)
+_ANGLES_DEG = {
+    "sun_zenith": (0.0, 90.0), "view_zenith": (0.0, 90.0), "sun_azimuth": (-180.0, 360.0),
+    "view_azimuth": (-180.0, 360.0), "aspecular_angle": (0.0, 180.0), "relative_azimuth": (0.0, 360.0),
+}  # fmt: skip
+_SPREADS = (
+    "reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_u_coat",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LibraryFinding:
+    """What departs from the specification."""
+
+    rule: str  #: name of the rule, as docs/paint-library.md has it
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{self.rule}: {self.found}; expected {self.expected}"
+
+
+@dataclass(frozen=True)
+class LibraryReport:
+    """Whether a library is what the specification says."""
+
+    source: str
+    paints: int
+    bands: int
+    findings: tuple[LibraryFinding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def __str__(self) -> str:
+        size = f"{self.source}: {self.paints} paints, {self.bands} bands"
+        if self.ok:
+            return f"{size}: a paint library of version {VERSION}"
+        return "\n".join([f"{size}: {len(self.findings)} findings", *(f"  {each}" for each in self.findings)])
+
+
+def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport:
+    """Compare a library with the specification (eager: reads its spectra).
+
+    Parameters
+    ----------
+    library
+        A file or store that `hyperpaint.open_library` opens, or a dataset.
+
+    Returns
+    -------
+    LibraryReport
+        With all findings; ``ok`` where there are none.
+
+    Raises
+    ------
+    FormatError, StoreError
+        The file cannot be opened at all.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> paints = xr.Dataset(
+    ...     {"reflectance": (("paint", "band"), np.float32([[5.0, 40.0]]), {"units": "1"})},
+    ...     coords={"paint": ["red"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ... )
+    >>> [finding.rule for finding in check_library(declare_library(paints)).findings]
+    ['reflectance-range', 'uncertainty']
+    """
+    if isinstance(library, str | os.PathLike):
+        from .opening import open_library
+
+        source, dataset = os.fspath(library), open_library(library)
+    else:
+        source, dataset = str(library.attrs.get("source", "the library")), library
+    findings = list(_structure(dataset))
+    if not findings:  # nothing else can be looked at without it
+        rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
+            _names, _wavelengths, _reflectances, _spreads, _populations, _places, _said,
+        )  # fmt: skip
+        for rule in rules:
+            findings.extend(rule(dataset))
+    return LibraryReport(source, dataset.sizes.get(PAINT, 0), dataset.sizes.get(BAND, 0), tuple(findings))
+
+
+def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
+    """Return a library that says all that the specification asks for; what nothing says is unknown.
+
+    Parameters
+    ----------
+    library
+        A paint library.
+    **words
+        Terms by their names (`TERMS`), such as ``licence="CC-BY-4.0"``, and ``title``.
+
+    Raises
+    ------
+    SchemaError
+        There is no such term, or it has no such word.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> said = declare_library(starter_library(members=2), licence="CC0-1.0", quantity="HCRF")
+    >>> said.attrs["licence"], said.attrs["measurement_geometry"]
+    ('CC0-1.0', 'unknown')
+    """
+    terms = {term.name: term for term in TERMS}
+    for name, word in words.items():
+        if name != "title" and name not in terms:
+            raise SchemaError(f"there is no term {name!r}", expected=f"one of {', '.join(terms)}, title")
+        if name in terms and terms[name].words and word not in terms[name].words:
+            raise SchemaError(f"{name} is {word!r}", expected=f"one of {', '.join(terms[name].words)}")
+    said = library_terms(library)
+    attrs = {name: UNKNOWN for name in terms if said[name] is None}
+    title = {} if library.attrs.get("title") else {"title": "Paint library"}
+    return library.assign_attrs({VERSION_NAME: VERSION, **title, **attrs, **words})
+
+
+def library_terms(library: xr.Dataset) -> dict[str, Any]:
+    """Return what a library says of each term: a list with a word a paint, one word for all, or None."""
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    said: dict[str, Any] = {}
+    for term in TERMS:
+        if term.name in library.variables and library[term.name].dims == (PAINT,):
+            said[term.name] = [str(word) for word in library[term.name].values.tolist()]
+        else:
+            said[term.name] = attrs.get(term.name)
+    return said
+
+
+# --- the rules ---------------------------------------------------------------------------------------------
+
+
+def _finding(rule: str, found: str, expected: str) -> LibraryFinding:
+    return LibraryFinding(rule, found, expected)
+
+
+def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    """Yield what is missing, or on other dims."""
+    for name in (CENTRE, "wavelength", PAINT):
+        row = LIBRARY_VARIABLES[name]
+        expected = f"a variable {name} ({', '.join(row.dims)})"
+        if name not in library.variables:
+            yield _finding("structure", f"{name!r} is missing", expected)
+        elif problem := row.dim_problem(library[name]):
+            yield _finding("structure", problem.partition(",")[0], expected)
+    for key, array in library.variables.items():
+        row_of = LIBRARY_VARIABLES.get(str(key))
+        if row_of is not None and key not in (CENTRE, "wavelength", PAINT):
+            wrong = row_of.dim_problem(library[key])
+            if wrong and array.dims != (PAINT, *row_of.dims):
+                yield _finding(
+                    "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
+                )
+
+
+def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    names = library[PAINT].values.tolist()
+    if not names:
+        yield _finding("paint-names", "there is no paint", "at least one")
+    if odd := [name for name in names if not isinstance(name, str) or not name.strip()]:
+        yield _finding("paint-names", f"{len(odd)} names are empty or no text", "a text for every paint")
+    if twice := sorted({str(name) for name in names if names.count(name) > 1}):
+        yield _finding("paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint")
+
+
+def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    wavelength = library["wavelength"]
+    values = np.asarray(wavelength.values, np.float64)
+    if wavelength.attrs.get("units") != "nm":
+        yield _finding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
+    low, high = _WAVELENGTH_RANGE_NM
+    if not np.isfinite(values).all() or values.min(initial=low) < low or values.max(initial=high) > high:
+        yield _finding("wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm")
+    steps = np.diff(values)
+    if not ((steps > 0).all() or (steps < 0).all()):
+        yield _finding(
+            "wavelength-order",
+            f"{int((steps == 0).sum())} stand twice, or they turn back",
+            "rising or falling",
+        )
+    if "fwhm" in library.variables:
+        fwhm = np.asarray(library["fwhm"].values, np.float64)
+        if library["fwhm"].attrs.get("units") != "nm" or not (fwhm[np.isfinite(fwhm)] > 0).all():
+            yield _finding(
+                "fwhm", f"{np.nanmin(fwhm):g} {library['fwhm'].attrs.get('units')}", "positive, in nm"
+            )
+    if "good" in library.variables and library["good"].dtype != bool:
+        yield _finding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
+
+
+def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    reflectance = library[CENTRE]
+    if reflectance.attrs.get("units") != "1":
+        yield _finding(
+            "reflectance-units", f"units are {reflectance.attrs.get('units')!r}", "'1', a fraction"
+        )
+    if reflectance.dtype.kind != "f":
+        yield _finding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
+        return
+    values = reflectance.transpose(PAINT, BAND).values
+    low, high = _REFLECTANCE_RANGE
+    good = (
+        library["good"].values.astype(bool) if "good" in library.variables else np.ones(values.shape[1], bool)
+    )
+    with np.errstate(invalid="ignore"):
+        odd = ((values < low) | (values > high) | np.isinf(values)) & good
+    if odd.any():
+        where = _paints_of(library, odd.any(axis=1))
+        yield _finding(
+            "reflectance-range", f"{_extremes(values[odd])} in {where}", f"{low:g} to {high:g} in good bands"
+        )
+    if (empty := ~np.isfinite(values).any(axis=1)).any():
+        yield _finding(
+            "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in some band"
+        )
+
+
+def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    """Compare spread and uncertainty: there or said to be unknown, never negative."""
+    stated = False
+    for name in _SPREADS:
+        if name in library.variables:
+            values = library[name].values
+            stated |= bool(np.isfinite(values).any())
+            if (values < 0).any():
+                yield _finding("uncertainty-sign", f"{name} is negative", "0 or more")
+            if library[name].attrs.get("units") != "1":
+                yield _finding(
+                    "uncertainty-units", f"{name} has units {library[name].attrs.get('units')!r}", "'1'"
+                )
+    if not stated and library.attrs.get("uncertainty") != UNKNOWN:
+        yield _finding(
+            "uncertainty", "neither spread nor uncertainty",
+            f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
+        )  # fmt: skip
+    if "reflectance_quantiles" in library.variables and "quantile" in library.variables:
+        levels = library["quantile"].values
+        values = library["reflectance_quantiles"].transpose(PAINT, "quantile", BAND).values
+        if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
+            yield _finding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
+        elif (np.diff(values, axis=1) < 0).any():
+            yield _finding("quantiles", "a higher quantile lies lower", "rising with their level")
+
+
+def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    counts: dict[str, Array] = {
+        name: library[name].values for name in ("n", "n_eff") if name in library.variables
+    }
+    if "n" in counts and (counts["n"] < 1).any():
+        yield _finding("n", f"{counts['n'].min()} pixels", "1 or more")
+    if len(counts) == 2 and (counts["n_eff"] > counts["n"] * (1 + 1e-6)).any():
+        yield _finding("n", "more independent pixels than pixels", "n_eff at most n")
+    if "member_reflectance" in library.variables:
+        members = library["member_reflectance"].transpose(PAINT, "member", BAND)
+        if members.sizes["member"] and not np.isfinite(members.values).any():
+            yield _finding("members", "no member has a value", "spectra of single pixels, or none of them")
+
+
+def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    """Compare angles and times."""
+    for name, (low, high) in _ANGLES_DEG.items():
+        if name in library.variables:
+            values = np.asarray(library[name].values, np.float64)
+            inside = values[np.isfinite(values)]
+            if library[name].attrs.get("units") != "degree" or ((inside < low) | (inside > high)).any():
+                found = f"{name} {_extremes(inside)} {library[name].attrs.get('units')}"
+                yield _finding("angles", found, f"{low:g} to {high:g} degree")
+    if "time" in library.variables and library["time"].dtype.kind != "M":
+        yield _finding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
+    if "diffuse_fraction" in library.variables:
+        share = library["diffuse_fraction"].values
+        if ((share < 0) | (share > 1)).any():
+            yield _finding("diffuse-fraction", _extremes(share), "0 to 1")
+
+
+def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    """Compare words: version, title, and every term."""
+    version = library.attrs.get(VERSION_NAME)
+    if version != VERSION or isinstance(version, bool):
+        yield _finding(
+            "version", f"{VERSION_NAME} is {version!r}", f"{VERSION}; hp.io.declare_library sets it"
+        )
+    title = library.attrs.get("title")
+    if not isinstance(title, str) or not title.strip() or len(title) > _LONGEST_TEXT:
+        yield _finding("title", f"title is {title!r:.40}", "a text")
+    said = library_terms(library)
+    for term in TERMS:
+        words = said[term.name] if isinstance(said[term.name], list) else [said[term.name]]
+        expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
+        if said[term.name] is None:
+            yield _finding(term.name, "not said", expected)
+        elif odd := sorted({str(word) for word in words if not _is_word(word, term)}):
+            yield _finding(term.name, _some(odd), expected)
+    contradiction = {
+        BODY: INCLUDED,
+        THROUGH_COAT: INCLUDED,
+        OUTSIDE: EXCLUDED,
+        "8/d SCI": EXCLUDED,
+        "8/d SCE": INCLUDED,
+    }
+    for quantity, component in _pairs(said["quantity"], said["specular_component"]):
+        if contradiction.get(quantity) == component:
+            yield _finding(
+                "contradiction", f"{quantity}, specular component {component}", "both to say the same"
+            )
+            break
+
+
+def _is_word(word: Any, term: Term) -> bool:
+    is_text = isinstance(word, str) and bool(word.strip()) and len(word) <= _LONGEST_TEXT
+    return is_text and (not term.words or word in term.words)
+
+
+def _pairs(first: Any, second: Any) -> Iterator[tuple[str, str]]:
+    """Yield two words of every paint, each said of all or of each."""
+    size = max(len(each) if isinstance(each, list) else 1 for each in (first, second))
+    lists = (each if isinstance(each, list) else [each] * size for each in (first, second))
+    yield from zip(*([str(word) for word in words] for words in lists), strict=False)
+
+
+def _some(names: list[str]) -> str:
+    shown = ", ".join(f"{name!r:.60}" for name in names[:_MOST_NAMES])
+    return shown if len(names) <= _MOST_NAMES else f"{shown} and {len(names) - _MOST_NAMES} more"
+
+
+def _paints_of(library: xr.Dataset, chosen: Array) -> str:
+    return _some([str(name) for name in library[PAINT].values[chosen]])
+
+
+def _extremes(values: Array) -> str:
+    with np.errstate(invalid="ignore"):
+        return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}" if values.size else "none"

@@ -1,0 +1,96 @@
+"""Parquet in the columns of OpenSpecLib: read by pyarrow alone, and files of others."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+
+
+def foreign(path, **changes):
+    """Write a file as OpenSpecLib describes it, with pyarrow alone."""
+    wavelengths = [0.4, 0.5, 0.6]
+    columns = {
+        "id": ["usgs:1", "usgs:2"], "name": ["olivine", "asphalt"],
+        "source.license": ["public domain"] * 2, "source.citation": ["Kokaly 2017"] * 2,
+        "spectral_data.type": ["reflectance"] * 2, "spectral_data.wavelength_unit": ["um"] * 2,
+        "spectral_data.wavelengths": [wavelengths] * 2,
+        "spectral_data.values": [[0.1, None, 0.3], [0.2, 0.2, 0.2]], "additional_properties": ["{}"] * 2,
+    } | changes  # fmt: skip
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+def test_a_file_of_others_is_a_library(tmp_path):
+    library = hp.open_library(foreign(tmp_path / "usgs.parquet"))
+    np.testing.assert_allclose(library.wavelength, [400.0, 500.0, 600.0])
+    assert library["paint"].values.tolist() == ["olivine", "asphalt"]
+    np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
+    assert library.licence.values.tolist() == ["public domain"] * 2
+
+
+def test_wavenumbers_become_nanometres(tmp_path):
+    path = foreign(
+        tmp_path / "tes.parquet", **{"spectral_data.wavelength_unit": ["cm-1"] * 2,
+                                     "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2},
+    )  # fmt: skip
+    np.testing.assert_allclose(hp.open_library(path).wavelength, [500.0, 625.0, 800.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spectral_data.type": ["emissivity"] * 2}, "it holds emissivity, expected reflectance"),
+        ({"spectral_data.wavelength_unit": ["um", "nm"]}, "wavelengths are in nm, um"),
+        ({"spectral_data.wavelengths": [[0.4, 0.5, 0.6], [0.4, 0.5, 0.7]]}, "different wavelengths"),
+        ({"spectral_data.values": [[0.1, 0.2], [0.2, 0.2, 0.2]]}, "row 0 has another number of values"),
+        ({"spectral_data.values": [None, [0.2, 0.2, 0.2]]}, "row 0 has another number of values"),
+    ],
+)
+def test_what_is_no_library_is_refused(tmp_path, changes, message):
+    with pytest.raises(hp.FormatError, match=message):
+        hp.open_library(foreign(tmp_path / "x.parquet", **changes))
+
+
+def test_missing_columns_are_named(tmp_path):
+    pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
+    with pytest.raises(
+        hp.FormatError, match=r"columns additional_properties, spectral_data\.type.* are missing"
+    ):
+        hp.open_library(tmp_path / "x.parquet")
+
+
+def test_damaged_files_are_refused(tmp_path):
+    whole = foreign(tmp_path / "x.parquet").read_bytes()
+    for cut in (4, 40, len(whole) // 2, len(whole) - 4):
+        (tmp_path / "cut.parquet").write_bytes(whole[:cut])
+        with pytest.raises(hp.FormatError, match="cannot be read as Parquet"):
+            hp.open_library(tmp_path / "cut.parquet")
+
+
+def test_pandas_readers_see_a_row_a_paint(tmp_path):
+    starter = hp.paints.starter_library(members=2)
+    path = hp.write_library(starter, tmp_path / "starter.parquet")
+    rows = pq.read_table(path).to_pylist()
+    assert [row["material.name"] for row in rows] == starter["paint"].values.tolist()
+    assert {row["material.category"] for row in rows} == {"man_made"}
+    assert json.loads(rows[0]["additional_properties"])["finish"] == "solid"
+    np.testing.assert_array_equal(
+        np.float32([row["spectral_data.values"] for row in rows]), starter.reflectance.values
+    )
+    path.with_name("starter.parquet.json").unlink()  # as others hand it on
+    alone = hp.open_library(path)
+    np.testing.assert_array_equal(alone.reflectance.values, starter.reflectance.values)
+    assert alone["paint"].values.tolist() == starter["paint"].values.tolist()
+
+
+def test_paints_of_one_name_stay_apart(tmp_path):
+    starter = hp.paints.starter_library(members=3).isel(paint=[0, 1, 2]).assign_coords(paint=["a", "a", "b"])
+    back = hp.open_library(hp.write_library(starter, tmp_path / "p.parquet", curves="all"))
+    xr.testing.assert_identical(back, starter)
