@@ -116,7 +116,7 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
             return
         path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=shown)
     click.echo(f"{path}: {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
-    if curves is None and form in ("envi", "csv") and "member_reflectance" in paints.variables:
+    if curves is None and form in ("envi", "csv", "parquet") and "member_reflectance" in paints.variables:
         click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
 
 
