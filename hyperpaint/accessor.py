@@ -24,6 +24,7 @@ __all__ = ["ARRAY_METHODS", "METHODS", "PaintAccessor", "PaintArrayAccessor"]
 METHODS = {
     "radiance": "radiometry",
     "reflectance": "radiometry",
+    "pixels": "radiometry",
     "smooth": "radiometry",
     "at": "radiometry",
     "to_nominal": "radiometry",

@@ -23,6 +23,7 @@ from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
 from hyperpaint.radiometry.panels import Panel
+from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
 from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
@@ -67,6 +68,15 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Reflectance factor under the irradiance measured at the time of every line."""
+    def pixels(
+        self,
+        along_track: Place = slice(None),
+        cross_track: Place = slice(None),
+        *,
+        wavelength: npt.ArrayLike | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Return reflectance of some pixels at once, as `reflectance` computes it: a pixel, a region, a band."""
     def smooth(
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
     ) -> PaintDataset:

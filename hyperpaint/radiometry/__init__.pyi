@@ -4,6 +4,7 @@ from .counts_to_reflectance import (
     reflectance as reflectance,
 )
 from .panels import Panel as Panel
+from .pixel_reading import pixels as pixels
 from .spectral_axis import (
     at as at,
     smooth as smooth,

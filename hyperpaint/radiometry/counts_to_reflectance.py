@@ -17,21 +17,15 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import (
-    ALONG_TRACK,
-    BAND,
-    CROSS_TRACK,
-    IRRADIANCE_TIME,
-    IRRADIANCE_WAVELENGTH,
-    Quality,
-)
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.light.illumination import Tilt, departure_of_record
-from hyperpaint.light.synchrony import check_irradiance_times, replace_record
+from hyperpaint.light.illumination import Tilt
+from hyperpaint.light.synchrony import replace_record
 
 from . import slabs
-from .linear_counts import TABLE, Linearity, declared_linearity
+from .line_inputs import COUNTED, cube_inputs, plan_inputs, refuse_calibration
+from .linear_counts import TABLE, Linearity
 from .panels import (
     CLOSURE,
     Panel,
@@ -42,27 +36,13 @@ from .panels import (
     several_panels,
     without_panels,
 )
+from .plan_cache import lazy_plan
 from .planning import make_plan
-from .stray_light import SHIFT_TIME, STRAY_LIGHT, described
-from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
+from .stray_light import described
+from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
 
-__all__ = ["panel_closure", "radiance", "reflectance"]
+__all__ = ["applied", "merged_quality", "panel_closure", "radiance", "reflectance"]
 
-_COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
-_LIGHT = ("irradiance", "irradiance_fwhm")
-_OPTIONAL = (
-    "dark_exposure_time",
-    "dark_time",
-    "read_noise",
-    "time",
-    "good",
-    "band_spacing",
-    "wavelength_shift",
-    "latitude",
-    "longitude",
-    "srf",
-    "srf_offset",
-)
 _BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA
 _BITS_OF_LIGHT = (
     Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
@@ -135,10 +115,11 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     if "counts" not in dataset.variables:
         _refuse_without(dataset, ("counts", "radiance"), "radiance")
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
-    cube, values = _cube_inputs(dataset, "radiance")
-    _refuse_calibration(dataset, needs_scale=True)
-    (radiances,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
-    return _with(dataset, "radiance", radiances, quality, _applied(values))
+    cube, values = cube_inputs(dataset, "radiance")
+    refuse_calibration(dataset, needs_scale=True)
+    planner = lazy_plan(dataset, None, make_plan, cube=values, light=None)
+    (radiances,), quality, _ = slabs.calibrated(slabs.line_chunked(cube), planner)
+    return _with(dataset, "radiance", radiances, quality, applied(values))
 
 
 @takes_quantities(tilt="degree")
@@ -329,26 +310,23 @@ def _reflectance(
     scaling = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
-    if "counts" in dataset.variables:
-        _refuse_calibration(dataset, needs_scale=not scaling)
-    cube, values = _cube_inputs(dataset, "reflectance")
-    light = _light_inputs(dataset, attitude, bool(panels))
-    # the plan adds how well the pixels of panels, and lines between them, are known
-    own_u = max((panel.uncertainty for panel in scaling), default=None)
-    uncertain = uncertainty_inputs(dataset, own_u) if uncertainty else None
-    options = {
-        "tilt": attitude,
-        "panel": panel_inputs(dataset, panels, reflectance) | {"refuses": refuses} if panels else stored,
-        "keep_bits": keep_bits,
-        "uncertain": uncertain,
-    }
+    cube, inputs = plan_inputs(
+        dataset, stored, scaling, tilt=attitude, keep_bits=keep_bits, uncertainty=uncertainty
+    )
+    if panels:
+        inputs["panel"] = panel_inputs(dataset, panels, reflectance) | {"refuses": refuses}
+    is_own = attitude is None and not panels
+    options = (stored is None, keep_bits, uncertainty) if is_own else None
+    uncertain = inputs["uncertain"]
     cubes, quality, plan = slabs.calibrated(
-        cube, make_plan, cubes=1 if uncertain is None else 3, cube=values, light=light, **options
+        slabs.line_chunked(cube),
+        lazy_plan(dataset, options, make_plan, **inputs),
+        cubes=1 if uncertain is None else 3,
     )
     texts = "; ".join(map(str, scaling))
     notes = {"tilt": str(attitude) if attitude else None, "panel": texts or None}
     # uncertainties of an earlier reflectance are not those of this one
-    notes |= _applied(values)
+    notes |= applied(inputs["cube"])
     result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, notes)
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
@@ -373,20 +351,9 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
     if not set(names) & set(dataset.variables):
         held = ", ".join(map(str, dataset.data_vars)) or "no variable"
         raise SchemaError(
-            f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(_COUNTED[1:])}, "
+            f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(COUNTED[1:])}, "
             f"or {' or '.join(repr(name) for name in names[1:])}"
         )
-
-
-def _refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
-    """Refuse gains that have no absolute scale."""
-    problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
-    if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
-        problems.add(
-            "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it one by "
-            "hyperpaint.calibration.anchor_to_radiance; reflectance can do with panel="
-        )
-    problems.raise_if_any()
 
 
 def _attitude(tilt: Any) -> Tilt | None:
@@ -397,60 +364,7 @@ def _attitude(tilt: Any) -> Tilt | None:
     return Tilt(*tilt)
 
 
-def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return the cube to start from and the small variables that calibrate it."""
-    from_counts = "counts" in dataset.variables
-    needed = [*_COUNTED] if from_counts else ["radiance"]
-    if purpose == "reflectance":
-        needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
-    optional = [name for name in _OPTIONAL if name in dataset.variables]
-    if from_counts:
-        optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
-    elif "radiance_gain" in dataset.variables:
-        optional.append("radiance_gain")  # gives the slope of the responsivity
-    arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
-    cube = slabs.line_chunked(arrays.pop("counts" if from_counts else "radiance"))
-    if not from_counts:
-        cube = cube.astype(np.float32)
-    if purpose == "radiance":
-        arrays.pop("wavelength_shift", None)
-    if "masked" in arrays and arrays["masked"].dims == (BAND,):
-        arrays["masked"] = arrays["masked"].expand_dims(CROSS_TRACK, axis=1)
-    values = {name: slabs.small(array) for name, array in arrays.items()}
-    if from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
-        values["linearity"] = declared_linearity(dataset.attrs)
-    if SHIFT_TIME in values:
-        values["shifted_bands"] = dataset[SHIFT_TIME].attrs.get("bands")
-    return cube, values
-
-
-def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
-    """Return the irradiance and its companions, checked as far as their labels allow."""
-    names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
-    names += [name for name in companions if name in dataset.variables]
-    if tilt is not None:
-        names += ["latitude", "longitude"]
-    if tilt is not None or has_panels:
-        names += [name for name in ("diffuse_fraction", "sky_state") if name in dataset.variables]
-    arrays = schema.require(dataset, names, "reflectance")
-    if arrays[IRRADIANCE_TIME].chunks is None:
-        check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    values = {name: slabs.small(array) for name, array in arrays.items()}
-    values["srf_shape"] = _shape(dataset, "srf_shape")
-    values["irradiance_srf_shape"] = _shape(dataset, "irradiance_srf_shape")
-    values["as_found"] = departure_of_record(dataset.attrs)
-    return values
-
-
-def _shape(dataset: xr.Dataset, attr: str) -> str:
-    shape = str(dataset.attrs.get(attr, "gaussian"))
-    if shape not in schema.SRF_SHAPES:
-        raise SchemaError(f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}")
-    return shape
-
-
-def _applied(values: dict[str, Any]) -> dict[str, str | None]:
+def applied(values: dict[str, Any]) -> dict[str, str | None]:
     """Return what attributes say was undone of what the detector does to counts; None for nothing."""
     linearity: Linearity | None = values.get("linearity")
     notes: dict[str, str | None] = {}
@@ -466,15 +380,24 @@ def _with(
     dataset: xr.Dataset, name: str, cube: Any, quality: Any, notes: dict[str, str | None]
 ) -> xr.Dataset:
     """Return the dataset with a calibrated cube and its quality, attributes and ``notes`` set outright."""
-    flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
-    attrs: dict[str, Any] = {}
+    before = None
     if "quality" in dataset.variables:
         before = schema.require(dataset, ["quality"], name)["quality"].variable
-        # what others found, such as glint or shadow, stays; what is found here from counts is found anew
-        anew = int(_OWN_BITS[name]) if "counts" in dataset.variables else 0
-        flags = flags | (before & np.uint16(0xFFFF ^ anew))
-        attrs = {name: text for name, text in before.attrs.items() if name == "flags_from"}
-    bits = schema.label(flags.astype(np.uint16), "quality", **attrs)
+    bits = merged_quality(name, quality, before, anew="counts" in dataset.variables)
     texts = {key: text for key, text in notes.items() if text}
     values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **texts)
     return dataset.assign({name: values, "quality": bits})
+
+
+def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew: bool) -> xr.DataArray:
+    """Return the flags of a product, with those that others set before.
+
+    ``anew``: what is found here from counts takes the place of what was found before.
+    """
+    flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
+    attrs: dict[str, Any] = {}
+    if before is not None:
+        # what others found, such as glint or shadow, stays
+        flags = flags | (before & np.uint16(0xFFFF ^ (int(_OWN_BITS[name]) if anew else 0)))
+        attrs = {key: text for key, text in before.attrs.items() if key == "flags_from"}
+    return schema.label(flags.astype(np.uint16), "quality", **attrs)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
-import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
@@ -238,7 +237,7 @@ def plan_of(cube: da.Array) -> Plan:
 
 
 def calibrated(
-    source: xr.DataArray, planner: Callable[..., Plan], *, cubes: int = 1, **inputs: Any
+    source: xr.DataArray, planner: Callable[..., Any], *, cubes: int = 1
 ) -> tuple[tuple[da.Array, ...], da.Array, Any]:
     """Return the calibrated cubes and their quality, lazily, and the plan they share.
 
@@ -250,14 +249,14 @@ def calibrated(
         Counts or radiance in chunks of whole lines; see `line_chunked`.
     cubes
         1, or 3 where the plan holds a `ErrorTerms`: the cube, its random and its systematic uncertainty.
-    planner, **inputs
-        Makes the plan, from the cube's shape, dtype and slabs and these.
+    planner
+        Makes the plan, lazily, from the cube's shape, dtype and slabs.
     """
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):
         counts = counts.astype(np.float32)
     starts = np.cumsum((0, *counts.chunks[0][:-1]))
-    plan = dask.delayed(planner, pure=True)(counts.shape, counts.dtype.str, starts, **inputs)
+    plan = planner(counts.shape, counts.dtype.str, starts)
     slabs = da.map_blocks(run_slab, counts, plan, dtype=object, meta=np.empty((0, 0, 0), object), name=None)
     # the order of `run_slab`
     layout = (("lbx", np.float32), ("lx", np.uint16), ("lbx", np.float32), ("lbx", np.float32))

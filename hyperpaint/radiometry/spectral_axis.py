@@ -21,7 +21,16 @@ from hyperpaint.light.responses import band_spacing
 
 from .slabs import line_chunked
 
-__all__ = ["METHODS", "NominalAxis", "at", "nominal_axis", "smooth", "smoothing_matrix", "to_nominal"]
+__all__ = [
+    "METHODS",
+    "NominalAxis",
+    "at",
+    "bands_at",
+    "nominal_axis",
+    "smooth",
+    "smoothing_matrix",
+    "to_nominal",
+]
 
 METHODS = ("savitzky-golay", "box")
 
@@ -59,6 +68,17 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     551.0
     """
     dataset = schema.rename_to_roles(dataset)
+    return dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
+
+
+def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
+    """Return the place of the band nearest to a wavelength [nm], or of those nearest to several.
+
+    Raises
+    ------
+    SchemaError
+        As `at`.
+    """
     centres = schema.require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
     wanted = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - wanted[..., None]).argmin(axis=-1)
@@ -68,7 +88,7 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
         raise SchemaError(
             f"no band at {worst:g} nm; bands reach from {centres.min():g} to {centres.max():g} nm"
         )
-    return dataset.isel({schema.BAND: nearest.item() if nearest.ndim == 0 else nearest})
+    return nearest.item() if nearest.ndim == 0 else nearest
 
 
 def to_nominal(dataset: xr.Dataset) -> xr.Dataset:

@@ -1,0 +1,248 @@
+"""Reflectance of a pixel, a region or a band: only what it needs is read, and nothing is scheduled."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import dask
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, CUBE
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.kernels.arguments import SlabOutputs
+
+from .counts_to_reflectance import applied, merged_quality
+from .line_inputs import plan_inputs
+from .panels import declared_panels, declared_scale
+from .plan_cache import PLANS, Entry, Origin
+from .planning import make_plan
+from .slabs import Plan, calibrate_lines
+from .spectral_axis import bands_at
+
+__all__ = ["pixels"]
+
+Place = int | slice
+
+BLOCK_LINES = 2 * CHUNK_LINES
+"""Lines that are read and calibrated at once, from the border of a storage chunk on."""
+
+_NO_QUALITY = np.empty((0, 0), np.uint16)
+_NO_CUBE = np.empty((0, 0, 0), np.float32)
+
+
+@takes_quantities(wavelength="nm")
+def pixels(
+    dataset: xr.Dataset,
+    along_track: Place = slice(None),
+    cross_track: Place = slice(None),
+    *,
+    wavelength: npt.ArrayLike | None = None,
+) -> xr.Dataset:
+    """Return reflectance of some pixels at once, as `reflectance` computes it: a pixel, a region, a band.
+
+    Eager: what is chosen is known before anything is calibrated, so that of the cube only the storage chunks
+    that hold it are read, without a scheduler. What else a line is calibrated by is read on the first call
+    and serves the next ones.
+
+    Parameters
+    ----------
+    dataset
+        A flight line with what `reflectance` needs; where it has neither counts nor radiance, stored
+        reflectance is read.
+    along_track, cross_track
+        Positions: a whole number, which drops the dim, or a slice.
+    wavelength
+        The bands nearest to it, as in `at`: a number, which drops the dim ``band``, or several [nm]; by
+        default all.
+
+    Returns
+    -------
+    Dataset
+        ``reflectance`` (along_track, band, cross_track), float32 [1], in memory, with its coordinates, and
+        where all bands are asked for ``quality`` (along_track, cross_track), uint16. The same bits as
+        ``reflectance(dataset).isel(...)``.
+
+    Raises
+    ------
+    SchemaError, UnitsError, TimeError
+        As `reflectance` and `at`; or there is no such pixel.
+
+    Examples
+    --------
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
+    >>> pixels(line, 0, 0).reflectance.values.round(3)
+    array([0.4, 0.4, 0.4], dtype=float32)
+    >>> pixels(line, wavelength=550.0).reflectance.dims
+    ('along_track', 'cross_track')
+    """
+    line = schema.rename_to_roles(dataset)
+    places: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
+    entry = None
+    if {"counts", "radiance"} & set(line.variables):
+        entry = _entry_of(line)
+    if wavelength is not None:
+        places[BAND] = bands_at(line if entry is None else entry.labels, wavelength)
+    chosen = {dim: _positions(place, line, dim) for dim, place in places.items()}
+    if entry is None:
+        names = [name for name in ("reflectance", "quality") if name in line.variables]
+        schema.require(line, names or ["reflectance"], "reflectance of pixels")
+        return line[names].isel(chosen, missing_dims="ignore").compute()
+    single = {dim: 0 for dim, place in chosen.items() if isinstance(place, int)}
+    chosen |= {dim: slice(chosen[dim], chosen[dim] + 1) for dim in single}
+    region = _calibrated(line, entry, chosen)
+    return region.isel(single) if single else region
+
+
+def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
+    """Return a position from 0, a slice of step 1 where it is one, or an array of positions."""
+    size = line.sizes.get(dim, 0)
+    if isinstance(place, slice):
+        numbers = range(size)[place]
+        return slice(numbers.start, numbers.stop) if numbers.step == 1 else np.asarray(numbers)
+    if np.ndim(place):
+        return np.asarray(place)
+    if not -size <= place < size:
+        raise SchemaError(f"{dim} {place} is outside of the {size} of this line")
+    return int(place) % size
+
+
+def _entry_of(line: xr.Dataset) -> Entry:
+    """Return the plan of a line with its small coordinates; what was not read before is read now."""
+    cube = line["counts" if "counts" in line.variables else "radiance"]
+    shape = (cube.sizes.get(ALONG_TRACK, 0), cube.sizes.get(BAND, 0), cube.sizes.get(CROSS_TRACK, 0))
+    dtype = cube.dtype if cube.dtype == np.uint16 else np.dtype(np.float32)
+    stored = declared_scale(line, other_light=False)
+    options = (stored is None, None, False, make_plan, shape, dtype.str)
+    entry = PLANS.entry(line, options)
+    if entry is not None and len(entry.labels.coords):
+        return entry
+    scaling = () if stored is None else declared_panels(line)
+    inputs = plan_inputs(line, stored, scaling)[1]
+    if entry is None:
+        (read,) = dask.compute(inputs)
+        plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **read)
+        entry = Entry(Origin(line, options), plan)
+    small = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
+    smile = {"wavelength_shift"} & set(line.coords)
+    notes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scaling))}
+    entry.labels = line[[]].assign_coords({name: line[name] for name in {*small, *smile}}).compute()
+    entry.labels.attrs = {name: text for name, text in notes.items() if text}
+    PLANS.add(entry)
+    return entry
+
+
+def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Dataset:
+    """Return reflectance of a region, ``chosen`` by dim, and with all bands its quality."""
+    lines, bands, columns = chosen.values()
+    plan, sizes = entry.plan, line.sizes
+    is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
+    is_from_counts = "counts" in line.variables
+    # light of other bands, and elements that see none, are of the whole line
+    read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
+    shown: tuple[Any, Any] = (bands, columns)
+    if plan.stray is None and not len(plan.detector.masked):
+        read = bands, _range_of(columns)
+        shown = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
+        plan = _part(plan, *read)
+    cube = _cube_of(line)
+    cubes, flags = [], []
+    samples = sizes[BAND] * sizes[CROSS_TRACK]
+    for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):
+        here = _range_of(numbers)
+        counts = np.ascontiguousarray(_read(cube, (here, *read)))
+        if counts.dtype != np.uint16:
+            counts = counts.astype(np.float32, copy=False)
+        quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
+        out = SlabOutputs(np.empty(counts.shape, np.float32), quality, _NO_CUBE, _NO_CUBE)
+        calibrate_lines(plan, counts, here.start, out)
+        rows = slice(None) if isinstance(lines, slice) else numbers - here.start
+        cubes.append(out.cube[rows][:, shown[0]][:, :, shown[1]])
+        if is_flagged:
+            flags.append(quality[rows][:, shown[1]])
+    labels = entry.labels.isel(chosen, missing_dims="ignore")
+    values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
+    products = {"reflectance": values.variable}
+    if is_flagged:
+        before = None
+        if "quality" in line.variables:
+            stored = schema.require(line, ["quality"], "reflectance")["quality"]
+            before = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute()
+        merged = merged_quality("reflectance", _joined(flags), before, anew=is_from_counts)
+        products["quality"] = merged.variable
+    return labels.assign(products).assign_attrs(line.attrs)
+
+
+def _range_of(places: Any) -> slice:
+    """Return the slice that holds places, which are one already or an array."""
+    if isinstance(places, slice):
+        return places
+    return slice(int(places.min()), int(places.max()) + 1) if len(places) else slice(0, 0)
+
+
+def _joined(blocks: list[Array]) -> Array:
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+
+
+def _blocks(numbers: Array, times: int) -> list[Array]:
+    """Return the numbers of lines in blocks that share storage chunks: ``times`` as many lines as usual."""
+    if not numbers.size:
+        return [np.zeros(0, np.int64)]
+    first = numbers.min() // CHUNK_LINES * CHUNK_LINES
+    block = (numbers - first) // (BLOCK_LINES * max(1, times))
+    return np.split(numbers, np.flatnonzero(np.diff(block)) + 1)
+
+
+def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
+    """Return the plan of some bands and neighbouring columns; flags hold with all bands only."""
+
+    def cut(array: Array) -> Array:
+        array = array[..., bands, :] if array.shape[-2] > 1 else array
+        return np.ascontiguousarray(array[..., columns] if array.shape[-1] > 1 else array)
+
+    def runs(array: Array) -> Array:
+        return array[bands] if len(array) > 1 else array
+
+    edges = np.clip(runs(plan.smile.edges) - columns.start, 0, columns.stop - columns.start)
+    smile = dataclasses.replace(
+        plan.smile, shift=cut(plan.smile.shift), edges=edges, cells=runs(plan.smile.cells)
+    )
+    return dataclasses.replace(
+        plan,
+        dark=cut(plan.dark),
+        gain=cut(plan.gain),
+        scale=plan.scale[..., bands],
+        series=None if plan.series is None else plan.series[:, bands],
+        smile=smile,
+        saturation_limit=cut(plan.saturation_limit),
+        noise_margin=cut(plan.noise_margin),
+        column_flags=plan.column_flags[columns],
+    )
+
+
+def _cube_of(line: xr.Dataset) -> xr.Variable:
+    """Return what a line is calibrated from, which its plan has been held against."""
+    if "counts" in line.variables:
+        return line.variables["counts"].transpose(*CUBE)
+    radiance: xr.Variable = schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    return radiance
+
+
+def _read(cube: xr.Variable, places: tuple[Any, ...]) -> Array:
+    """Return a part of a cube: of one that dask reads from a file, without dask."""
+    if cube.chunks is None:
+        return np.asarray(cube[places].values)
+    data = cube.data
+    # what `dask.array.from_array` was given
+    sources = list(data.dask.layers.get(f"original-{data.name}", {}).values())
+    if len(sources) == 1 and len(data.dask.layers) == 2:
+        is_whole = getattr(sources[0], "shape", None) == data.shape
+        if is_whole and getattr(sources[0], "dtype", None) == data.dtype:
+            return np.asarray(sources[0][places])
+    return np.asarray(data[places].compute())
