@@ -216,7 +216,14 @@ def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.n
     # one inside the file: of one beside it GDAL is not told
     if MaskFlags.per_dataset in raster.mask_flag_enums[0]:
         values[raster.read_masks(1, window=window) == 0] = np.nan
+    # infinities are no heights, and signalling NaNs of a damaged file would warn in every sum
+    values[~np.isfinite(values)] = np.nan
     scale, offset = raster.scales[0], raster.offsets[0]
+    if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
+        raise FormatError(
+            f"{raster.name}: scale {scale:g} and offset {offset:g}, expected finite ones, no scale of 0; "
+            "set them with gdal_edit -a_scale 1 -a_offset 0"
+        )
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
 

@@ -57,6 +57,23 @@ def test_scale_offset_and_unit_of_a_raster_count(tmp_path: Path) -> None:
     assert heights.attrs["units"] == "ft"
 
 
+@pytest.mark.parametrize(("scale", "offset"), [(0.0, 1.0), (np.inf, 0.0), (1.0, np.nan)])
+def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, offset: float) -> None:
+    path = written(tmp_path / "dem.tif", HEIGHTS)
+    with rasterio.open(path, "r+") as raster:
+        raster.scales, raster.offsets = (scale,), (offset,)
+    with pytest.raises(FormatError, match=r"scale .* and offset .*, expected finite ones"):
+        read_heights(path)
+
+
+def test_what_is_not_finite_is_no_height(tmp_path: Path) -> None:
+    signalling = np.array([0x7F800001, 0x7F800000], np.uint32).view(np.float32)
+    path = written(tmp_path / "dem.tif", np.array([[*signalling], [1.0, 2.0]], np.float32), nodata=None)
+    with rasterio.open(path, "r+") as raster:
+        raster.scales = (2.0,)
+    np.testing.assert_array_equal(read_heights(path), [[np.nan, np.nan], [2.0, 4.0]])
+
+
 def test_holes_of_a_mask_inside_the_file(tmp_path: Path) -> None:
     path = written(tmp_path / "dem.tif", HEIGHTS[:, ::2], nodata=None)
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as raster:
