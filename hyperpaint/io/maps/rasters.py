@@ -188,6 +188,11 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
             f"{path} has no place without {' and '.join(missing)}; give it with gdal_translate "
             "-a_srs EPSG:<code> -a_ullr <west north east south>"
         )
+    if not np.isfinite(tuple(raster.transform)).all():
+        raise FormatError(
+            f"{path}: its transform is {tuple(raster.transform)[:6]}, expected finite numbers; give it with "
+            "gdal_translate -a_ullr <west north east south>"
+        )
 
 
 def _declared(raster: Any) -> dict[str, Any]:

@@ -66,6 +66,14 @@ def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, offset: f
         read_heights(path)
 
 
+def test_a_place_that_is_none_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "dem.tif", HEIGHTS)
+    with rasterio.open(path, "r+") as raster:
+        raster.transform = rasterio.Affine(np.inf, 0.0, 1.0, 0.0, -1.0, 2.0)
+    with pytest.raises(FormatError, match=r"its transform is .*, expected finite numbers"):
+        read_heights(path)
+
+
 def test_what_is_not_finite_is_no_height(tmp_path: Path) -> None:
     signalling = np.array([0x7F800001, 0x7F800000], np.uint32).view(np.float32)
     path = written(tmp_path / "dem.tif", np.array([[*signalling], [1.0, 2.0]], np.float32), nodata=None)
