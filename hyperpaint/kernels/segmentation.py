@@ -10,8 +10,9 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = [
-    "absorb", "boundary_distance", "is_large", "join_segments", "nearest_sources", "number_segments",
-    "step_sizes",
+    "absorb", "boundary_distance", "count_pixels", "count_steps", "join_segments", "mark_large",
+    "nearest_sources", "number_segments", "pick_steps", "sample_places", "sort_steps", "step_sizes",
+    "to_pixels",
 ]  # fmt: skip
 
 
@@ -20,10 +21,11 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
     """Write the relative step from every pixel to the next one across and along the track (line, column).
 
     It is the root mean square over ``channels`` (line, column, channel), reflectances [1], of differences
-    over their mean plus ``floor`` [1]; infinite where there is no next pixel or no data.
+    over their mean plus ``floor`` [1]; infinite where there is no next pixel or no data. Of what is written
+    there may be fewer lines than of channels.
     """
     lines, columns, count = channels.shape
-    for line in range(lines):
+    for line in range(across.shape[0]):
         for x in range(columns):
             for way in range(2):
                 other_line, other_x = (line, x + 1) if way == 0 else (line + 1, x)
@@ -49,6 +51,58 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
 
 
 @kernel
+def count_steps(steps: Array, bits: Array, counts: Array) -> None:
+    """Count finite ``steps``, float32 from 0 on, in piles (32768,) by the first bits of their whole numbers.
+
+    ``bits`` are these whole numbers, uint32, which ascend as the steps do.
+    """
+    for place in range(steps.size):
+        if steps[place] < np.inf:
+            counts[bits[place] >> 16] += 1
+
+
+@kernel
+def pick_steps(
+    bits: Array, first_place: Any, first_pile: Any, end_pile: Any, places: Array, values: Array, start: Any
+) -> Any:
+    """Write places and whole numbers of the steps that lie in some piles; return how many there are then.
+
+    ``first_place`` is the place of the first of the steps given, ``start`` how many were written before.
+    """
+    count = start
+    for k in range(bits.size):
+        pile = bits[k] >> 16
+        if first_pile <= pile < end_pile:
+            places[count], values[count] = first_place + k, bits[k]
+            count += 1
+    return count
+
+
+@kernel
+def sort_steps(places: Array, values: Array, other_places: Array, other_values: Array) -> None:
+    """Sort places by their values, equal ones in the order in which they stand.
+
+    They are dealt to 2048 piles by their last 11 bits, then by the next, then by the first ones: what is
+    sorted ends up in ``other_places`` and ``other_values``.
+    """
+    starts = np.empty(2049, np.int64)
+    for turn in range(3):
+        if turn % 2 == 0:
+            source, target, value, moved = places, other_places, values, other_values
+        else:
+            source, target, value, moved = other_places, places, other_values, values
+        starts[:] = 0
+        for k in range(source.size):
+            starts[((value[k] >> (11 * turn)) & 2047) + 1] += 1
+        for pile in range(2048):
+            starts[pile + 1] += starts[pile]
+        for k in range(source.size):
+            pile = (value[k] >> (11 * turn)) & 2047
+            target[starts[pile]], moved[starts[pile]] = source[k], value[k]
+            starts[pile] += 1
+
+
+@kernel
 def root_of(parent: Array, pixel: Any) -> Any:
     """Return the root of a pixel's tree, halving the path to it."""
     while parent[pixel] != pixel:
@@ -58,19 +112,21 @@ def root_of(parent: Array, pixel: Any) -> Any:
 
 
 @kernel
-def join_segments(order: Array, steps: Array, columns: Any, scale: Any, parent: Array, size: Array) -> None:
+def join_segments(
+    order: Array, steps: Array, columns: Any, scale: Any, parent: Array, size: Array, within: Array
+) -> None:
     """Join pixels over the steps between them, gentlest first (Felzenszwalb & Huttenlocher 2004).
 
     Two segments are joined where the step between them is no larger than the largest step that holds either
     of them together, plus ``scale`` over its size.
 
-    ``order`` (step,) are places in ``steps`` (2 x pixel,), sorted: 2 x pixel for the step across, 2 x pixel +
-    1 for that along; ``columns`` the pixels of a line. Written are the tree of every pixel, ``parent``
-    (pixel,), and at its root the ``size`` of the segment in pixels.
+    ``order`` (step,) are the places of ``steps`` (step,), both by ascending steps: 2 x pixel for the step
+    across, 2 x pixel + 1 for that along; ``columns`` the pixels of a line. Written are the tree of every
+    pixel, ``parent`` (pixel,), and at its root the ``size`` of the segment in pixels, and ``within``, the
+    largest step that holds it together. Further steps, all larger, may follow in another call.
     """
-    within = np.zeros(parent.size, np.float32)
-    for place in order:
-        step = steps[place]
+    for k in range(order.size):
+        place, step = order[k], steps[k]
         one = place // 2
         other = one + 1 if place % 2 == 0 else one + columns
         one, other = root_of(parent, one), root_of(parent, other)
@@ -101,16 +157,21 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
 
 
 @kernel
-def absorb(order: Array, columns: Any, least: Any, least_core: Any, parent: Array, size: Array) -> None:
-    """Join small and thin segments to the neighbour that the gentlest step leads to.
-
-    Those have fewer than ``least`` pixels, or fewer than ``least_core`` with only their like around them.
-    """
+def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
+    """Write at the root of every segment whether it is large enough to stand for itself, see `absorb`."""
     core = np.zeros(parent.size, np.int32)
     count_cores(parent, columns, core)
-    large = np.zeros(parent.size, np.bool_)
     for pixel in range(parent.size):
         large[pixel] = parent[pixel] == pixel and size[pixel] >= least and core[pixel] >= least_core
+
+
+@kernel
+def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array) -> None:
+    """Join small and thin segments to the neighbour that the gentlest step leads to.
+
+    Those are not ``large`` (pixel,), at their roots: of fewer pixels than asked for, or with fewer that have
+    only their like around them. Further steps, all larger, may follow in another call.
+    """
     for place in order:
         one = place // 2
         other = one + 1 if place % 2 == 0 else one + columns
@@ -144,13 +205,38 @@ def number_segments(parent: Array, valid: Array, number: Array) -> Any:
 
 
 @kernel
-def is_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
-    """Write whether the segment of every pixel is large enough to stand for itself, see `absorb`."""
-    core = np.zeros(parent.size, np.int32)
-    count_cores(parent, columns, core)
+def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
+    """Count the pixels of every segment (2, segment): those that are not chosen, and those that are."""
+    for line in range(number.shape[0]):
+        for x in range(number.shape[1]):
+            if number[line, x] >= 0:
+                counts[1 if chosen[line, x] else 0, number[line, x]] += 1
+
+
+@kernel
+def sample_places(
+    number: Array, chosen: Array, wanted: Array, step: Array, start: Array, seen: Array, out: Array
+) -> None:
+    """Write places, counted line by line, of every so many pixels of each segment.
+
+    Of those pixels that are ``chosen`` as ``wanted`` (segment,) says. ``step`` (segment,) is of how many one
+    is taken, ``start`` where in ``out`` the first of a segment goes, and ``seen`` (segment,) begins with 0.
+    """
+    columns = number.shape[1]
+    for line in range(number.shape[0]):
+        for x in range(columns):
+            segment = number[line, x]
+            if segment >= 0 and chosen[line, x] == wanted[segment]:
+                if seen[segment] % step[segment] == 0:
+                    out[start[segment] + seen[segment] // step[segment]] = line * columns + x
+                seen[segment] += 1
+
+
+@kernel
+def to_pixels(parent: Array, of_roots: Array, of_pixels: Array) -> None:
+    """Write what every pixel's segment has at its root."""
     for pixel in range(parent.size):
-        root = root_of(parent, pixel)
-        large[pixel] = size[root] >= least and core[root] >= least_core
+        of_pixels[pixel] = of_roots[root_of(parent, pixel)]
 
 
 @kernel

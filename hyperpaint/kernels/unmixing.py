@@ -41,8 +41,9 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
     for band in range(bands):
         if channel[band] >= 0:
             members[channel[band]] += 1
-    total = np.empty((columns, groups), np.float64)
-    valid = np.empty((columns, groups), np.int64)
+    # columns last: they are done side by side
+    total = np.empty((groups, columns), np.float64)
+    valid = np.empty((groups, columns), np.float64)
     for line in range(lines):
         total[:] = 0.0
         valid[:] = 0
@@ -52,13 +53,13 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
                 continue
             for x in range(columns):
                 value = cube[line, band, x]
-                if np.isfinite(value):
-                    total[x, group] += value
-                    valid[x, group] += 1
+                is_finite = abs(value) < np.inf
+                total[group, x] += value if is_finite else 0.0
+                valid[group, x] += 1.0 if is_finite else 0.0
         for x in range(columns):
             for group in range(groups):
-                enough = 2 * valid[x, group] > members[group]
-                out[line, x, group] = total[x, group] / valid[x, group] if enough else np.nan
+                enough = 2 * valid[group, x] > members[group]
+                out[line, x, group] = total[group, x] / valid[group, x] if enough else np.nan
 
 
 @kernel

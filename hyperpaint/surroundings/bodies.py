@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from hyperpaint.base.arrays import Bools, Floats, Floats32, Ints
 from .detection_rules import BODIES, GLINT
 from .full_light import AS_GLINT, Light, Matches, unmix_spectra
 from .model import CELL, LIT
+from .scratch import gather
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["Paints", "clean_references", "coloured", "coloured_bodies", "nearest_coloured", "same_paints"]
@@ -123,7 +125,7 @@ def clean_references(
     matches: Matches,
     paints: Paints,
     light: Light,
-    neighbours: npt.NDArray[np.int32],
+    neighbours: Callable[[Ints], npt.NDArray[np.int32]],
     zenith: float,
 ) -> tuple[Floats, Floats]:
     """Return the spectra of bodies (segment, channel) without glint, and how far their parts lean (segment,).
@@ -134,8 +136,8 @@ def clean_references(
     that are glinted all over show their paint where another part of the car does.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``places``: pixels of every segment;
-    ``spectrum``, ``matches``, ``paints``, ``light``: of the segments, and the irradiance; ``neighbours``
-    (line x column, 2): coloured segments beside every pixel; ``zenith``: of the sun [degree]; NaN where not
+    ``spectrum``, ``matches``, ``paints``, ``light``: of the segments, and the irradiance; ``neighbours``:
+    gives the coloured segments beside pixels (pixel, 2); ``zenith``: of the sun [degree]; NaN where not
     known.
     """
     finite_spectrum = np.nan_to_num(spectrum)
@@ -146,10 +148,11 @@ def clean_references(
     for segment, here in enumerate(places):
         if matches.body[segment] != segment or not np.isfinite(spectrum[segment]).all():
             continue
-        here = here[np.isfinite(flat[here]).all(axis=1)]
+        values = gather(flat, here).astype(np.float64)
+        is_finite = np.isfinite(values).all(axis=1)
+        here, values = here[is_finite], values[is_finite]
         if here.size < BODIES.min_body_px:
             continue
-        values = flat[here].astype(np.float64)
         grey = colour[segment] < BODIES.max_grey_colour
         darkest = _darkest(values, light, most) if grey else None
         if darkest is not None:
@@ -158,7 +161,7 @@ def clean_references(
             if darkest.mean() > BODIES.bright and middle > BODIES.min_mostly_glint:
                 tilt[segment] = BODIES.glint_tilt
             continue
-        extra, direct = _additions(values, segment, finite_spectrum, light, neighbours[here])
+        extra, direct = _additions(values, segment, finite_spectrum, light, neighbours(here))
         low, high = np.quantile(extra, [0.1, 0.5])
         if high - low > BODIES.min_difference:
             first, last = np.quantile(extra, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)

@@ -11,6 +11,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
 from .detection_rules import GLINT, MIRROR, MIXTURES
 from .model import CELL, GLINTED, LIT, SHADED
+from .scratch import gather
 from .segments import Touching, distinct_pairs
 
 __all__ = [
@@ -56,7 +57,7 @@ def median_spectra(channels: Floats32, places: list[Ints]) -> Floats:
     medians = np.full((len(places), channels.shape[2]), np.nan)
     for segment, here in enumerate(places):
         if here.size:
-            medians[segment] = _median(flat[here].astype(np.float64))
+            medians[segment] = _median(gather(flat, here).astype(np.float64))
     return medians
 
 

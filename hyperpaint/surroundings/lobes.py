@@ -7,7 +7,7 @@ surroundings. Flakes in a paint, and panels that lean, are brighter over all of 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
 from .detection_rules import GLINT, LOBES
 from .full_light import AS_GLINT, Light, unmix_spectra
+from .scratch import line_parts, release, scratch_array
 
 __all__ = ["IN_LOBE", "SATURATED_IN_LOBE", "Picture", "mirror_lobes"]
 
@@ -33,12 +34,22 @@ _DARKER, _LOWEST = 9, 2
 """Pixels of a ring that are darker, at least, where its median is; place of its third lowest."""
 
 
+class Shown:
+    """What pixels show, looked up where it is asked for: for memory."""
+
+    def __init__(self, number: npt.NDArray[np.int32], body: npt.NDArray[np.int32]) -> None:
+        self._number, self._body = number, np.append(body, np.int32(-1))
+
+    def __getitem__(self, where: Any) -> npt.NDArray[np.int32]:
+        return np.asarray(self._body[self._number[where]])
+
+
 class Picture(NamedTuple):
     """What is seen of a line."""
 
     channels: Floats32  #: (line, column, channel): Reflectance [1].
     saturated: Bools  #: (line, column): Whether a sample is.
-    body: npt.NDArray[np.int32]  #: (line, column): Body of every pixel; -1 without data.
+    body: Shown  #: (line, column): Body of every pixel; -1 without data.
     ground: Bools  #: (segment,): Bodies that have no coat.
     reference: Floats  #: (segment, channel): Reflectance of bodies in full light [1].
     coloured: Bools  #: (segment,): Bodies on which the mirrored sun has another colour than their own.
@@ -55,18 +66,27 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     is as bright as a white surface in the sun over several pixels; it is told from flakes on paint of another
     colour, and on black.
     """
-    level = picture.channels.mean(axis=2, dtype=np.float64)
-    level[picture.saturated] = np.nan
+    level = scratch_array(picture.saturated.shape, np.float64)
+    on_coat = np.empty(level.shape, bool)
+    coated = ~np.append(picture.ground, True)
+    for part, seen in line_parts(picture.channels):
+        saturated, body = picture.saturated[part], picture.body[part]
+        level[part] = np.where(saturated, np.nan, seen.mean(axis=2, dtype=np.float64))
+        on_coat[part] = (body >= 0) & coated[body] | saturated
+        release(level)
     spots = list(_components(picture.saturated))
     for spot, window in spots:
         if _half_width(spot) <= LOBES.max_spot_px:
             level[window][spot] = np.inf
-    on_coat = (picture.body >= 0) & ~np.append(picture.ground, True)[picture.body] | picture.saturated
     lobe = np.zeros(level.shape, bool)
     for core, window in _components(_sharp(level, on_coat)):
         _add_sharp(picture, level, core, window, lobe)
+        release(picture.channels)
+        release(level)
     for core, window in _components(_wide(picture, level, on_coat)):
         _add_wide(picture, level, core, window, lobe)
+        release(picture.channels)
+        release(level)
     layer = np.where(lobe, np.uint8(IN_LOBE), np.uint8(0))
     for spot, window in spots:
         rim = _distance(spot) < 1.5
@@ -108,17 +128,23 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
     """Return the pixels that stand out from those around them, where these are even (line, column)."""
     found = np.zeros(level.shape, bool)
     lines, columns = level.shape
-    padded = np.pad(level, _MARGIN, mode="edge")
     for first in range(0, lines, _LINES):
         here = level[first : first + _LINES]
         below = here / LOBES.min_contrast
         darker = np.zeros(here.shape, np.int8)
+        # beyond the edges stands what is at them
+        rows = np.clip(np.arange(first - _MARGIN, first + len(here) + _MARGIN), 0, lines - 1)
+        padded = np.pad(level[rows], ((0, 0), (_MARGIN, _MARGIN)), mode="edge")
         for down, right in _RING:
-            top, left = first + _MARGIN + down, _MARGIN + right
+            top, left = _MARGIN + down, _MARGIN + right
             darker += padded[top : top + len(here), left : left + columns] < below
         found[first : first + _LINES] = darker >= _DARKER
+        release(level)
     y, x = np.nonzero(found & on_coat)
-    around = np.sort([padded[y + _MARGIN + down, x + _MARGIN + right] for down, right in _RING], axis=0)
+    around = np.sort(
+        [level[np.clip(y + down, 0, lines - 1), np.clip(x + right, 0, columns - 1)] for down, right in _RING],
+        axis=0,
+    )
     middle = 0.5 * (around[len(_RING) // 2 - 1] + around[len(_RING) // 2])
     fits = (level[y, x] > LOBES.min_contrast * middle) & (around[_LOWEST] > LOBES.min_evenness * middle)
     fits &= level[y, x] - middle > LOBES.min_excess
@@ -225,10 +251,15 @@ def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Float
 
 def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
     """Return the pixels where the sun's mirror image is as bright as a white surface (line, column)."""
-    asked = np.append(_distinct(picture), False)[picture.body] & on_coat & np.isfinite(level)
-    asked &= level > LOBES.min_wide_glint * picture.light.direct.mean()
-    whole = (slice(0, level.shape[0]), slice(0, level.shape[1]))
-    return np.asarray(_glint(picture, asked, whole) >= LOBES.min_wide_glint)
+    distinct = np.append(_distinct(picture), False)
+    wide = np.zeros(level.shape, bool)
+    for part, here in line_parts(level):
+        asked = distinct[picture.body[part]] & on_coat[part] & np.isfinite(here)
+        asked &= here > LOBES.min_wide_glint * picture.light.direct.mean()
+        glint = _glint(picture, asked, (part, slice(0, level.shape[1])))
+        wide[part] = glint >= LOBES.min_wide_glint
+        release(picture.channels)
+    return wide
 
 
 def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools) -> None:

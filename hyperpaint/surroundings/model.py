@@ -35,10 +35,21 @@ def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, firs
     """
     lines, columns = number.shape
     cells = neighbour[(first + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
+    return _first_two(cells, body, paint, number)
+
+
+def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, places: Ints) -> Index:
+    """Return `two_nearest` of the pixels at some places of a whole line, counted line by line (pixel, 2)."""
+    line, column = np.divmod(places, number.shape[1])
+    return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
+
+
+def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
+    """Return the first two bodies of other paint among the segments nearest to pixels (..., rank)."""
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
     own = paints[number]
-    nearest = np.full((lines, columns, 2), -1, np.int32)
+    nearest = np.full((*number.shape, 2), -1, np.int32)
     for rank in range(cells.shape[-1]):
         here = bodies[cells[..., rank]]
         fresh = (here >= 0) & (paints[here] != own) & (here != nearest[..., 0])

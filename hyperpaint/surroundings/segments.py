@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 
 from .detection_rules import SEGMENTS
+from .scratch import line_parts, release, scratch_array, trim_memory
 
 __all__ = [
     "Segments", "Touching", "beyond", "border_steps", "distance_to", "distinct_pairs", "divide",
@@ -44,27 +47,66 @@ def divide(channels: Floats32) -> Segments:
     unless they stand out from the steps inside (Felzenszwalb & Huttenlocher, Ints. J. Comput. Vis. 59, 2004).
     Nothing depends on how the line came into memory.
     """
-    from hyperpaint.kernels.segmentation import absorb, is_large, join_segments, number_segments, step_sizes
+    from hyperpaint.kernels import segmentation as kernels
 
     lines, columns, _ = channels.shape
-    across, along = np.empty((2, lines, columns), np.float32)
-    step_sizes(channels, SEGMENTS.step_floor, across, along)
-    steps = np.stack([across.ravel(), along.ravel()], axis=1).ravel()
-    del across, along
-    order = np.argsort(steps, kind="stable")
-    order = order[: np.searchsorted(steps[order], np.inf)]
+    has_data = np.empty((lines, columns), np.bool_)
+    steps = scratch_array((lines, columns, 2), np.float32)  # to the right, and to the next line
+    counts = np.zeros(1 << 15, np.int64)
+    for part, seen in line_parts(channels, more=1):
+        here = steps[part]
+        kernels.step_sizes(seen, SEGMENTS.step_floor, here[..., 0], here[..., 1])
+        kernels.count_steps(here.ravel(), here.ravel().view(np.uint32), counts)
+        release(steps)
+        has_data[part] = np.isfinite(seen[: part.stop - part.start]).mean(axis=2) > 0.5
     parent = np.arange(lines * columns, dtype=np.int32)
-    size = np.ones(parent.size, np.int32)
-    join_segments(order, steps, columns, SEGMENTS.granularity, parent, size)
-    has_data = np.isfinite(channels).mean(axis=2).ravel() > 0.5
-    sure = np.empty(parent.size, np.bool_)
-    is_large(parent, size, columns, SEGMENTS.min_pixels, SEGMENTS.min_core_px, sure)
-    absorb(order, columns, SEGMENTS.min_pixels, SEGMENTS.min_core_px, parent, size)
+    size, within = np.ones(parent.size, np.int32), np.zeros(parent.size, np.float32)
+    order = scratch_array((int(counts.sum()),), np.int32)
+    ends = [0]
+    for places, values in _sorted_steps(steps, counts):
+        kernels.join_segments(places, values, columns, SEGMENTS.granularity, parent, size, within)
+        ends.append(ends[-1] + places.size)
+        order[ends[-2] : ends[-1]] = places
+        release(order)
+    del within, steps
+    large, sure = np.empty((2, parent.size), np.bool_)
+    kernels.mark_large(parent, size, columns, SEGMENTS.min_pixels, SEGMENTS.min_core_px, large)
+    kernels.to_pixels(parent, large, sure)
+    for first, end in pairwise(ends):
+        kernels.absorb(order[first:end], columns, large, parent, size)
+        release(order)
+    del order, size, large
     number = np.empty(parent.size, np.int32)
-    count = number_segments(parent, has_data, number)
+    count = kernels.number_segments(parent, has_data.ravel(), number)
     shape = lines, columns
+    del parent
     sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
+
+
+_PARTS = 8
+"""Parts in which steps are sorted."""
+
+
+def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
+    """Yield places and sizes of the finite steps (line, column, way), ascending, some at a time."""
+    from hyperpaint.kernels.segmentation import pick_steps, sort_steps
+
+    total = np.concatenate([[0], np.cumsum(counts)])
+    # at the piles with which another part of all is full; beyond the last lie steps that are not finite
+    full = np.searchsorted(total, np.linspace(0, total[-1], _PARTS + 1)[1:])
+    edges = np.unique(np.concatenate([[0], full]))
+    most = np.diff(total[edges]).max(initial=0)
+    # once for all: memory that is taken and given back in turns is not all used again
+    places, values = np.empty((2, most), np.int32), np.empty((2, most), np.uint32)
+    for first, end in pairwise(edges):
+        count = 0
+        for part, here in line_parts(steps):
+            bits, offset = here.ravel().view(np.uint32), part.start * steps.shape[1] * 2
+            count = pick_steps(bits, offset, first, end, places[0], values[0], count)
+        one, other = (places[0, :count], values[0, :count]), (places[1, :count], values[1, :count])
+        sort_steps(*one, *other)
+        yield other[0], other[1].view(np.float32)
 
 
 def sample_pixels(number: npt.NDArray[np.int32], chosen: Bools, count: int) -> list[Ints]:
@@ -72,29 +114,34 @@ def sample_pixels(number: npt.NDArray[np.int32], chosen: Bools, count: int) -> l
 
     Segments without a chosen pixel give the first ones they have.
     """
-    flat, wanted = number.ravel(), chosen.ravel()
-    # chosen pixels first; a stable sort keeps the order of lines
-    key = np.where(flat < 0, 2 * count, 2 * flat.astype(np.int64) + ~wanted)
-    order = np.argsort(key, kind="stable")
-    starts = np.searchsorted(key[order], np.arange(2 * count + 1))
-    samples = []
-    for segment in range(count):
-        first, middle, last = starts[2 * segment], starts[2 * segment + 1], starts[2 * segment + 2]
-        here = order[first:middle] if middle > first else order[first:last]
-        samples.append(here[:: max(1, -(-here.size // SEGMENTS.max_sample_px))])
-    return samples
+    from hyperpaint.kernels.segmentation import count_pixels, sample_places
+
+    counts = np.zeros((2, count), np.int64)
+    count_pixels(number, chosen, counts)
+    # of segments without a chosen pixel those that are not
+    wanted = counts[1] > 0
+    held = np.where(wanted, counts[1], counts[0])
+    step = np.maximum(1, -(-held // SEGMENTS.max_sample_px))
+    ends = np.cumsum(-(-held // step))
+    out = np.empty(ends[-1] if count else 0, np.int64)
+    sample_places(number, chosen, wanted, step, ends - -(-held // step), np.zeros(count, np.int64), out)
+    return np.split(out, ends[:-1]) if count else []
 
 
 def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
     """Return which segments touch, how far, and on which side."""
     codes, ways = [], []
-    for axis, (a, b) in enumerate(((number[:-1], number[1:]), (number[:, :-1], number[:, 1:]))):
-        differ = (a != b) & (a >= 0) & (b >= 0)
-        one, other = a[differ].astype(np.int64), b[differ].astype(np.int64)
-        codes += [one * count + other, other * count + one]
-        ways += [np.full(one.size, 2 * axis), np.full(one.size, 2 * axis + 1)]
+    for axis, (a, b) in enumerate(_NEXT):
+        for _, part in line_parts(number, more=1 - axis):
+            first, second = part[a].ravel(), part[b].ravel()
+            differ = np.flatnonzero((first != second) & (first >= 0) & (second >= 0))
+            one, other = first[differ].astype(np.int64), second[differ].astype(np.int64)
+            codes += [one * count + other, other * count + one]
+            ways += [np.full(one.size, 2 * axis, np.int8), np.full(one.size, 2 * axis + 1, np.int8)]
     pairs, place = np.unique(np.concatenate(codes), return_inverse=True)
     sides = np.bincount(4 * place + np.concatenate(ways), minlength=4 * pairs.size).reshape(-1, 4)
+    del codes, ways, place
+    trim_memory()
     return Touching(pairs // max(count, 1), pairs % max(count, 1), sides.sum(axis=1), sides)
 
 
@@ -125,18 +172,27 @@ def distinct_pairs(one: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
 
 def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touching) -> Array:
     """Return the mean difference of brightness of the pixels on both sides of a border (pair,) [1]."""
-    level = channels.mean(axis=2)
     count = int(number.max()) + 1
     codes = pairs.one * count + pairs.other
     total = np.zeros(codes.size)
-    for a, b in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-        one, other = number[a].astype(np.int64), number[b].astype(np.int64)
-        differ = (one != other) & (one >= 0) & (other >= 0)
-        step = np.abs(level[a] - level[b])[differ].astype(np.float64)
-        one, other = one[differ], other[differ]
-        for code in (one * count + other, other * count + one):
-            total += np.bincount(np.searchsorted(codes, code), np.nan_to_num(step), codes.size)
+    for axis, (a, b) in enumerate(_NEXT):
+        both_ways = np.zeros((2, codes.size))
+        for lines, seen in line_parts(channels, more=1 - axis):
+            part, level = number[lines.start : lines.start + len(seen)], seen.mean(axis=2)
+            first, second = part[a].ravel(), part[b].ravel()
+            differ = np.flatnonzero((first != second) & (first >= 0) & (second >= 0))
+            step = np.abs(level[a] - level[b]).ravel()[differ].astype(np.float64)
+            one, other = first[differ].astype(np.int64), second[differ].astype(np.int64)
+            for sums, code in zip(both_ways, (one * count + other, other * count + one), strict=True):
+                # one after another, as if all were at hand: the same bits for any parts
+                np.add.at(sums, np.searchsorted(codes, code), np.nan_to_num(step))
+        for sums in both_ways:
+            total += sums
     return total / pairs.length
+
+
+_NEXT: tuple[Any, Any] = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
+"""Pixels and those of the next line; and those to the right."""
 
 
 def edge_distance(

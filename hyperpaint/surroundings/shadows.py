@@ -16,7 +16,6 @@ from .full_light import (
     Light,
     Matches,
     Mixtures,
-    in_parts,
     least_amounts,
     mixtures_of,
     senders_of,
@@ -24,6 +23,7 @@ from .full_light import (
     without_sun,
 )  # fmt: skip
 from .model import LIT, SHADED
+from .scratch import line_parts, release
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["match_shade", "of_shadows", "penumbrae", "shaded_pixels"]
@@ -31,8 +31,6 @@ __all__ = ["match_shade", "of_shadows", "penumbrae", "shaded_pixels"]
 
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Directions (along, across) of the sides of `Touching`."""
-_LINES = 128
-"""Lines that are looked at together, for memory."""
 
 
 class Scene(NamedTuple):
@@ -295,6 +293,7 @@ def penumbrae(
             numbers = number.copy()
         part = numbers[window]
         part[near] = np.where(fades, segment, part[near])
+        release(channels)
     return numbers
 
 
@@ -395,8 +394,8 @@ def shaded_pixels(
     shaded = np.zeros(number.shape, bool)
     bright = reference.mean(axis=1)
     asked = np.append(level, False)[number]
-    for part in in_parts(len(number), _LINES):
-        seen, segment = channels[part], number[part]
+    for part, seen in line_parts(channels):
+        segment = number[part]
         here = asked[part] & (seen.mean(axis=2) < SHADOWS.max_pixel_level * np.append(bright, 0.0)[segment])
         body = reference[segment[here]]
         amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
@@ -417,7 +416,8 @@ def of_shadows(shaded: Bools, dark: Bools) -> Bools:
     pieces, count = label(shaded, np.ones((3, 3)))
     belongs = np.zeros(count + 1, bool)
     belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
-    size = np.bincount(pieces.ravel(), minlength=count + 1)
+    # in parts: whole numbers are counted as 64-bit ones
+    size = np.sum([np.bincount(part.ravel(), minlength=count + 1) for _, part in line_parts(pieces)], axis=0)
     for number, window in enumerate(find_objects(pieces), 1):
         if belongs[number] or size[number] < SHADOWS.min_thin_px:
             continue

@@ -19,6 +19,7 @@ from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
 from .detection_rules import DIFFUSE, MIRROR
 from .model import SHADED
+from .scratch import gather
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -163,7 +164,7 @@ def fraction_in_shadow(
     best = ground[np.argmax(size[ground])]
     flat = channels.reshape(-1, channels.shape[2])
     here = np.concatenate([places[segment] for segment in shaded[ground == best]])
-    values = flat[here].astype(np.float64)
+    values = gather(flat, here).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
     low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +20,9 @@ from .bodies import clean_references, coloured_bodies, nearest_coloured, same_pa
 from .detection_rules import SHADOWS, SURVEY
 from .full_light import Light, Matches, match_segments, median_spectra
 from .light_split import LightSplit, split_of
-from .lobes import Picture, mirror_lobes
-from .model import LIT, SHADED, SceneModel, two_nearest
+from .lobes import Picture, Shown, mirror_lobes
+from .model import LIT, SHADED, SceneModel, nearest_at
+from .scratch import compute_into, line_parts, release, scratch_array, trim_memory
 from .segments import Segments, border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, of_shadows, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["channel_noise", "channel_numbers", "survey", "to_channels", "to_nominal_channels"]
-
-
-_TOGETHER = 8  # blocks read at a time: enough for the threads of a laptop, little enough for its memory
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
@@ -61,37 +59,26 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
 def read_channels(
     cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
 ) -> tuple[Floats32, Bools]:
-    """Return the whole line in channels (line, column, channel), some blocks in memory at a time.
+    """Return the whole line in channels (line, column, channel), in scratch, some blocks in memory at a time.
 
     And which pixels are saturated (line, column). A pixel's means depend on its own bands alone, so that
     blocks change no bit.
     """
-    import dask
     import dask.array as da
 
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
-    out = np.empty((lines, columns, int(channel.max()) + 1), np.float32)
-    bits = da.zeros((lines, columns), dtype=np.uint16) if quality is None else da.asarray(quality.data)
-    saturated = np.zeros((lines, columns), bool)
-    starts = (
-        np.cumsum((0, *cube.chunks[0])) if cube.chunks else np.arange(0, lines + CHUNK_LINES, CHUNK_LINES)
-    )
-    parts = [(int(a), min(int(b), lines)) for a, b in itertools.pairwise(starts) if a < lines]
-    numbers = dask.delayed(channel)
-    for first in range(0, len(parts), _TOGETHER):
-        here = parts[first : first + _TOGETHER]
-        blocks = cube.data[here[0][0] : here[-1][1]]
-        tasks = [
-            dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(blocks.to_delayed())
-        ]
-        first_line, last_line = here[0][0], here[-1][1]
-        values, flags = dask.compute(tasks, bits[first_line:last_line] & np.uint16(Quality.SATURATED))
-        saturated[first_line:last_line] = flags > 0
-        for (start, stop), block in zip(here, values, strict=True):
-            out[start:stop] = block
-        if progress is not None:
-            progress(last_line, lines)
+    count = int(channel.max()) + 1
+    out, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
+    blocks = da.map_blocks(
+        to_channels, cube.data, channel, dtype=np.float32, chunks=(cube.data.chunks[0], (columns,), (count,)),
+        meta=np.empty((0, 0, 0), np.float32),
+    )  # fmt: skip
+    if quality is None:
+        compute_into([blocks], [out], progress)
+    else:
+        bits = da.asarray(quality.data).rechunk((cube.data.chunks[0], -1))
+        compute_into([blocks, (bits & np.uint16(Quality.SATURATED)) > 0], [out, saturated], progress)
     return out, saturated
 
 
@@ -101,13 +88,20 @@ def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     One channel that is dead for the whole line would otherwise leave no segment of which all is known. Where
     no channel would remain, all do.
     """
-    data = int(np.isfinite(channels).any(axis=2).sum())
-    finite_count = np.array([np.isfinite(channels[..., k]).sum() for k in range(channels.shape[2])])
+    data, finite_count = 0, np.zeros(channels.shape[2], np.int64)
+    for _, part in line_parts(channels):
+        is_finite = np.isfinite(part)
+        data += int(is_finite.any(axis=2).sum())
+        finite_count += is_finite.sum(axis=(0, 1))
     retained = 2 * finite_count >= data
     if retained.all() or not retained.any():
         return channels, channel
     numbers = np.append(np.where(retained, np.cumsum(retained) - 1, -1), -1)  # the last one is that of -1
-    return np.ascontiguousarray(channels[..., retained]), numbers[channel]
+    some = scratch_array((*channels.shape[:2], int(retained.sum())), np.float32)
+    for lines, part in line_parts(channels):
+        some[lines] = part[..., retained]
+        release(some)
+    return some, numbers[channel]
 
 
 def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
@@ -133,9 +127,10 @@ def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> No
     """
     if len(centre) < 2 or not shift.any():
         return
-    for block in np.split(channels, range(CHUNK_LINES, len(channels), CHUNK_LINES)):
-        slope = np.gradient(block.astype(np.float64), centre, axis=2)
-        block -= np.nan_to_num(slope * shift.T).astype(np.float32)
+    for _, part in line_parts(channels):
+        for block in np.split(part, range(CHUNK_LINES, len(part), CHUNK_LINES)):
+            slope = np.gradient(block.astype(np.float64), centre, axis=2)
+            block -= np.nan_to_num(slope * shift.T).astype(np.float32)
 
 
 def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
@@ -150,19 +145,26 @@ def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Boo
     """
     count = channels.shape[2]
     same = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
-    line, x = np.nonzero(same)
-    step = max(1, line.size // SURVEY.max_noise_pairs)
-    line, x = line[::step], x[::step]
-    if count < 3 or not line.size:
+    total, first = int(np.count_nonzero(same)), 0
+    if count < 3 or not total:
         return np.zeros(count)
-    one, other = (channels[line, x + right].astype(np.float64) for right in (0, 1))
-    apart, level = one - other, (one + other)[:, 1:-1] / 2
-    bent = (apart[:, 1:-1] - (apart[:, 2:] + apart[:, :-2]) / 2) / np.maximum(level, SURVEY.min_noise_level)
+    step = max(1, total // SURVEY.max_noise_pairs)
+    pairs: list[list[Array]] = []
+    for lines, part in line_parts(channels):
+        line, x = np.nonzero(same[lines])
+        some = slice(-first % step, None, step)  # every so many of all
+        first += line.size
+        pairs.append([part[line[some], x[some] + right] for right in (0, 1)])
+    one, other = (np.concatenate(side).T for side in zip(*pairs, strict=True))
     noise = np.zeros(count - 2)
-    for k, values in enumerate(bent.T):
-        deviations = np.abs(values[np.isfinite(values)])
+    for k in range(1, count - 1):
+        # of three channels at a time, for memory
+        here, beside = one[k - 1 : k + 2].astype(np.float64), other[k - 1 : k + 2].astype(np.float64)
+        apart, level = here - beside, (here[1] + beside[1]) / 2
+        bent = (apart[1] - (apart[2] + apart[0]) / 2) / np.maximum(level, SURVEY.min_noise_level)
+        deviations = np.abs(bent[np.isfinite(bent)])
         # three variances of a channel: one and two halves, squared, of two pixels
-        noise[k] = 1.4826 * np.median(deviations) / np.sqrt(3.0) if deviations.size else 0.0
+        noise[k - 1] = 1.4826 * np.median(deviations) / np.sqrt(3.0) if deviations.size else 0.0
     return np.pad(noise, 1, mode="edge")
 
 
@@ -179,8 +181,9 @@ def survey(
 ) -> SceneModel:
     r"""Look at a whole line once, and return what flags need to know of it.
 
-    Eager. The line is read once, some blocks at a time, and kept as means over 24 channels (96 bytes a pixel)
-    while the survey runs. The result is the same to the last bit for any chunks and scheduler.
+    Eager. The line is read once, some blocks at a time, and kept as means over 24 channels (96 bytes a pixel,
+    of more than some 500 lines in a temporary file) while the survey runs, beside some 30 bytes a
+    pixel in memory. The result is the same to the last bit for any chunks and scheduler.
 
     Parameters
     ----------
@@ -275,11 +278,13 @@ def survey(
     to_nominal_channels(channels, centre, shift)
     light = Light.under(split, *sky)
     segments = divide(channels)
+    trim_memory()
     count = segments.size.size
     boundary_px = np.empty(segments.number.shape, np.uint8)
     boundary_distance(segments.number, segments.sure, 255, boundary_px)
     is_inside = boundary_px >= SURVEY.min_edge_distance_px
     places = sample_pixels(segments.number, is_inside, count)
+    del boundary_px
     spectrum = median_spectra(channels, places)
     side = shadow_side_of(line, sun_azimuth, heading)
     pairs = touching(segments.number, count)
@@ -298,28 +303,36 @@ def survey(
         split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
         light = Light.under(split, *sky)
         matches, ground = matched(light)
+    trim_memory()
     number = penumbrae(channels, segments.number, matches, ground, light)
     if number is not segments.number:
         sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
         segments = Segments(number, segments.sure, sizes)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
-    beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
+    beside = partial(nearest_at, neighbour, matches.body, paints.first, segments.number)
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
-    shown = np.append(matches.body, np.int32(-1))[segments.number]
+    del places
     coated = coloured_bodies(reference, light)
     # what nothing casts a shadow on may be a bonnet that fills the picture
     bare = ground & ground[matches.body[matches.state == SHADED]].any()
     if light.direct.mean() < SURVEY.min_direct:
-        lobe = np.zeros(shown.shape, np.uint8)
+        lobe = np.zeros(saturated.shape, np.uint8)
     else:
-        lobe = mirror_lobes(Picture(channels, saturated, shown, bare, reference, coated, light))
+        lobe = mirror_lobes(
+            Picture(channels, saturated, Shown(segments.number, matches.body), bare, reference, coated, light)
+        )
     noise = channel_noise(channels, segments.number, is_inside)
+    del is_inside
+    trim_memory()
     level = ground & (matches.state == LIT)
     shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
     shaded = shaded_pixels(channels, segments.number, level, reference, light)
-    bright = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)[segments.number]
-    deep = shaded & (channels.mean(axis=2) < SHADOWS.max_deep_level * bright)
+    own_level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
+    deep = np.empty_like(shaded)
+    for part, seen in line_parts(channels):
+        bright = own_level[segments.number[part]]
+        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * bright)
     shade_distance[of_shadows(shaded, (shade_distance == 0) | deep)] = 0
     return SceneModel(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,

@@ -196,7 +196,7 @@ def test_joining_stops_at_a_large_step() -> None:
     steps[0:10:2] = [0.01, 0.01, 0.5, 0.01, 0.01]
     order = np.argsort(steps, kind="stable")[:5]
     parent, size = np.arange(6, dtype=np.int32), np.ones(6, np.int32)
-    join_segments(order, steps, 6, 0.3, parent, size)
+    join_segments(order, steps[order], 6, 0.3, parent, size, np.zeros(6, np.float32))
     assert [int(parent[i]) for i in range(6)] == [0, 0, 0, 3, 3, 3]
 
 

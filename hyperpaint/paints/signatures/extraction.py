@@ -47,8 +47,10 @@ EXCLUDED = (
 )
 """Flags of pixels whose reflectance is not that of the surface."""
 
-GATHERED_BYTES = 256 * 2**20
+GATHERED_BYTES = 128 * 2**20
 """Samples of pixels that are held at once; a region of more is done some bands at a time."""
+WHOLE_BYTES = 256 * 2**20
+"""Samples of a region whose spectra are needed whole."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -73,8 +75,8 @@ def extract_signatures(
     r"""Make a paint library: one signature a region, with spread, uncertainty and provenance.
 
     Eager: gathers the pixels of the regions, then reduces them. Only the blocks of lines that regions touch
-    are read. At most 256 MiB of samples are gathered at once, whatever the regions' size; a region of more is
-    read several times, some bands at a time.
+    are read. At most 128 MiB of samples are gathered at once, whatever the regions' size (256 of a region for
+    the geometric median); a region of more is read several times, some bands at a time.
 
     Parameters
     ----------
@@ -213,7 +215,7 @@ def extract_signatures(
     rounds = [
         _Round(name, batch, bands)
         for name, (_, positions) in lines.items()
-        for batch, bands in _rounds(sources[name], positions, places)
+        for batch, bands in _rounds(sources[name], positions, places, whole=centre == "geometric_median")
     ]
     if centre == "geometric_median":
         _refuse_divided(rounds, sources, places, region_list)
@@ -357,9 +359,9 @@ def _could_be_degrees(regions: Regions) -> bool:
 
 
 def _rounds(
-    source: Source, positions: Sequence[int], places: Sequence[Shown]
+    source: Source, positions: Sequence[int], places: Sequence[Shown], *, whole: bool
 ) -> Iterator[tuple[list[int], slice]]:
-    """Yield which regions are gathered together, and which bands of them."""
+    """Yield which regions are gathered together, and which bands of them; ``whole``: all where possible."""
     bands = source.wavelength.size
     pixel = 4 * len(source.cubes) * bands
     batch: list[int] = []
@@ -369,7 +371,7 @@ def _rounds(
         if batch and held + needed > GATHERED_BYTES:
             yield batch, slice(0, bands)
             batch, held = [], 0
-        if needed > GATHERED_BYTES:
+        if needed > (WHOLE_BYTES if whole else GATHERED_BYTES):
             step = max(1, GATHERED_BYTES // (needed // bands))
             for start in range(0, bands, step):
                 yield [position], slice(start, min(start + step, bands))
@@ -388,7 +390,7 @@ def _refuse_divided(
         if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
             name, count = regions[part.batch[0]].name, places[part.batch[0]].size
             problems.add(
-                f"region {name!r} has {count} pixels, more than {GATHERED_BYTES >> 20} MiB; "
+                f"region {name!r} has {count} pixels, more than {WHOLE_BYTES >> 20} MiB; "
                 'cut it smaller, or take centre="trimmed_mean"'
             )
     problems.raise_if_any()

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["gather"]
 
+_TOGETHER = 32
+"""Blocks that are computed at a time."""
+
 
 def gather(
     cubes: Mapping[str, xr.DataArray],
@@ -59,19 +62,28 @@ def gather(
         for block, pixel in zip(touched, wanted, strict=True)
     ]
     lazy = {name: _whole(array) for name, array in small.items() if array.chunks is not None}
-    results = _computed([*tasks, *lazy.values()], progress)
     values = {name: array.values for name, array in small.items() if name not in lazy}
-    values |= dict(zip(lazy, results[len(tasks) :], strict=True))
     width = len(range(*bands.indices(first.sizes[BAND])))
     spectra = {name: np.empty((along.size, width), np.float32) for name in cubes}
     values |= {name: np.empty(along.size, plane.dtype) for name, plane in planes.items()}
     values["present"] = np.empty(along.size, bool)
     outputs = [*spectra.values(), *(values[name] for name in planes), values["present"]]
-    for block, pixel in enumerate(wanted):
-        for out, part in zip(outputs, results[block], strict=True):
-            out[pixel] = part
-        results[block] = None  # what is copied is let go, or everything would be held twice
+    # what is copied is let go, or everything would be held twice
+    for start in range(0, max(len(tasks), 1), _TOGETHER):
+        part = tasks[start : start + _TOGETHER]
+        share = None if progress is None else _share(progress, start, len(tasks))
+        results = _computed([*part, *([] if start else lazy.values())], share)
+        for pixel, taken in zip(wanted[start : start + _TOGETHER], results, strict=False):
+            for out, piece in zip(outputs, taken, strict=True):
+                out[pixel] = piece
+        if not start:
+            values |= dict(zip(lazy, results[len(part) :], strict=True))
     return spectra, values
+
+
+def _share(progress: Progress, before: int, tasks: int) -> Progress:
+    """Return the progress of some of all tasks."""
+    return lambda done, _: progress(min(before + done, tasks), tasks)
 
 
 def _whole(array: xr.DataArray) -> Any:

@@ -1,0 +1,104 @@
+"""Large arrays of a line, in files without a name that go with them: memory does not grow with the line."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.errors import StoreError
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+__all__ = ["compute_into", "gather", "line_parts", "release", "scratch_array", "trim_memory"]
+
+MOST_IN_MEMORY_BYTES = 32 * 2**20
+"""Size up to which an array is in memory as any other: channels of some 500 lines."""
+
+_TOGETHER = 8
+"""Chunks that are computed at a time: enough for the threads of a laptop, little enough for its memory."""
+_ROWS = 64
+"""Rows of an array that are gathered at a time."""
+_LINES = 128
+"""Lines that are looked at together."""
+
+
+def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
+    """Return an array of zeros, of which a large one is in a file of the folder for temporary ones.
+
+    Raises `StoreError`: the disk is full.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size <= MOST_IN_MEMORY_BYTES:
+        return np.zeros(shape, dtype)
+    try:
+        with tempfile.TemporaryFile(prefix="hyperpaint-") as file:
+            # a disk that is full only when pages are written to it would end the process
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # pragma: no cover - not Linux
+                file.truncate(size)
+            mapped = mmap.mmap(file.fileno(), size)
+    except OSError as error:
+        raise StoreError(
+            f"{size / 2**20:.0f} MiB of a long line have no room in {tempfile.gettempdir()}: {error}; make "
+            "room there, set TMPDIR to another disk, or take fewer lines at a time"
+        ) from error
+    return np.ndarray(shape, dtype, buffer=mapped)
+
+
+def release(array: Array) -> None:
+    """Let go of the memory that mirrors the file of an array, or of what it is a part of; its values stay."""
+    base: Any = array
+    while base is not None and not isinstance(base, mmap.mmap):
+        base = base.obj if isinstance(base, memoryview) else getattr(base, "base", None)
+    if base is not None and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
+
+
+def gather(array: Array, places: Array) -> Array:
+    """Return rows of an array; the system maps some pages around each, which are let go in between."""
+    pieces = [places[first : first + _ROWS] for first in range(0, places.size, _ROWS)]
+    out = np.empty((places.size, *array.shape[1:]), array.dtype)
+    for first, piece in enumerate(pieces):
+        out[first * _ROWS : first * _ROWS + piece.size] = array[piece]
+        release(array)
+    return out
+
+
+def trim_memory() -> None:
+    """Give back to the system what the allocator keeps of the slabs that were read, where it does that."""
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def line_parts(array: Array, more: int = 0) -> Iterator[tuple[slice, Array]]:
+    """Yield lines of an array, some at a time, with so many ``more`` that follow; memory is released."""
+    for first in range(0, len(array), _LINES):
+        part = slice(first, min(first + _LINES, len(array)))
+        yield part, array[first : part.stop + more]
+        release(array)
+
+
+def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Progress | None = None) -> None:
+    """Compute arrays that are chunked alike along their lines into others, some chunks at a time."""
+    import dask
+
+    edges = [0, *np.cumsum(lazy[0].chunks[0]).tolist()]
+    for first in range(0, len(edges) - 1, _TOGETHER):
+        part = slice(edges[first], edges[min(first + _TOGETHER, len(edges) - 1)])
+        for out, values in zip(outs, dask.compute(*(array[part] for array in lazy)), strict=True):
+            out[part] = values
+            release(out)
+        if progress is not None:
+            progress(part.stop, edges[-1])
+    trim_memory()
