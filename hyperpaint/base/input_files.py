@@ -34,12 +34,13 @@ _KINDS = {
 
 
 def input_path(
-    path: str | os.PathLike[str], expected: str = "a file", error: type[PaintError] = FormatError
-) -> Path:
+    path: str | os.PathLike[str], expected: str = "a file", error: type[PaintError] = FormatError,
+    instead: str = "download it, and give the path of the copy",
+) -> Path:  # fmt: skip
     """Return a path that names a local file or folder, or nothing yet; its name and kind are checked.
 
     ``expected`` names what is looked for in messages, raised as ``error``: the name holds a NUL, is longer
-    than systems allow, or is a URL; or a pipe, device or socket is there.
+    than systems allow, or is a URL, which ``instead`` mends; or a pipe, device or socket is there.
 
     Examples
     --------
@@ -63,9 +64,7 @@ a local disk; download it, and give the path of the copy
             f" {MOST_NAME_BYTES} bytes, {MOST_PATH_BYTES} in all; check the path"
         )
     if _URL.match(text) and not ("://" not in text and _is_there(text)):
-        raise error(
-            f"{shown}: a URL, expected {expected} on a local disk; download it, and give the path of the copy"
-        )
+        raise error(f"{shown}: a URL, expected {expected} on a local disk; {instead}")
     try:
         mode = os.stat(text).st_mode
     except (OSError, ValueError):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.base.input_files import head_of
+from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import CHUNK_LINES
 
 from .atmosphere import spectral_grid
@@ -186,6 +186,7 @@ def simulate_collect(
     ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
     asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson survey.csv svc truth.zarr
     """
+    place = input_path(folder, "a folder for the collect", StoreError, "simulate to a folder, and copy it")
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
@@ -197,7 +198,7 @@ def simulate_collect(
         raise SchemaError(f"block_lines={block_lines}, expected a whole number above 0")
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = _flight_of(settings)
-    root = _prepare(Path(folder), overwrite)
+    root = _prepare(place, overwrite)
     _write_dark(flight, root / "dark")
     _write_sky(flight.sky_samples(), settings, root / "asd")
     write_references(flight, root)

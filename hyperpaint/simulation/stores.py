@@ -16,6 +16,7 @@ from zarr.codecs import BloscCodec
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
+from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
     CHUNK_LINES,
     CUBE,
@@ -115,8 +116,9 @@ def write_calibration(flight: Flight, path: Path) -> None:
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
     """Write small arrays as a new store; zarr's own default, zstd, is no codec that hyperpaint reads."""
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
-    encodings = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
-    dataset.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encodings)
+    forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
+    store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
+    dataset.to_zarr(store, mode="w", zarr_format=3, consolidated=False, encoding=forms)
 
 
 def _consolidate(path: Path) -> None:
@@ -426,8 +428,8 @@ def write_sweep(
     {'step': 3, 'band': 8, 'cross_track': 4}
     """
     values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
+    path = input_path(path, "a folder for the sweep", StoreError, "simulate to a folder, and copy it")
     sweep = Sweep(SweepSettings.of(values))
-    path = Path(path)
     for target in (path, _truth_beside(path)):
         _clear(target, overwrite)
     store_sweep(sweep, path, truth=truth, progress=progress)
@@ -477,9 +479,8 @@ def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the cubes of a sweep, by name."""
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
-    shapes: dict[str, tuple[int, ...]] = {
-        "counts": shape, "dark_counts": shape[1:] if _is_one_dark(sweep) else shape
-    }  # fmt: skip
+    dark = shape[1:] if _is_one_dark(sweep) else shape
+    shapes: dict[str, tuple[int, ...]] = {"counts": shape, "dark_counts": dark}
     return {**shapes, "counts_variance": shape} if settings.variance else shapes
 
 

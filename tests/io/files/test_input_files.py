@@ -110,6 +110,8 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "info": (_info, ".txt"),
     "info of a header": (_info, ".hdr"),
     "info of a folder of none": (_info, ""),
+    "simulate_collect": (_of("simulation", "simulate_collect", lines=8, scene="plan"), ""),
+    "write_sweep": (_of("simulation", "write_sweep", steps=3, bands=4, columns=4), ".zarr"),
     "store": (hp.open_store, ".zarr"),
     "verify a store": (hp.verify, ".zarr"),
 }  # fmt: skip
