@@ -50,6 +50,12 @@ _METRES = {
     "cm": 0.01,
     "mm": 0.001,
 }
+#: Words that make a label one of a length which is not read: refused, not taken for metres.
+_LENGTHS = {
+    *("yd", "yds", "yard", "yards", "inch", "inches", "mi", "mile", "miles", "nmi"),
+    *("furlong", "furlongs", "fathom", "fathoms", "chain", "chains"),
+    *(word for word, metres in _METRES.items() if metres != 1.0),
+}
 
 
 def read_control_points(path: str | Path) -> xr.Dataset:
@@ -212,7 +218,9 @@ def _metres(unit: str) -> float | None:
 
 def _is_unit(text: str) -> bool:
     # a number of metres is none, but too near one to be passed over as a label
-    return is_unit(text) or same_dimension(text, "m")
+    if is_unit(text) or same_dimension(text, "m") or text.lower() == "in":
+        return True
+    return not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:

@@ -64,6 +64,8 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
         ("(UTM 17N)", 1.0),
         ("(grid) [ft]", 0.3048),
         ("(E)", 1.0),
+        ("(m above the grid)", 1.0),
+        ("(in UTM)", 1.0),
         ("(8/h)", 1.0),
     ],
 )
@@ -77,7 +79,15 @@ def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: flo
 
 @pytest.mark.parametrize(
     ("heading", "told"),
-    [("east [s]", "'east' in 's'"), ("east [degree]", "'degree'"), ("east [2 m]", "'2 m'")],
+    [
+        ("east [s]", "'east' in 's'"),
+        ("east [degree]", "'degree'"),
+        ("east [2 m]", "'2 m'"),
+        ("east [yd]", "'yd'"),
+        ("east (in)", "'in'"),
+        ("east [miles]", "'miles'"),
+        ("east (feet of the grid)", "'feet of the grid'"),
+    ],
 )
 def test_a_unit_of_something_else_is_refused(tmp_path: Path, heading: str, told: str) -> None:
     path = tmp_path / "points.csv"
