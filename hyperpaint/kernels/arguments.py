@@ -1,11 +1,16 @@
 """What the kernels take, grouped by what belongs together; numba passes these tuples as they are.
 
 Free of numba, so that callers can make and keep them without loading a compiler.
+
+A kernel is compiled for the types of what it takes. What is None is neither compiled nor paid for: `given`
+puts None in the place of empty arrays.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
 
 from hyperpaint.base.arrays import Array
 
@@ -13,15 +18,31 @@ __all__ = [
     "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "DetectorModel", "ErrorTerms",
     "FixedFlags",
     "Glinting", "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions",
-    "LineRays", "LineSamples", "MapCells", "Places", "Raster", "SlabOutputs", "StrayLight", "Unmixed",
+    "LineCounts", "LineRays", "LineSamples", "MapCells", "Places", "Raster", "Rounding", "SlabOutputs", "StrayLight",
+    "Unmixed", "count_limits", "given", "light_cells", "rounding",
 ]  # fmt: skip
+
+Group = TypeVar("Group", bound=tuple[Any, ...])
+
+
+def given(group: Group) -> Group:
+    """Return a group of arguments with None in the place of empty arrays.
+
+    Examples
+    --------
+    >>> given(StrayLight(*[np.empty(0)] * 5, np.float32(0.1))).give is None
+    True
+    """
+    empty = (isinstance(each, np.ndarray) and each.size == 0 for each in group)
+    make: Any = type(group)
+    return make(*(None if gone else each for each, gone in zip(group, empty, strict=True)))
 
 
 # --- counts to reflectance: `hyperpaint.kernels.radiometry`
 
 
 class DetectorModel(NamedTuple):
-    """What a detector does to counts beside its dark; empty arrays are what it does not do."""
+    """What a detector does to counts beside its dark; None, in a plan empty, is what it does not do."""
 
     #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
     polynomial: Array
@@ -41,9 +62,9 @@ class Calibration(NamedTuple):
 
     dark: Array  #: (n, band, column) float32
     #: dark_index, dark_weight (line,): the dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at
-    #: this weight of the later; one dark alone serves every line
-    dark_index: Array
-    dark_weight: Array
+    #: this weight of the later; None where one dark serves every line
+    dark_index: Array | None
+    dark_weight: Array | None
     gain: Array  #: (band, column) float32: NaN marks a bad element
     detector: DetectorModel
 
@@ -71,22 +92,63 @@ class LightCells(NamedTuple):
     #: (line, band, cell, 1 or 4) float32: one: what counts are multiplied by. Four: a cubic in ``shift``, by
     #: which they are divided.
     coefficients: Array
-    shift: Array  #: (1 or band, column) float32: position of a column inside its cell
+    #: (1 or band, column) float32: position of a column inside its cell; None without a smile
+    shift: Array | None
     #: edges (1 or band, run + 1), cells (1 or band, run) int64: columns where runs begin whose columns share
     #: a cell, and that cell
-    edges: Array
-    cells: Array
+    edges: Array | None
+    cells: Array | None
+
+
+def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:
+    """Return `LightCells`; the place of columns counts for cubics alone."""
+    return LightCells(coefficients, *((shift, edges, cells) if coefficients.shape[3] > 1 else (None,) * 3))
 
 
 class CountLimits(NamedTuple):
     """Counts beyond which a sample is flagged."""
 
-    saturation: Array  #: (1, 1) or (band, column), like counts: counts from which a sample is saturated
+    #: lowest, highest, like counts: of the counts from which samples are saturated
+    lowest: Any
+    highest: Any
+    saturation: Array | None  #: (band, column), like counts: those of each element; None where all are one
     #: (band, column) float32: how far below the dark noise may take a sample; NaN for an element that sets no
     #: flag
     noise_margin: Array
     most_negative: Any  #: uint16: number of samples under the dark that a pixel may have
     whole: Any  #: bool: counts are integers
+
+
+def count_limits(saturation: Array, noise_margin: Array, most_negative: Any, whole: Any) -> CountLimits:
+    """Return `CountLimits`, ``saturation`` being (1, 1) or (band, column)."""
+    each = saturation if saturation.size > 1 else None
+    return CountLimits(saturation.min(), saturation.max(), each, noise_margin, most_negative, whole)
+
+
+class Rounding(NamedTuple):
+    """Rounding of float32 values to nearest-even, by their bits as uint32; as numcodecs' BitRound does."""
+
+    last: Any  #: The lowest bit that is kept
+    half: Any  #: Half of it
+    mask: Any  #: The bits that are kept
+
+
+def rounding(cleared_bits: int) -> Rounding | None:
+    """Return the rounding that clears this many bits of the mantissa; None for none."""
+    if not cleared_bits:
+        return None
+    last = 1 << int(cleared_bits)
+    return Rounding(*(np.uint32(bits) for bits in (last, last >> 1, 2**32 - last)))
+
+
+class LineCounts(NamedTuple):
+    """What the values of a line are computed from."""
+
+    counts: Array  #: (line, band, column)
+    dark: Array  #: (band, column): that of the line
+    gain: Array  #: (band, column)
+    saturation_limit: Any  #: float32: counts from which a value is NaN
+    rounding: Rounding | None
 
 
 class FixedFlags(NamedTuple):
@@ -106,17 +168,18 @@ class ErrorTerms(NamedTuple):
     noise_floor: Array
     #: (1 or band, column) float32: what is proportional to reflectance and common to the flight [1]
     relative: Array
-    #: (0, 1 or band, column) float32: uncertainty of the dark that is subtracted [count]; empty where it and
-    #: wavelengths are certain
+    #: (0, 1 or band, column) float32: uncertainty of the dark that is subtracted [count]; None, in a plan
+    #: empty, where it and wavelengths are certain
     offset: Array
     #: (0 or band, 4) float32: wavelength uncertainty over the distance to the neighbouring bands: what the
     #: rise to the band above is multiplied by with a band below, and without; what the rise from the band
-    #: below is multiplied by with a band above, and without. Empty where wavelengths are certain.
+    #: below is multiplied by with a band above, and without. None, in a plan empty, where wavelengths are
+    #: certain.
     slope: Array
 
 
 class SlabOutputs(NamedTuple):
-    """What is written of a slab; quality and uncertainties unless they are empty."""
+    """What is written of a slab: quality and uncertainties where they are asked for, else empty."""
 
     cube: Array  #: (line, band, column) float32
     quality: Array  #: (line, column) or (0, 0) uint16

@@ -12,10 +12,11 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .arguments import Calibration, LightCells, SlabOutputs, StrayLight
-from .linear_counts import LinearRow, signal_row, straighten_row
-from .pedestal import pedestal_of, raise_dark
-from .radiometry import blend, light_row, round_row
+from .arguments import Calibration, DetectorModel, LightCells, Rounding, SlabOutputs, StrayLight
+from .linear_counts import LinearMemory, linear_memory, signal_row, straighten_dark
+from .radiometry import dark_of_line
+from .rounding import round_row
+from .sample_errors import light_row
 
 __all__ = ["subtract_stray_light"]
 
@@ -37,22 +38,21 @@ class StrayWork(NamedTuple):
 
 @borrowing_kernel
 def net_line(
-    counts: Array, darks: tuple[Array, Array], calibration: Calibration, work: LinearRow, net: Array
+    counts: Array, line: Any, dark: Array, detector: DetectorModel, linear: LinearMemory | None, net: Array
 ) -> None:
-    """Write linear counts above dark (band, column), 0 where they are not finite.
+    """Write linear counts above the ``dark`` of a line (band, column), 0 where they are not finite.
 
-    ``darks``: as it is, and made linear. Saturated counts are taken as they are read: the least they can be.
+    Saturated counts are taken as they are read: the least they can be.
     """
-    detector, (dark, linear_dark) = calibration.detector, darks
-    curved = detector.polynomial.size + detector.table.size > 0
-    for band in range(counts.shape[0]):
+    for band in range(counts.shape[1]):
         row = net[band]
-        if curved:
-            own = linear_dark[band] if detector.on_raw else dark[band]
-            signal_row(counts[band], own, detector, _NO_LIMIT, work, row)
-        else:
+        if linear is None:
             for x in range(row.size):
-                row[x] = np.float32(counts[band, x]) - dark[band, x]
+                row[x] = np.float32(counts[line, band, x]) - dark[band, x]
+        else:
+            signal_row(counts, detector, linear, (line, band))
+            for x in range(row.size):
+                row[x] = linear.signal[x]
         for x in range(row.size):
             row[x] = row[x] if abs(row[x]) < _NO_LIMIT else _NOTHING
 
@@ -126,18 +126,17 @@ def take_off(
 
 @kernel
 def subtract_stray_light(
-    counts: Array, calibration: Calibration, light: LightCells, stray: StrayLight, cleared_bits: Any,
+    counts: Array, calibration: Calibration, light: LightCells, stray: StrayLight, rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:  # fmt: skip
     """Free whole lines, calibrated from counts (line, band, column) but not rounded, of stray light.
 
-    What of ``out`` is not empty is rounded, with ``cleared_bits`` of the mantissas cleared.
+    What of ``out`` is not empty is rounded.
     """
     n_line, n_band, n_column = counts.shape
-    dark, detector = calibration.dark, calibration.detector
-    has_pedestal = detector.masked.shape[0] > 0
-    own_dark = np.empty((n_band, n_column), np.float32)
-    linear_dark = np.empty((n_band, n_column), np.float32)
+    detector = calibration.detector
+    mixed_dark = np.empty((n_band, n_column), np.float32)
+    linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
     net = np.empty((n_band, n_column), np.float32)
     other = np.empty((n_band, n_column), np.float32)
     # rows of zeros fill up the last four bands
@@ -145,28 +144,20 @@ def subtract_stray_light(
         np.empty(n_column, np.float32), np.zeros((max(stray.take.shape[1], n_band), _BLOCK), np.float32),
         np.zeros((stray.take.shape[0], _BLOCK), np.float32),
     )  # fmt: skip
-    work = LinearRow(np.empty(n_column, np.int32), np.empty(n_column, np.float32))
     irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
-    bits, u_random_bits = out.cube.view(np.uint32), out.u_random.view(np.uint32)
-    u_systematic_bits = out.u_systematic.view(np.uint32)
     for line in range(n_line):
-        own_dark[:] = dark[0]
-        if dark.shape[0] > 1:
-            first = calibration.dark_index[line]
-            blend(dark[first], dark[first + 1], calibration.dark_weight[line], own_dark)
-        if has_pedestal:
-            raise_dark(pedestal_of(counts[line], own_dark, detector.masked), own_dark, own_dark)
-        linear_dark[:] = own_dark
-        for band in range(n_band if detector.on_raw else 0):
-            straighten_row(detector, linear_dark[band], work)
-        net_line(counts[line], (own_dark, linear_dark), calibration, work, net)
+        dark = dark_of_line(
+            counts[line], calibration.dark, calibration.dark_index, calibration.dark_weight, detector.masked,
+            line, mixed_dark,
+        )  # fmt: skip
+        straighten_dark(detector, dark, linear)
+        net_line(counts, line, dark, detector, linear, net)
         replace_bad(net, stray.stands_in)
         sum_line(net, stray, stray.smear[line], memory, other)
         for band in range(n_band):
-            light_row(light, line, band, irradiance, inverse)
+            light_row(light, light.shift, (line, band), irradiance, inverse)
             take_off(other[band], calibration.gain[band], inverse, stray.relative, out, (line, band))
-            if cleared_bits > 0:
-                round_row(bits[line, band], cleared_bits)
-                if out.u_random.shape[0] > 0:
-                    round_row(u_random_bits[line, band], cleared_bits)
-                    round_row(u_systematic_bits[line, band], cleared_bits)
+            round_row(out.cube[line, band], rounding)
+            if out.u_random.shape[0] > 0:
+                round_row(out.u_random[line, band], rounding)
+                round_row(out.u_systematic[line, band], rounding)

@@ -25,13 +25,15 @@ from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
     Calibration,
-    CountLimits,
     DetectorModel,
     ErrorTerms,
     FixedFlags,
-    LightCells,
     SlabOutputs,
     StrayLight,
+    count_limits,
+    given,
+    light_cells,
+    rounding,
 )
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
@@ -145,9 +147,7 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
     return cube
 
 
-_NO_ROWS = np.empty((0, 0), np.float32)
 _NO_CUBE = np.empty((0, 0, 0), np.float32)
-_NO_ERROR_TERMS = ErrorTerms(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
 
 
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
@@ -158,32 +158,35 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
     from hyperpaint.kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
+    one_dark = len(plan.dark) == 1
     calibration = Calibration(
-        plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain, plan.detector
+        plan.dark,
+        None if one_dark else plan.dark_index[here],
+        None if one_dark else plan.dark_weight[here],
+        plan.gain,
+        given(plan.detector),
     )
-    light = LightCells(
+    light = light_cells(
         plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
     )
+    whole = np.issubdtype(counts.dtype, np.integer)
+    flags = FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA))
+    uncertain = plan.error_terms is not None and out.u_random.size > 0
     calibrate_slab(
         counts,
         calibration,
         light,
-        CountLimits(
-            plan.saturation_limit,
-            plan.noise_margin,
-            np.uint16(plan.most_negative),
-            np.issubdtype(counts.dtype, np.integer),
-        ),
-        FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA)),
-        plan.error_terms or _NO_ERROR_TERMS,
-        np.uint32(plan.cleared_bits if plan.stray is None else 0),
+        count_limits(plan.saturation_limit, plan.noise_margin, np.uint16(plan.most_negative), whole),
+        flags if out.quality.size else None,
+        given(plan.error_terms) if plan.error_terms is not None and uncertain else None,
+        rounding(plan.cleared_bits) if plan.stray is None else None,
         out,
     )
     if plan.stray is not None:
         from hyperpaint.kernels.stray_light import subtract_stray_light
 
         stray = plan.stray._replace(smear=plan.stray.smear[here])
-        subtract_stray_light(counts, calibration, light, stray, np.uint32(plan.cleared_bits), out)
+        subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)
 
 
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:

@@ -6,19 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.slab_arguments import grouped, oracle, problem, round_values
+from support.slab_arguments import calibrate, oracle, problem, round_values
 
-from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
-from hyperpaint.kernels.radiometry import calibrate_slab
+from hyperpaint.kernels.arguments import SlabOutputs
 
 
 def run(p: dict[str, Any], dropped: int = 0, flagging: bool = True) -> tuple[np.ndarray, np.ndarray]:
     shape = p["counts"].shape
     out = np.full(shape, 77, np.float32)
     quality = np.full((shape[0], shape[2]) if flagging else (0, 0), 9999, np.uint16)
-    terms = ErrorTerms(*[np.empty((0, 0), np.float32)] * 5)
     cube = np.empty((0, 0, 0), np.float32)
-    calibrate_slab(*grouped(p), terms, np.uint32(dropped), SlabOutputs(out, quality, cube, cube))
+    calibrate(p, SlabOutputs(out, quality, cube, cube), dropped)
     return out, quality
 
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.slab_arguments import grouped, round_values
+from support.slab_arguments import calibrate, round_values
 
 from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
-from hyperpaint.kernels.radiometry import calibrate_slab
 
 LINES, BANDS, COLUMNS = 4, 7, 11
 
@@ -66,7 +65,7 @@ def run(p: dict[str, Any], cleared: int = 0) -> list[np.ndarray]:
     cubes = [np.full(p["counts"].shape, 77, np.float32) for _ in range(3)]
     terms = ErrorTerms(*(p[name] for name in ErrorTerms._fields))
     none = np.empty((0, 0), np.uint16)
-    calibrate_slab(*grouped(p), terms, np.uint32(cleared), SlabOutputs(cubes[0], none, *cubes[1:]))
+    calibrate(p, SlabOutputs(cubes[0], none, *cubes[1:]), cleared, terms)
     return cubes
 
 
@@ -135,11 +134,11 @@ def test_against_plain_numpy(smile: int, elements: bool, slope: bool, offset: bo
 @pytest.mark.parametrize("smile", [0, 1])
 def test_reflectance_does_not_change_by_a_bit(smile: int) -> None:
     p = problem(smile=smile)
-    empty, cube = np.empty((0, 0), np.float32), np.empty((0, 0, 0), np.float32)
+    cube = np.empty((0, 0, 0), np.float32)
     for cleared in (0, 11):
         out = np.full(p["counts"].shape, 77, np.float32)
         outputs = SlabOutputs(out, np.empty((0, 0), np.uint16), cube, cube)
-        calibrate_slab(*grouped(p), ErrorTerms(*[empty] * 5), np.uint32(cleared), outputs)
+        calibrate(p, outputs, cleared)
         assert out.tobytes() == run(p, cleared)[0].tobytes()
 
 

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.slab_arguments import grouped, oracle, problem
+from support.slab_arguments import calibrate, oracle, problem
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.calibration import linearity
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration, scale_attrs
-from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
-from hyperpaint.kernels.radiometry import calibrate_slab
+from hyperpaint.kernels.arguments import SlabOutputs
 from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
@@ -45,9 +44,9 @@ def test_kernel_against_plain_numpy(smile: int, kind: str, on_raw: bool) -> None
         expected = expected * (curve.net(raw, dark) / (raw - dark))
     out = np.empty(p["counts"].shape, np.float32)
     quality = np.empty((out.shape[0], out.shape[2]), np.uint16)
-    terms, none = ErrorTerms(*[np.empty((0, 0), np.float32)] * 5), np.empty((0, 0, 0), np.float32)
+    none = np.empty((0, 0, 0), np.float32)
     p["detector"] = curve.as_kernel_takes_it(FULL)
-    calibrate_slab(*grouped(p), terms, np.uint32(0), SlabOutputs(out, quality, none, none))
+    calibrate(p, SlabOutputs(out, quality, none, none))
     far = np.isfinite(expected) & (np.abs(raw - dark) > 1.0)
     # tables are known at 8192 places: a kink between two of them is cut by some hundredths of a count
     np.testing.assert_allclose(out[far], expected[far], rtol=5e-6 if kind == "polynomial" else 2e-4)

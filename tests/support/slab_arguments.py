@@ -6,8 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.kernels.arguments import Calibration, CountLimits, DetectorModel, FixedFlags, LightCells
-from hyperpaint.kernels.radiometry import round_row
+from hyperpaint.kernels.arguments import (
+    Calibration,
+    DetectorModel,
+    ErrorTerms,
+    FixedFlags,
+    SlabOutputs,
+    count_limits,
+    given,
+    light_cells,
+    rounding,
+)
+from hyperpaint.kernels.radiometry import calibrate_slab
+from hyperpaint.kernels.rounding import round_row
 
 NO_MODEL = DetectorModel(
     *[np.empty(0, np.float32)] * 2,
@@ -98,17 +109,30 @@ def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     return made, quality
 
 
-def grouped(p: dict[str, Any]) -> tuple[Any, ...]:
-    """Return the counts and what belongs to them, as the kernel takes them."""
-    return (
+def calibrate(
+    p: dict[str, Any], out: SlabOutputs, cleared_bits: int = 0, terms: ErrorTerms | None = None
+) -> None:
+    """Run the kernel as a task does."""
+    own = len(p["dark"]) > 1
+    calibration = Calibration(
+        p["dark"],
+        p["dark_index"] if own else None,
+        p["dark_weight"] if own else None,
+        p["gain"],
+        given(p.get("detector", NO_MODEL)),
+    )
+    calibrate_slab(
         p["counts"],
-        Calibration(p["dark"], p["dark_index"], p["dark_weight"], p["gain"], p.get("detector", NO_MODEL)),
-        LightCells(p["light"], p["shift"], p["edges"], p["cells"]),
-        CountLimits(p["limit"], p["noise_margin"], p["most_negative"], p["whole"]),
-        FixedFlags(p["line_flags"], p["column_flags"], p["no_data"]),
+        calibration,
+        light_cells(p["light"], p["shift"], p["edges"], p["cells"]),
+        count_limits(p["limit"], p["noise_margin"], p["most_negative"], p["whole"]),
+        FixedFlags(p["line_flags"], p["column_flags"], p["no_data"]) if out.quality.size else None,
+        None if terms is None else given(terms),
+        rounding(cleared_bits),
+        out,
     )
 
 
 def round_values(values: np.ndarray, cleared_bits: int) -> None:
     """Round in place."""
-    round_row(values.view(np.uint32).ravel(), np.uint32(cleared_bits))
+    round_row(values.ravel(), rounding(cleared_bits))

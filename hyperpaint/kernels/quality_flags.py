@@ -1,0 +1,116 @@
+"""Flags of raw counts, gathered over the bands of a line: rows of `hyperpaint.kernels.radiometry`."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import borrowing_kernel, inlined_kernel
+
+from .arguments import CountLimits, FixedFlags
+
+__all__ = ["Tally", "count_levels", "flag_line", "gather_row"]
+
+_ZERO = np.float32(0.0)
+_SATURATED = np.uint16(1)
+_BELOW_DARK = np.uint16(2)
+_FEW = 20
+"""One column in so many costs as much, visited alone, as all of them row by row."""
+
+
+class Tally(NamedTuple):
+    """What is counted of a line, column by column."""
+
+    #: peak, negative (column,): highest counts over the bands, and how many bands lie under the dark
+    peak: Array
+    negative: Array
+    #: saturated, below (column,) uint16: whether an element reaches its limit, or lies under the dark beyond
+    #: noise
+    saturated: Array
+    below: Array
+
+
+@borrowing_kernel
+def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Array) -> None:
+    """Write the counts below which a sample lies under the dark, and under it beyond noise (band, column).
+
+    An integer is below a bound exactly when it is below the bound rounded up. Nothing is below the levels of
+    an element without a margin.
+    """
+    nothing = np.float32(0.0 if whole else -np.inf)
+    for band in range(dark.shape[0]):
+        for x in range(dark.shape[1]):
+            high, low = dark[band, x], dark[band, x] - margin[band, x]
+            if whole:
+                high, low = np.ceil(high), np.ceil(low)
+                high, low = high if high > _ZERO else _ZERO, low if low > _ZERO else _ZERO
+            watched = margin[band, x] == margin[band, x]
+            level[band, x] = high if watched else nothing
+            floor[band, x] = low if watched else nothing
+
+
+@inlined_kernel
+def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]) -> None:
+    """Keep the highest counts of each column, and how many of its bands lie under the dark."""
+    line, band = place
+    peak, negative = tally.peak, tally.negative
+    for x in range(counts.shape[2]):
+        raw = counts[line, band, x]
+        peak[x] = raw if raw > peak[x] else peak[x]
+        negative[x] += np.uint16(raw < level[band, x])
+
+
+@inlined_kernel
+def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -> Any:
+    """Return the counts from which an element is saturated."""
+    return limits.highest if saturation is None else saturation[band, x]
+
+
+@inlined_kernel
+def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
+    """Mark a column whose element (band, column) reaches its limit and has a margin, or lies under its floor."""
+    raw, margin = counts[band, x], limits.noise_margin[band, x]
+    reached = raw >= limit_of(limits.saturation, limits, band, x)
+    tally.saturated[x] |= np.uint16(reached & (margin == margin))
+    tally.below[x] |= np.uint16(raw < floor[band, x])
+
+
+@borrowing_kernel
+def flag_line(
+    counts: Array, limits: CountLimits, floor: Array, tally: Tally, flags: FixedFlags, line_flags: Any,
+    quality: Array,
+) -> None:  # fmt: skip
+    """Write the quality (column,) of one line of counts (band, column) from what `gather_row` kept.
+
+    The bands are visited again only where the counts of single elements decide: in columns that reach the
+    lowest limit, or have anything under the dark. A few columns are visited one by one, many row by row.
+    A line without data carries the flags of the line alone, since its counts mean nothing.
+    """
+    bands, columns = counts.shape
+    if (line_flags & flags.no_data) != 0:
+        for x in range(columns):
+            quality[x] = line_flags
+        return
+    doubtful = 0
+    for x in range(columns):
+        tally.saturated[x] = 0
+        tally.below[x] = 0
+        doubtful += (tally.peak[x] >= limits.lowest) | (tally.negative[x] > 0)
+    if doubtful > columns // _FEW:
+        for band in range(bands):
+            for x in range(columns):
+                look_at(counts, limits, floor, tally, band, x)
+    elif doubtful > 0:
+        for x in range(columns):
+            if tally.peak[x] >= limits.lowest or tally.negative[x] > 0:
+                for band in range(bands):
+                    look_at(counts, limits, floor, tally, band, x)
+    for x in range(columns):
+        bits = line_flags | flags.columns[x]
+        if tally.saturated[x] != 0:
+            bits |= _SATURATED
+        if tally.below[x] != 0 or tally.negative[x] > limits.most_negative:
+            bits |= _BELOW_DARK
+        quality[x] = bits

@@ -1,0 +1,35 @@
+"""Rounding of float32 values to the bits that are stored: rows of the loops over a slab."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import inlined_kernel
+
+from .arguments import Rounding
+
+__all__ = ["round_row", "rounded"]
+
+
+@inlined_kernel
+def rounded(value: Any, rounding: Rounding | None) -> Any:
+    """Return a float32 rounded to nearest-even.
+
+    By masks, not shifts, which would be of numbers twice as wide.
+    """
+    if rounding is None:
+        return value
+    bits = np.float32(value).view(np.uint32)
+    even = np.uint32((bits & rounding.last) == np.uint32(0))
+    return np.uint32(np.uint32(bits + rounding.half - even) & rounding.mask).view(np.float32)
+
+
+@inlined_kernel
+def round_row(values: Array, rounding: Rounding | None) -> None:
+    """Round float32 values (column,), in place."""
+    if rounding is not None:
+        for x in range(values.size):
+            values[x] = rounded(values[x], rounding)

@@ -1,0 +1,163 @@
+"""How sure every sample is: noise, and what is common to a flight. Rows of `hyperpaint.kernels.radiometry`."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import inlined_kernel
+
+from .arguments import DetectorModel, ErrorTerms, LightCells, LineCounts, Rounding, SlabOutputs
+from .linear_counts import LinearMemory, slope_row
+from .rounding import round_row, rounded
+
+__all__ = ["ErrorMemory", "light_row", "propagate_band"]
+
+_NAN = np.float32(np.nan)
+_ONE_F32 = np.float32(1.0)
+_NOTHING = np.float32(0.0)
+
+
+class ErrorMemory(NamedTuple):
+    """Memory of `propagate_band`."""
+
+    #: irradiance, inverse (3, column) float32: what dark-subtracted counts times gain are divided by, and its
+    #: inverse, of a band and the two before: band ``b`` is in row ``b % 3``
+    irradiance: Array
+    inverse: Array
+    slope: Array  #: (column,) float32: linear counts per count of the band in work
+    rounding: Rounding | None
+
+
+@inlined_kernel
+def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
+    """Write a cubic in ``shift`` (column,)."""
+    c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
+    for x in range(irradiance.size):
+        s = shift[x]
+        irradiance[x] = c0 + s * (c1 + s * (c2 + s * c3))
+
+
+@inlined_kernel
+def light_row(
+    light: LightCells, shift: Array | None, place: tuple[Any, Any], irradiance: Array, inverse: Array
+) -> None:
+    """Write what dark-subtracted counts times gain are divided by, and its inverse (column,).
+
+    ``shift`` is that of ``light``; ``place``: (line, band).
+    """
+    line, band = place
+    if shift is None:
+        scale = light.coefficients[line, band, 0, 0]
+        for x in range(inverse.size):
+            inverse[x] = scale
+        for x in range(inverse.size):
+            irradiance[x] = _ONE_F32 / scale
+    else:
+        own = band if shift.shape[0] > 1 else 0
+        for run in range(light.cells.shape[1]):
+            first, last = light.edges[own, run], light.edges[own, run + 1]
+            cubic = light.coefficients[line, band, light.cells[own, run]]
+            light_run(cubic, shift[own, first:last], irradiance[first:last])
+        for x in range(inverse.size):
+            inverse[x] = _ONE_F32 / irradiance[x]
+
+
+@inlined_kernel
+def random_row(
+    samples: LineCounts, linear: LinearMemory | None, detector: DetectorModel, terms: ErrorTerms,
+    memory: ErrorMemory, place: tuple[Any, Any], out: SlabOutputs,
+) -> None:  # fmt: skip
+    """Write m sqrt(signal / k + floor), m reflectance per count; a negative signal adds no variance."""
+    line, band = place
+    inverse, gain = memory.inverse[band % 3], samples.gain[band]
+    per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
+    noise_floor = terms.noise_floor[band if terms.noise_floor.shape[0] > 1 else 0]
+    values, u_random = out.cube[line, band], out.u_random[line, band]
+    if linear is None:
+        for x in range(u_random.size):
+            value, per_count = values[x], abs(gain[x] * inverse[x])
+            # not max(), which would lose the NaN
+            shot = _NOTHING if value < _NOTHING else value
+            variance = per_count * (shot * per_electron[x] + per_count * noise_floor[x])
+            u_random[x] = rounded(np.sqrt(variance), memory.rounding)
+    else:
+        # noise is that of counts as they are read: m L'(C) sqrt((C - D) / k + floor)
+        counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
+        slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
+        for x in range(u_random.size):
+            above = np.float32(counts[x]) - dark[x]
+            shot = _NOTHING if above < _NOTHING else above
+            noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
+            u = abs(slope[x] * (gain[x] * inverse[x])) * noise
+            u_random[x] = rounded(u if values[x] == values[x] else _NAN, memory.rounding)
+
+
+@inlined_kernel
+def systematic_row(
+    values: Array, gain: Array, memory: ErrorMemory, terms: ErrorTerms, slope: Array | None,
+    offset: Array | None, band: Any, u_systematic: Array,
+) -> None:  # fmt: skip
+    """Write the systematic uncertainty of a band (column,), from its line (band, column).
+
+    ``slope`` and ``offset`` are those of ``terms``.
+    """
+    relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
+    rounding = memory.rounding
+    if offset is None:
+        for x in range(u_systematic.size):
+            u_systematic[x] = rounded(abs(values[band, x]) * relative[x], rounding)
+    elif slope is None:
+        own_offset, inverse = offset[band if offset.shape[0] > 1 else 0], memory.inverse[band % 3]
+        for x in range(u_systematic.size):
+            scale, dark = values[band, x] * relative[x], gain[band, x] * inverse[x] * own_offset[x]
+            u_systematic[x] = rounded(np.sqrt(scale * scale + dark * dark), rounding)
+    else:
+        low, high = max(band - 1, 0), min(band + 1, values.shape[0] - 1)
+        row, row_low, row_high = band % 3, low % 3, high % 3
+        own_offset = offset[band if offset.shape[0] > 1 else 0]
+        irradiance, inverse = memory.irradiance, memory.inverse
+        up, up_alone, down, down_alone = slope[band, 0], slope[band, 1], slope[band, 2], slope[band, 3]
+        # indexed by band: with a view of every row the compiler would have too many arrays to tell apart
+        for x in range(u_systematic.size):
+            here, per_light = values[band, x], inverse[row, x]
+            # radiance of the neighbours, in units of this band's light
+            below = values[low, x] * (irradiance[row_low, x] * per_light)
+            above = values[high, x] * (irradiance[row_high, x] * per_light)
+            rise = above - here if above == above else _NOTHING
+            fall = here - below if below == below else _NOTHING
+            # without one neighbour, the other alone tells the slope
+            to_above = up if below == below else up_alone
+            to_below = down if above == above else down_alone
+            wavelength = rise * to_above + fall * to_below
+            dark = gain[band, x] * per_light * own_offset[x]
+            scale = here * relative[x]
+            total = np.sqrt(scale * scale + (wavelength * wavelength + dark * dark))
+            u_systematic[x] = rounded(total, rounding)
+
+
+@inlined_kernel
+def propagate_band(
+    samples: LineCounts, linear: LinearMemory | None, detector: DetectorModel, light: LightCells,
+    terms: ErrorTerms, memory: ErrorMemory, place: tuple[Any, Any], out: SlabOutputs,
+) -> None:  # fmt: skip
+    """Write the random uncertainty of a ``place`` (line, band), and round what is complete.
+
+    The systematic one needs the light and the values of the band after it, not yet rounded, and so comes one
+    band later.
+    """
+    line, band = place
+    values = out.cube[line]
+    last = values.shape[0] - 1
+    light_row(light, light.shift, place, memory.irradiance[band % 3], memory.inverse[band % 3])
+    random_row(samples, linear, detector, terms, memory, place, out)
+    for done in range(max(band - 1, 0), band + (band == last)):
+        systematic_row(
+            values, samples.gain, memory, terms, terms.slope, terms.offset, done, out.u_systematic[line, done]
+        )
+        if done > 0:
+            round_row(values[done - 1], memory.rounding)
+        if done == last:
+            round_row(values[last], memory.rounding)
