@@ -8,6 +8,7 @@ puts None in the place of empty arrays.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,11 +16,35 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 __all__ = [
-    "AmountPrior", "Bodies", "Calibration", "ChannelErrors", "CountLimits", "DetectorModel", "ErrorTerms",
+    "AmountPrior",
+    "Bodies",
+    "Calibration",
+    "ChannelErrors",
+    "CountLimits",
+    "DetectorModel",
+    "ErrorTerms",
     "FixedFlags",
-    "Glinting", "InverseTile", "LightCells", "LightParts", "LineFits", "LineFrames", "LinePositions",
-    "LineCounts", "LineRays", "LineSamples", "MapCells", "Places", "Raster", "Rounding", "SlabOutputs", "StrayLight",
-    "Unmixed", "count_limits", "given", "light_cells", "rounding",
+    "Glinting",
+    "InverseTile",
+    "LightCells",
+    "LightParts",
+    "LineCounts",
+    "LineFits",
+    "LineFrames",
+    "LinePositions",
+    "LineRays",
+    "LineSamples",
+    "MapCells",
+    "Places",
+    "Raster",
+    "Rounding",
+    "SlabOutputs",
+    "StrayLight",
+    "Unmixed",
+    "count_limits",
+    "given",
+    "light_cells",
+    "rounding",
 ]  # fmt: skip
 
 Group = TypeVar("Group", bound=tuple[Any, ...])
@@ -34,7 +59,7 @@ def given(group: Group) -> Group:
     True
     """
     empty = (isinstance(each, np.ndarray) and each.size == 0 for each in group)
-    make: Any = type(group)
+    make: Callable[..., Group] = type(group)
     return make(*(None if gone else each for each, gone in zip(group, empty, strict=True)))
 
 
@@ -95,9 +120,9 @@ class LightCells(NamedTuple):
     #: (1 or band, column) float32: position of a column inside its cell; None without a smile
     shift: Array | None
     #: edges (1 or band, run + 1), cells (1 or band, run) int64: columns where runs begin whose columns share
-    #: a cell, and that cell
-    edges: Array | None
-    cells: Array | None
+    #: a cell, and that cell; None without a smile
+    edges: Any
+    cells: Any
 
 
 def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:

@@ -23,7 +23,8 @@ _NOTHING = np.float32(0.0)
 class LinearMemory(NamedTuple):
     """Memory of a line whose counts are made linear."""
 
-    dark: Array  #: (band, column) float32: dark of the line, linear where the detector's curve is of raw counts
+    #: (band, column) float32: dark of the line, linear where the detector's curve is of raw counts
+    dark: Array
     signal: Array  #: (column,) float32: linear counts above dark of the band in work
     #: node (column,) int32, part (column,) float32: where counts lie in a table
     node: Array

@@ -70,7 +70,7 @@ def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -
 
 @inlined_kernel
 def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
-    """Mark a column whose element (band, column) reaches its limit and has a margin, or lies under its floor."""
+    """Mark a column whose element reaches its limit and has a margin, or lies under its floor."""
     raw, margin = counts[band, x], limits.noise_margin[band, x]
     reached = raw >= limit_of(limits.saturation, limits, band, x)
     tally.saturated[x] |= np.uint16(reached & (margin == margin))

@@ -57,7 +57,7 @@ def dark_of_line(
 
     The other arguments are those of `Calibration` and its `DetectorModel`.
     """
-    own = dark[0]
+    own: Array = dark[0]
     if index is not None and weight is not None:
         blend(dark[index[line]], dark[index[line] + 1], weight[line], mixed)
         own = mixed
@@ -75,10 +75,10 @@ def value_row(
     samples: LineCounts, signal: Array | None, light: LightCells, shift: Array | None,
     place: tuple[Any, Any], out: Array,
 ) -> None:  # fmt: skip
-    """Write the values of a ``place`` (line, band), of counts above dark or of the linear ``signal`` (column,).
+    """Write the values of a ``place`` (line, band) from counts, or from the linear ``signal`` above dark.
 
-    ``shift`` is that of ``light``. Indexed by line and band: views of four rows would cost a quarter of the
-    loop.
+    ``signal`` is (column,), ``shift`` that of ``light``. Indexed by line and band: views of four rows would
+    cost a quarter of the loop.
     """
     line, band = place
     counts, dark, gain = samples.counts, samples.dark, samples.gain

@@ -1,4 +1,4 @@
-"""How sure every sample is: noise, and what is common to a flight. Rows of `hyperpaint.kernels.radiometry`."""
+"""How sure every sample is, by noise and by what is common to a flight: rows of `.radiometry`."""
 
 from __future__ import annotations
 
