@@ -25,10 +25,10 @@ from .arguments import (
     Rounding,
     SlabOutputs,
 )  # fmt: skip
+from .bit_rounding import rounded
 from .linear_counts import linear_memory, signal_of, signal_row, straighten_dark
 from .pedestal import pedestal_of, raise_dark
 from .quality_flags import Tally, count_levels, flag_line, gather_row
-from .rounding import rounded
 from .sample_errors import ErrorMemory, propagate_band
 
 __all__ = ["calibrate_slab", "dark_of_line"]

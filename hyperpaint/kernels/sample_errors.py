@@ -10,8 +10,8 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import inlined_kernel
 
 from .arguments import DetectorModel, ErrorTerms, LightCells, LineCounts, Rounding, SlabOutputs
+from .bit_rounding import round_row, rounded
 from .linear_counts import LinearMemory, slope_row
-from .rounding import round_row, rounded
 
 __all__ = ["ErrorMemory", "light_row", "propagate_band"]
 

@@ -17,8 +17,8 @@ from hyperpaint.kernels.arguments import (
     light_cells,
     rounding,
 )
+from hyperpaint.kernels.bit_rounding import round_row
 from hyperpaint.kernels.radiometry import calibrate_slab
-from hyperpaint.kernels.rounding import round_row
 
 NO_MODEL = DetectorModel(
     *[np.empty(0, np.float32)] * 2,
