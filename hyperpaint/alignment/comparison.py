@@ -8,7 +8,7 @@ few slabs of lines are read; the same whatever the chunks.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -165,10 +165,11 @@ class _WindowFit:
     widths: Floats  # (width,)
     light: Floats  # (node, width, band): logarithm of matched irradiance
     noise: Floats  # (channel, band): of the logarithm, from each of all channels of the record
+    by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): light at the widths tried
 
     def light_at(self, shift: Floats, width: float) -> Floats:
         """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
-        at_width = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+        at_width = self._at_width(float(width))
         place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
         low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
         t = place - low
@@ -180,6 +181,12 @@ class _WindowFit:
         )
         band = np.arange(shift.shape[0])[:, None]
         return np.asarray(sum(w * at_width[low + k - 1, band] for k, w in enumerate(weights)))
+
+    def _at_width(self, width: float) -> Floats:
+        """Return the light (node, band) at a width, which many shifts are tried with."""
+        if width not in self.by_width:
+            self.by_width[width] = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+        return self.by_width[width]
 
     def lines(self, shift: Floats, width: float) -> Floats:
         """Return the logarithm of the light (band, group) without what is smooth: its lines."""
@@ -411,23 +418,25 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 
 def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
     """Return the best of a grid of shifts and widths for the mean group: lines make several valleys."""
-    means = [
+    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
+    shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
+    # one group a shift
+    trials = [
         replace(
             fit,
             log=fit.log[:, fit.there].mean(axis=1, keepdims=True),
-            shift=fit.shift[:, fit.there].mean(axis=1, keepdims=True),
+            shift=fit.shift[:, fit.there].mean(axis=1, keepdims=True) + shifts,
         )
         for fit in fits
     ]
-    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
-    best, numbers = np.inf, np.array([0.0, 0.0, 1.0])
-    for shift in np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1):
-        for width in rules.widths:
-            trial = np.array([shift, 0.0, width])
-            total = sum((fit.departure(_shifts(fit, trial), width) ** 2).sum() for fit in means)
-            if total < best:
-                best, numbers = total, trial
-    return numbers
+    totals = np.array(
+        [
+            sum((fit.departure(np.zeros(len(fit.wavelength)), width) ** 2).sum(axis=0) for fit in trials)
+            for width in rules.widths
+        ]
+    )
+    width, shift = np.unravel_index(int(totals.argmin()), totals.shape)
+    return np.array([shifts[shift], 0.0, rules.widths[width]])
 
 
 def _linear(

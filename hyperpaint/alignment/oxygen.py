@@ -44,15 +44,17 @@ def mean_over_lines(
     seen = np.isfinite(first).any(axis=1, keepdims=True)
     bad = (np.isnan(first) | ~seen).all(axis=0) & seen.any(axis=0)
     total = np.zeros(cube.shape[1:])
+    scaled = np.empty_like(total)
     pixels = np.zeros(cube.shape[2], np.int64)
     start = 0
     for size in cube.chunks[0] if cube.chunks else (count,):
-        slab = cube[start : start + size].values
-        for values, light in zip(slab, level[start : start + size], strict=True):
+        stop = start + size
+        slab = first[start:stop] if stop <= len(first) else cube[start:stop].values
+        for values, light in zip(slab, level[start:stop], strict=True):
             if np.isfinite(light):
                 whole = (np.isfinite(values) | bad).all(axis=0)
                 pixels += whole
-                total += np.where(whole & ~bad, values, 0.0) / light
+                np.add(total, np.divide(values, light, out=scaled), out=total, where=whole & ~bad)
         start += size
         if progress is not None:
             progress(start, count)

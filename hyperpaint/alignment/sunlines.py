@@ -7,6 +7,8 @@ spectrometer of 3 nm, so that this tells tenths of a nanometre; what separates c
 
 from __future__ import annotations
 
+import functools
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -167,35 +169,64 @@ def _window(
     if used.sum() < rules.degree + 1 + 12:
         return None
     nm, log = channels[used], np.log(spectrum[used])
+    trials = _trials(tuple(nm.tolist()), rules)
+    away = log - trials.seen
+    away = away - np.einsum("swck,swk->swc", trials.basis, np.einsum("swck,swc->swk", trials.basis, away))
+    left = np.einsum("swc,swc->sw", away, away)
+    i, j = divmod(int(left.argmin()), trials.widths.size)
+    if i in (0, trials.shifts.size - 1) or j in (0, trials.widths.size - 1):
+        return None
+    return _refined(left, (i, j), trials.shifts, trials.widths, nm.size - (rules.degree + 1) - 4)
+
+
+class _Trials(NamedTuple):
+    """Sunlight as a window's channels would see it at every shift and width, whatever they did see."""
+
+    shifts: Floats  # (shift,) [nm]
+    widths: Floats  # (width,) [nm]
+    seen: Floats  # (shift, width, channel): logarithm of the sun above the air
+    basis: Floats  # (shift, width, channel, term), orthonormal: smooth, then gases; 0 for those that lack
+
+
+@functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
+def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
+    nm = np.array(channels)
     place = (nm - nm.mean()) / (np.ptp(nm) / 2.0)
     smooth = np.polynomial.legendre.legvander(place, rules.degree)
     first, last, step = rules.shifts_nm
     shifts = np.arange(first, last + step / 2, step)
     first, last, step = rules.widths_nm
     widths = np.arange(first, last + step / 2, step)
-    left = np.array([[_left(nm + shift, width, log, smooth, rules) for width in widths] for shift in shifts])
-    i, j = divmod(int(left.argmin()), widths.size)
-    if i in (0, shifts.size - 1) or j in (0, widths.size - 1):
-        return None
-    return _refined(left, (i, j), shifts, widths, nm.size - smooth.shape[1] - 4)
+    seen = np.empty((shifts.size, widths.size, nm.size))
+    basis = np.zeros((*seen.shape, smooth.shape[1] + 2))
+    for j, width in enumerate(widths):
+        seen[:, j], gases = _seen(nm + shifts[:, None], float(width), rules)
+        has_lines = np.ptp(gases, axis=2) > 1e-4  # (gas, shift)
+        for group in itertools.product((False, True), repeat=len(gases)):
+            those = np.flatnonzero((has_lines == np.array(group)[:, None]).all(axis=0))
+            terms = np.moveaxis(gases[np.flatnonzero(group)][:, those], 0, -1)
+            both = np.concatenate([np.broadcast_to(smooth, (those.size, *smooth.shape)), terms], axis=-1)
+            basis[those, j, :, : both.shape[-1]] = np.linalg.qr(both)[0]
+    return _Trials(shifts, widths, seen, basis)
 
 
-def _left(nm: Floats, width: float, log: Floats, smooth: Floats, rules: SunLineRules) -> float:
-    """Return the sum of squares that the table at wavelengths (channel,) and a width leaves."""
+def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
+    """Return logarithms of the table (shift, channel) at wavelengths of that shape and a width.
+
+    First of the sun above the air, then (gas, shift, channel) what two gases change in it.
+    """
     table = sunlight_table()
-    near = np.abs(table.wavelength - nm.mean()) < np.ptp(nm) / 2.0 + 3.0 * width
+    away = np.abs(table.wavelength - nm.mean(axis=1, keepdims=True))
+    near = away < np.ptp(nm, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
+    cells = near.any(axis=0)
     own = max(width**2 - 8.0 * np.log(2.0) * rules.cell_nm**2 / 12.0, 0.25)
-    response = np.exp(-4.0 * np.log(2.0) / own * (table.wavelength[near] - nm[:, None]) ** 2)
-    response /= response.sum(axis=1, keepdims=True)
-    sun = table.extraterrestrial[near]
-    gases = np.exp(-table.mixed[near]), np.exp(-table.water[near])
-    seen = np.log(response @ sun)
-    terms = [np.log(response @ (sun * gas)) - seen for gas in gases]
-    basis = np.column_stack([smooth, *(term for term in terms if np.ptp(term) > 1e-4)])
-    q, _ = np.linalg.qr(basis)
-    away = log - seen
-    away = away - q @ (q.T @ away)
-    return float(away @ away)
+    distance = table.wavelength[cells] - nm[..., None]
+    response = np.exp(-4.0 * np.log(2.0) / own * distance**2) * near[:, None, cells]
+    response /= response.sum(axis=2, keepdims=True)
+    sun = table.extraterrestrial[cells]
+    lights = np.stack([sun, sun * np.exp(-table.mixed[cells]), sun * np.exp(-table.water[cells])], axis=-1)
+    logs = np.moveaxis(np.log(response @ lights), -1, 0)
+    return logs[0], logs[1:] - logs[0]
 
 
 def _refined(
