@@ -10,6 +10,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hyperpaint.base.errors import CollectError, PaintWarning, Problems
 
 if TYPE_CHECKING:
@@ -103,17 +105,18 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
 
 
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
-    """Warn of every flag that many pixels of a stored line have, by its name and share."""
-    from hyperpaint.base.schema import ALONG_TRACK, flag_shares
-    from hyperpaint.io.store import open_store
+    """Warn of every flag that many pixels of a line have that was just stored, by its name and share."""
+    import zarr
+
+    from hyperpaint.base.schema import flag_shares
 
     for name in lines:
-        quality = open_store(store, name).get("quality")
-        if quality is None:
+        if not (store / name / "quality").exists():
             continue
+        quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
         counts: Counter[str] = Counter()
-        for start in range(0, quality.sizes[ALONG_TRACK], _LINES_A_READ):
-            part = quality.isel({ALONG_TRACK: slice(start, start + _LINES_A_READ)}).values
+        for start in range(0, quality.shape[0], _LINES_A_READ):
+            part = np.asarray(quality[start : start + _LINES_A_READ])
             counts.update({str(flag.name): share * part.size for flag, share in flag_shares(part).items()})
         many = {flag: count / quality.size for flag, count in counts.items()}
         texts = [

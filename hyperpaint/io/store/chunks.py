@@ -107,7 +107,8 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
     """Return a variable of the same form, from which xarray makes the metadata; it is never computed."""
     import dask.array as da
 
-    return variable.copy(data=da.zeros(variable.shape, dtype=variable.dtype, chunks=-1))
+    chunks = tuple((size,) for size in variable.shape)
+    return variable.copy(data=da.Array({}, f"placeholder-{uuid.uuid4().hex}", chunks, dtype=variable.dtype))
 
 
 def lazy_checksums(
@@ -131,10 +132,8 @@ def lazy_checksums(
         for sizes, step in zip(data.chunks, target.chunk, strict=True)
     )
     sums = da.map_blocks(
-        _store_block,
+        _Writing(target, offsets),
         data,
-        target=target,
-        offsets=offsets,
         chunks=grid,
         dtype=np.uint32,
         meta=np.empty((0,) * data.ndim, dtype=np.uint32),
@@ -178,13 +177,15 @@ def _sliced(variable: xr.Variable, chunk: tuple[int, ...]) -> da.Array:
     )
 
 
-def _store_block(
-    block: np.ndarray[Any, Any],
-    target: Target,
-    offsets: tuple[tuple[int, ...], ...],
-    block_id: tuple[int, ...] = (),
-) -> np.ndarray[Any, Any]:
-    return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
+class _Writing:
+    """Stores blocks of one array; whole to dask, which looks for its own in arguments, tuple by tuple."""
+
+    def __init__(self, target: Target, offsets: tuple[tuple[int, ...], ...]) -> None:
+        self._target, self._offsets = target, offsets
+
+    def __call__(self, block: np.ndarray[Any, Any], block_id: tuple[int, ...] = ()) -> np.ndarray[Any, Any]:
+        offset = tuple(starts[i] for starts, i in zip(self._offsets, block_id, strict=True))
+        return self._target.write(block, offset)
 
 
 def _as_stored(block: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,7 +88,9 @@ def write_arrays(
     variables = {str(name): variable for name, variable in dataset.variables.items()}
     streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
-        _write_metadata(dataset, list(streamed), place.url, job.codec)
+        files = _written_by_xarray(dataset, list(streamed), job.codec)
+        sums = _checksums(files, (name for name in variables if name not in streamed))
+        place.write_files({key: content.to_bytes() for key, content in files.items()})
         node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
         targets = {name: _target(node, name, job, place) for name in streamed}
         finished = _taken_up(targets, leftovers)
@@ -96,7 +98,7 @@ def write_arrays(
             name: chunks.lazy_checksums(variable, targets[name], finished[name])
             for name, variable in streamed.items()
         }
-        return computing.compute(lazy, targets, group=job.group, progress=progress)
+        return sums | computing.compute(lazy, targets, group=job.group, progress=progress)
 
 
 def _own_attributes(job: Job) -> dict[str, Any]:
@@ -108,23 +110,11 @@ def _own_attributes(job: Job) -> dict[str, Any]:
 def _records(
     dataset: xr.Dataset, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]
 ) -> dict[str, ArrayRecord]:
-    """Return the records of all arrays; checksums that are not given are those of the values."""
-    import numpy as np
-    import zarr
-
-    node = zarr.open_group(place.url, mode="r", zarr_format=3, use_consolidated=False)
+    """Return the records of all arrays."""
     records = {}
     for name in map(str, dataset.variables):
-        array = node[name]
-        if name in sums:
-            grid, checksums = sums[name].shape, sums[name].ravel().tolist()
-        else:
-            # what xarray wrote is small: it is read again, which also proves that it can be
-            grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
-            pieces = (chunks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
-            checksums = [checksum(np.asarray(array[piece])) for piece in pieces]
         metadata = metadata_checksum(place.metadata("", name) or {})
-        records[name] = ArrayRecord(metadata, grid, tuple(checksums))
+        records[name] = ArrayRecord(metadata, sums[name].shape, tuple(sums[name].ravel().tolist()))
     return records
 
 
@@ -152,9 +142,8 @@ def targets_of(dataset: xr.Dataset, folder: Path, codec: layout.Codec) -> dict[s
     """Return where blocks of lazy variables go in a folder that takes chunks only, no metadata."""
     import zarr
 
-    metadata = zarr.storage.MemoryStore()
-    _write_metadata(dataset, list(map(str, dataset.variables)), metadata, codec)
-    node = zarr.open_group(metadata, mode="r+", zarr_format=3, use_consolidated=False)
+    files = _written_by_xarray(dataset, list(map(str, dataset.variables)), codec)
+    node = zarr.open_group(zarr.storage.MemoryStore(files), mode="r+", zarr_format=3, use_consolidated=False)
     job, place = Job("", dataset, "", codec=codec), Location.of(folder)
     return {name: _target(node, name, job, place) for name in map(str, dataset.variables)}
 
@@ -177,10 +166,35 @@ def _remove_hidden(place: Location) -> None:
         hidden.unlink(missing_ok=True)
 
 
-def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: Any, codec: layout.Codec) -> None:
-    """Let xarray write the metadata of all variables and the values of those that are not streamed."""
+def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, Any]:
+    """Return the files of a group, as zarr keeps them in memory: all metadata, values of what is not streamed.
+
+    On a disk each of some hundred small files would wait for zarr's threads.
+    """
+    from zarr.storage import MemoryStore
+
+    files: dict[str, Any] = {}
     holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
     template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
     template, encoding = template[list(dataset.variables)], layout.encoding(dataset, codec)
+    options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
     with without_known_warnings():
-        template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)
+        template.to_zarr(MemoryStore(files), encoding=encoding, **options)
+    return files
+
+
+def _checksums(files: dict[str, Any], names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the checksums of values that xarray wrote; they are read again, which proves that they can be."""
+    import numpy as np
+    import zarr
+
+    node = zarr.open_group(zarr.storage.MemoryStore(files), mode="r", zarr_format=3, use_consolidated=False)
+    sums = {}
+    for name in names:
+        array: Any = node[name]
+        grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
+        sums[name] = np.empty(grid, np.uint32)
+        for index in np.ndindex(grid):
+            piece = chunks.region(index, array.chunks, array.shape)
+            sums[name][index] = checksum(np.asarray(array[piece]))
+    return sums

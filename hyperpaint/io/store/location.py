@@ -7,7 +7,7 @@ import os
 import re
 import stat
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -150,6 +150,16 @@ class Location:
             self.fs.pipe_file(self.key(*parts), content)
         else:
             replace_file(self.local.joinpath(*parts), [content], durable=durable)
+
+    def write_files(self, files: Mapping[str, bytes]) -> None:
+        """Write small files by their paths; see `replace_file` for what is not durable."""
+        if self.local is None:
+            self.fs.pipe({self.key(path): content for path, content in files.items()})
+            return
+        for folder in {self.local.joinpath(path).parent for path in files}:
+            folder.mkdir(parents=True, exist_ok=True)
+        for path, content in files.items():
+            replace_file(self.local / path, [content], durable=False)
 
     def groups(self) -> list[str]:
         """Return every group that holds arrays, sorted; unreadable nodes are passed over; see `nodes`."""
