@@ -4,6 +4,7 @@
     python benchmarks/ratios.py kernel io   only these
     python benchmarks/ratios.py distributed two workers of dask.distributed against two threads
     python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
+    python benchmarks/ratios.py collects    whole collects of 10,000 lines from a cold page cache, 8 GB
     python benchmarks/ratios.py flight      a rendered flight line of 640 x 1000 x 272, some minutes
 
 Absolute times are those of this machine at this moment; the ratios are what can be compared. Repeats are
@@ -117,6 +118,12 @@ def store() -> Iterator[Row]:
     floor, ours, naive = timed(ToStore(), (4096,), names, 2).values()
     yield Row("to_store(reflectance), 4096 lines / read-encode-write", ours, floor, "ms", 1.6)
     yield Row("  against naive xarray + dask", ours, naive, "ms", 4, at_least=True)
+    from benchmarks.bench_writing import Encoded
+
+    for codec in ("compact", "fast"):
+        floor, ours = timed(Encoded(), (2048, codec), ("time_floor", "time_to_store"), 7).values()
+        text = f"to_store(reflectance, quality), codec {codec} / bare encode + write"
+        yield Row(text, ours, floor, "ms", 1.25)
 
 
 def look() -> Iterator[Row]:
@@ -148,6 +155,14 @@ def io() -> Iterator[Row]:
 
     floor, ours = timed(ReadEnvi(), (1024,), ("time_floor", "time_drain"), 8).values()
     yield Row("ENVI cube drained through dask / pread into one buffer", ours, floor, "ms", 2)
+    from benchmarks.bench_writing import WriteEnvi
+
+    names = ("time_floor", "time_one_thread", "time_two_threads")
+    loop, one, two = timed(WriteEnvi(), (512,), names, 7).values()
+    yield Row(
+        "raw cube to flat reflectance file, one thread, against memmap", one, loop, "ms", 1, at_least=True
+    )
+    yield Row("  on two threads", two, loop, "ms", 1.5, at_least=True)
 
 
 def distributed(lines: int = 2048) -> Iterator[Row]:
@@ -207,6 +222,25 @@ def render() -> Iterator[Row]:
     whole, again = timed(Render(), (64,), names, 3).values()
     yield Row("scene to radiance, 64 x 64 x 272, 64 samples, 2 threads / 1.5 s", whole, 1500.0, "ms", 1)
     yield Row("  other paints on the traced scene / scene to radiance", again, whole, "ms", 0.1)
+
+
+def collects() -> Iterator[Row]:
+    """`process` of collects whose cubes are not in the page cache: one long line, and many short ones."""
+    from benchmarks.bench_writing import CAMERA_FRAMES_A_SECOND, Process
+
+    lines, short, flights = 10_000, 500, 20
+    names = ("time_floor", "time_process", "time_fast_codec", "time_without_reflectance")
+    floor, ours, fast, bare = timed(Process(), (lines, 1), names, 2).values()
+    yield Row(f"process, {lines} lines, cold / bare encode + write + fsync", ours, floor, "ms", 1.4)
+    for text, took in {"": ours, ", codec fast": fast, ", without reflectance": bare}.items():
+        speed = 1e3 * lines / took
+        what = f"  frames a second / {CAMERA_FRAMES_A_SECOND:g}{text}"
+        yield Row(what, 1.0 / speed, 1.0 / CAMERA_FRAMES_A_SECOND, "s", 6, at_least=True)
+    (many,) = timed(Process(), (short, flights), ("time_process",), 2).values()
+    each = (many - ours) / (flights - 1)
+    yield Row(
+        f"  {flights} lines of {short}: each over the cost of one of {lines} / 0.2 s", each, 200.0, "ms", 1
+    )
 
 
 def flight() -> Iterator[Row]:
@@ -333,7 +367,7 @@ def _fly(folder: Path, lines: str) -> None:
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store, render)
 }
-EXTRA = {"distributed": distributed, "memory": memory, "flight": flight}
+EXTRA = {"distributed": distributed, "memory": memory, "collects": collects, "flight": flight}
 CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process, _fly)}
 
 
@@ -347,7 +381,7 @@ def main(arguments: list[str]) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last three"
+        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last four"
     )
     chosen = parser.parse_args(arguments).groups or list(GROUPS)
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")

@@ -167,7 +167,7 @@ def _remove_hidden(place: Location) -> None:
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, Any]:
-    """Return the files of a group, as zarr keeps them in memory: all metadata, values of what is not streamed.
+    """Return the files of a group as zarr keeps them in memory: metadata, and values not streamed.
 
     On a disk each of some hundred small files would wait for zarr's threads.
     """
@@ -184,7 +184,7 @@ def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.C
 
 
 def _checksums(files: dict[str, Any], names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the checksums of values that xarray wrote; they are read again, which proves that they can be."""
+    """Return checksums of values that xarray wrote, read again: that proves that they can be."""
     import numpy as np
     import zarr
 
