@@ -21,12 +21,7 @@ from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.uncertainty.irradiance_noise import noise_of_record
 
-from .lamp import (
-    Declared,
-    responses_table,
-    shares_of_samples,
-    variance_of_responses,
-)  # fmt: skip
+from .lamp import Declared, responses_table, shares_of_samples, variance_of_responses
 from .oxygen import mean_over_lines, radiance_of_bands
 from .sunlines import RecordAgainstSun, record_against_sun
 
@@ -169,7 +164,11 @@ class _WindowFit:
 
     def light_at(self, shift: Floats, width: float) -> Floats:
         """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
-        at_width = self._at_width(float(width))
+        # many shifts are tried with the same widths
+        at_width = self.by_width.get(float(width))
+        if at_width is None:
+            at_width = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+            self.by_width[float(width)] = at_width
         place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
         low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
         t = place - low
@@ -181,12 +180,6 @@ class _WindowFit:
         )
         band = np.arange(shift.shape[0])[:, None]
         return np.asarray(sum(w * at_width[low + k - 1, band] for k, w in enumerate(weights)))
-
-    def _at_width(self, width: float) -> Floats:
-        """Return the light (node, band) at a width, which many shifts are tried with."""
-        if width not in self.by_width:
-            self.by_width[width] = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
-        return self.by_width[width]
 
     def lines(self, shift: Floats, width: float) -> Floats:
         """Return the logarithm of the light (band, group) without what is smooth: its lines."""
@@ -429,14 +422,12 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
         )
         for fit in fits
     ]
-    totals = np.array(
-        [
-            sum((fit.departure(np.zeros(len(fit.wavelength)), width) ** 2).sum(axis=0) for fit in trials)
-            for width in rules.widths
-        ]
-    )
-    width, shift = np.unravel_index(int(totals.argmin()), totals.shape)
-    return np.array([shifts[shift], 0.0, rules.widths[width]])
+    totals = np.zeros((len(rules.widths), shifts.size))
+    for row, width in zip(totals, rules.widths, strict=True):
+        for fit in trials:
+            row += (fit.departure(np.zeros(fit.wavelength.size), width) ** 2).sum(axis=0)
+    at_width, at_shift = divmod(int(totals.argmin()), shifts.size)
+    return np.array([shifts[at_shift], 0.0, rules.widths[at_width]])
 
 
 def _linear(
