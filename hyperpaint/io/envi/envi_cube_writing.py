@@ -271,6 +271,10 @@ class _Target:
                 pieces = [block[plane]] if whole_rows else block[plane]
                 for row, piece in enumerate(pieces):
                     self._write(descriptor, piece, first + row * columns)
+            if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
+                # Linux starts to write what will not be needed: little is left to be flushed at the end
+                begin, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
+                os.posix_fadvise(descriptor, begin, size, os.POSIX_FADV_DONTNEED)
         finally:
             os.close(descriptor)
         with self.lock:
