@@ -13,6 +13,7 @@ import numpy as np
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.store.virtual_groups import is_virtual
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
@@ -30,6 +31,7 @@ from hyperpaint.report.summaries import (
 )
 
 from .console import EXISTING
+from .virtual_command import facts_of_virtual
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,7 +45,7 @@ _EXPECTED = (
     "a text or csv export of spectra, "
     "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
     "SBET, .lcf or csv navigation, settings.txt, "
-    "a collect.toml, the folder of a field day, or a Zarr store or a group in it"
+    "a collect.toml, the folder of a field day, a virtual store, or a Zarr store or a group in it"
 )
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
 _MOST_NAMED = 5
@@ -80,6 +82,8 @@ def _file(path: Path) -> Facts:
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
+    if is_virtual(path):
+        return facts_of_virtual(path)
     if _is_pose_table(path):
         return _poses(path)
     if path.suffix.lower() == ".hdr":
@@ -373,6 +377,8 @@ def _collect(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
+    if is_virtual(path):
+        return facts_of_virtual(path)
     if (path / "zarr.json").is_file():
         return _store(path)
     if any(path.glob("*.spectrum.txt")):

@@ -30,7 +30,7 @@ COMMANDS = {
     **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
     **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
-    "signatures": "make_signatures", "check-library": "check_library",
+    "signatures": "make_signatures", "check-library": "check_library", "virtual": "virtual",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
 
@@ -140,6 +140,7 @@ Step by step:
   hyperpaint check collect.toml                       can what it names be true?
   hyperpaint calibrate sweep.zarr                     a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
+  hyperpaint virtual collect.toml --out lot.icechunk  the same without copying the raw cubes
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
   hyperpaint orthorectify lot.zarr --ground 152.4 --out map.tif   a map (see its --help for the camera)
   hyperpaint mosaic lot.zarr --out mosaic.tif         all its lines on one map

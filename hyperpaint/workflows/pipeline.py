@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.store_runs import TakeUp
 
 __all__ = [
-    "Outcome", "computing_on", "kept_groups", "local_folder", "process", "run",
-    "token_of",
+    "Outcome", "aligned_group", "computing_on", "kept_groups", "local_folder", "opened_groups", "process",
+    "run", "token_of",
 ]  # fmt: skip
 
 
@@ -313,7 +313,7 @@ def run(
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
-        opened, groups = _opened(collect, lines_a_task, parameters)
+        opened, groups = opened_groups(collect, lines_a_task, parameters)
         refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "process")
         complete = kept_groups(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
@@ -323,9 +323,9 @@ def run(
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
-            opened, groups = _opened(opened.settings, demand.lines, parameters)
+            opened, groups = opened_groups(opened.settings, demand.lines, parameters)
         apply = alignment or opened.settings.alignment
-        aligned = {name: _aligned(groups[name], name, to, apply) for name in pending}
+        aligned = {name: aligned_group(groups[name], name, to, apply) for name in pending}
         products = {
             name: _product(aligned[name], name, to, reflectance).assign_attrs(accepted.get(name, {}))
             for name in pending
@@ -384,7 +384,7 @@ def _check_words(to: str, reflectance: str, alignment: str | None, accept: Colle
 # --- what is to be written ---------------------------------------------------------------------------------
 
 
-def _opened(
+def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
     """Open a collect with so many lines a task; return it, and groups of a store that name their inputs."""
@@ -411,7 +411,7 @@ def _opened(
     return opened, groups
 
 
-def _aligned(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
+def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
     """Return a flight line whose camera and record have been compared; other groups as they are."""
     if to == "radiance" or not name.startswith("flightlines/"):
         return dataset

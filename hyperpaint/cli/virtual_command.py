@@ -1,0 +1,72 @@
+"""The command ``hyperpaint virtual``: a collect to a store that refers to its raw cubes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hyperpaint.base.constants import ALIGNMENTS
+from hyperpaint.report.summaries import Facts, counted, facts_of_line, size_of
+
+from .console import EXISTING_FILE, PLACE, say_outcome
+
+__all__ = ["facts_of_virtual", "virtual"]
+
+
+def facts_of_virtual(path: Path) -> Facts:
+    """Yield what a virtual store holds, and whether its raw files are what they were."""
+    from hyperpaint.base.errors import StoreError
+    from hyperpaint.io.store.virtual_groups import RAW_FILES, open_virtual, virtual_groups
+
+    kind = "icechunk" if path.is_dir() else "kerchunk"
+    groups = virtual_groups(path)
+    yield "is", f"virtual store ({kind}) of {counted(len(groups), 'flight line')}, cubes in their raw files"
+    for name, about in groups.items():
+        rows = about[RAW_FILES]
+        yield f"/{name}", "\n".join(f"{row['url']}, {size_of(row['size'])}" for row in rows)
+        try:
+            line = open_virtual(path, name)
+        except StoreError as error:
+            yield f"/{name} NOT WHOLE", str(error)
+        else:
+            yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
+
+
+@click.command(
+    short_help="Refer to raw cubes, without copying them.",
+    epilog="""\b
+Examples:
+  hyperpaint virtual collect.toml --out lot.icechunk
+  hyperpaint virtual collect.toml --out lot.json                          references of kerchunk
+  hyperpaint virtual collect.toml --out lot.icechunk --prefix s3://bucket/flight
+
+\b
+Then, in Python:
+  import hyperpaint as hp
+  line = hp.io.open_virtual("lot.icechunk", "flightlines/raw_0")
+  line.paint.reflectance()                            the bits of `process`, from the raw file""",
+)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.option(
+    "--out", metavar="STORE", type=PLACE, required=True,
+    help="A name that ends in .json: references of kerchunk. Any other: a folder of icechunk.",
+)  # fmt: skip
+@click.option(
+    "--prefix", metavar="URL",
+    help="Where the raw files lie as below the folder of COLLECT.toml: http, s3, or for .json any of fsspec. "
+    "Region, endpoint and keys of s3 come from the environment (AWS_...).",
+)  # fmt: skip
+@click.option("--alignment", type=click.Choice(ALIGNMENTS), help="As of `process`.")
+@click.option("--accept", metavar="NAME", multiple=True, help="As of `process`.")
+@click.option("--overwrite", is_flag=True, help="Replace a virtual store of other inputs.")
+def virtual(collect: Path, out: Path, **options: Any) -> None:
+    """Write a store of a few kilobytes that refers to the raw cubes of a collect.
+
+    It holds what calibrates the lines; the counts stay where the camera wrote them, and are read from there
+    when something is computed. Raw files that were moved, cut short or written to since are refused.
+    """
+    from hyperpaint.workflows.virtual_store import virtualise
+
+    say_outcome(virtualise(collect, out, **options))

@@ -1,0 +1,151 @@
+"""Raw ENVI cubes without copying: slabs of whole lines are runs of bytes of the data file.
+
+`slab_lines` and `slab_offsets` say which; `EnviParser` offers them to VirtualiZarr, as its parsers do.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Ints
+from hyperpaint.base.errors import FormatError, needs_extra
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.io.files.reading import decoded_text
+
+from .envi_header import EnviHeader, parse_header
+
+if TYPE_CHECKING:
+    from virtualizarr.manifests import ManifestStore
+
+__all__ = ["FILE_DIMS", "EnviParser", "slab_lines", "slab_offsets"]
+
+FILE_DIMS = {
+    "bil": (ALONG_TRACK, BAND, CROSS_TRACK),
+    "bip": (ALONG_TRACK, CROSS_TRACK, BAND),
+    "bsq": (BAND, ALONG_TRACK, CROSS_TRACK),
+}
+"""Dims in the order of the file, slowest first."""
+
+_LEAST_LINES, _MOST_LINES = 8, 64
+"""Lines of a slab: fewer cost a task more than they are worth, more take much memory."""
+
+
+def slab_lines(ends: Sequence[int]) -> int:
+    """Return the lines of a slab for cubes one after the other.
+
+    ``ends``: the line after the last of each cube. As few slabs as possible are short or lie in two cubes;
+    of those sizes the one nearest to that of stored chunks.
+
+    Examples
+    --------
+    >>> slab_lines([2000]), slab_lines([2000, 4000, 5100]), slab_lines([2003])
+    (40, 25, 32)
+    """
+
+    def badness(lines: int) -> tuple[int, float]:
+        broken = {end // lines for end in ends if end % lines}
+        return len(broken), abs(math.log(lines / CHUNK_LINES))
+
+    return min(range(_LEAST_LINES, _MOST_LINES + 1), key=badness)
+
+
+def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_bytes: int) -> Ints:
+    """Return where slabs of ``lines`` lines begin in a file, ``count`` of them, the first at line ``first``.
+
+    Examples
+    --------
+    >>> slab_offsets(32, 0, 3, header_offset=512, line_bytes=10).tolist()
+    [512, 832, 1152]
+    """
+    return header_offset + (first + lines * np.arange(count, dtype=np.int64)) * line_bytes
+
+
+class EnviParser:
+    """A parser of VirtualiZarr for ENVI cubes, such as those of Headwall's recorders.
+
+    Samples are referred to where they lie: slabs of whole lines of a ``bil`` or ``bip`` file, parts of the
+    planes of a ``bsq`` file. Sizes, type, byte order and offset come from the header beside the data file.
+
+    Parameters
+    ----------
+    variable
+        Name of the one array.
+    lines
+        Lines of a chunk, which divide those of the cube, since grids of chunks are regular; by default the
+        divisor that is nearest to 32.
+
+    Examples
+    --------
+    >>> from virtualizarr import open_virtual_dataset                                   # doctest: +SKIP
+    >>> cube = open_virtual_dataset(url, registry=registry, parser=EnviParser())        # doctest: +SKIP
+    """
+
+    def __init__(self, variable: str = "counts", lines: int | None = None) -> None:
+        self.variable = variable
+        self.lines = lines
+
+    def __call__(self, url: str, registry: Any) -> ManifestStore:
+        """Return the cube as a store of references.
+
+        ``url``: of the data file or of its header; ``registry``: an
+        ``obspec_utils.registry.ObjectStoreRegistry`` with a store that reaches both.
+
+        Raises `FormatError`: the header is damaged, or does not fit the size of the data file, or the lines
+        of a chunk do not divide those of the cube; `MissingExtraError`: VirtualiZarr is not installed.
+        """
+        with needs_extra("virtualizarr", "virtual", "parsing for VirtualiZarr"):
+            from virtualizarr.manifests import ChunkManifest, ManifestArray, ManifestGroup, ManifestStore
+            from virtualizarr.manifests.utils import create_v3_array_metadata
+
+        data_url = url.removesuffix(".hdr")
+        store, data = registry.resolve(data_url)
+        _, header_path = registry.resolve(f"{data_url}.hdr")
+        header = parse_header(decoded_text(bytes(store.get(str(header_path)).buffer())), f"{data_url}.hdr")
+        _refuse_size(header, int(store.head(str(data))["size"]), data_url)
+        lines = self.lines or _divisor(header.lines)
+        if header.lines % lines:
+            raise FormatError(
+                f"{data_url}: {header.lines} lines in chunks of {lines}", expected="a divisor of the lines"
+            )
+        dims = FILE_DIMS[header.interleave]
+        sizes = {ALONG_TRACK: header.lines, BAND: header.bands, CROSS_TRACK: header.samples}
+        planes = header.bands if header.interleave == "bsq" else 1
+        chunks = tuple({ALONG_TRACK: lines, BAND: sizes[BAND] // planes}.get(dim, sizes[dim]) for dim in dims)
+        # the slabs of all planes, one plane after the other: lines go on from plane to plane
+        row = header.line_bytes // planes
+        offsets = slab_offsets(lines, 0, planes * header.lines // lines, header.header_offset, row)
+        grid = tuple(sizes[dim] // chunk for dim, chunk in zip(dims, chunks, strict=True))
+        manifest = ChunkManifest.from_arrays(
+            paths=np.full(grid, data_url, np.dtypes.StringDType()),
+            offsets=offsets.astype(np.uint64).reshape(grid),
+            lengths=np.full(grid, lines * row, np.uint64),
+        )
+        metadata = create_v3_array_metadata(
+            shape=tuple(sizes[dim] for dim in dims),
+            data_type=header.dtype,
+            chunk_shape=chunks,
+            dimension_names=dims,
+        )
+        spectral = {"wavelength": header.wavelength, "fwhm": header.fwhm}
+        attributes = {name: values.tolist() for name, values in spectral.items() if values is not None}
+        group = ManifestGroup(
+            arrays={self.variable: ManifestArray(metadata, manifest)},
+            attributes={**attributes, "envi_header": json.dumps(header.fields)},
+        )
+        return ManifestStore(group=group, registry=registry)
+
+
+def _refuse_size(header: EnviHeader, size: int, name: str) -> None:
+    expected = header.header_offset + header.lines * header.line_bytes
+    if size != expected:
+        raise FormatError(f"{name}: {size} bytes", expected=f"{expected} by its header", mend="copy it again")
+
+
+def _divisor(lines: int) -> int:
+    """Return the divisor nearest to the lines of stored chunks."""
+    return min((n for n in range(1, _MOST_LINES + 1) if lines % n == 0), key=lambda n: abs(n - CHUNK_LINES))

@@ -1,0 +1,278 @@
+"""A collect as a store of a few kilobytes: the cubes stay in the camera's raw files."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import uuid
+import warnings
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.constants import Alignment
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
+from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.store.record import SETTINGS
+
+from .collect_check import refuse_findings
+from .pipeline import Outcome, aligned_group, local_folder, opened_groups
+from .store_inputs import refuse_to_write_over
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.io.collect.collect_opening import OpenedCollect
+    from hyperpaint.io.envi.envi_array import EnviArray
+    from hyperpaint.io.store.virtual_groups import RawFile, VirtualCube
+
+__all__ = ["virtualise"]
+
+MOST_COPIED_SHARE = 0.1
+"""Of a cube; beyond it a stored cube is the better one [1]."""
+
+_FEW_SLABS = 4
+_SAMPLE_BYTES = 16 * 1024
+
+
+def virtualise(
+    collect: str | Path,
+    out: str | Path,
+    *,
+    prefix: str | None = None,
+    alignment: Alignment | None = None,
+    accept: Collection[str] = (),
+    overwrite: bool = False,
+) -> Outcome:
+    """Write a store of flight lines that refers to the raw cubes and holds all that calibrates them.
+
+    ``.paint.reflectance()`` of `hyperpaint.io.open_virtual` gives the bits of what `hyperpaint.process`
+    stores as counts. Opened, judged and aligned as there; of a cube only the lines are read that this needs.
+
+    A slab of 8 to 64 whole lines is a run of bytes of its file. Slabs that are none are copied into the
+    store: the last of a cube whose lines no such size divides, what lies in two cubes, and lost frames.
+
+    Parameters
+    ----------
+    collect
+        A ``collect.toml``; see `hyperpaint.open_collect`.
+    out
+        A name that ends in ``.json``: references of kerchunk; any other: a folder, a repository of icechunk.
+    prefix
+        URL below which the raw files lie as they do below the folder of ``collect``, such as
+        ``s3://bucket/flight``: they are referred to there. What is there is compared with the local files.
+    alignment, accept
+        As of `hyperpaint.process`.
+    overwrite
+        Replace a virtual store of other inputs.
+
+    Returns
+    -------
+    Outcome
+        The store, and groups that were written.
+
+    Raises
+    ------
+    CollectError, SchemaError
+        As `hyperpaint.process`.
+    FormatError
+        A cube is no run of bytes a slab (``bsq``), its samples are none of uint16 counts, or too much would
+        be copied; all lines are listed.
+    StoreError
+        ``out`` is there, of other inputs, or holds inputs; or files below ``prefix`` are others.
+    MissingExtraError
+        icechunk is not installed.
+
+    Examples
+    --------
+    >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
+    """
+    from hyperpaint.io.store.virtual_groups import is_virtual, write_icechunk, write_kerchunk
+
+    out = local_folder(out, "virtual")
+    opened, tree = opened_groups(
+        collect, 32, {"to": "reflectance", "reflectance": "none", "alignment": alignment}
+    )
+    refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "virtual")
+    lines = {name: tree[name] for name in opened.cubes}
+    cubes = _cubes(opened, lines, prefix)
+    if out.exists():
+        if _is_same(out, lines, cubes):
+            return Outcome(out, (), tuple(lines))
+        if not (overwrite and is_virtual(out)):
+            raise StoreError(
+                f"{out} is there already, "
+                + ("of other inputs" if is_virtual(out) else "and no virtual store"),
+                mend="pass overwrite=True, which replaces a virtual store, or choose another path",
+                option="pass --overwrite, which replaces a virtual store, or choose another --out",
+            )
+    accepted = refuse_findings(opened, lines, accept, lit=True)
+    apply = alignment or opened.settings.alignment
+    groups = {}
+    for name, line in lines.items():
+        rest = _companions(aligned_group(line, name, "reflectance", apply))
+        groups[name] = rest.assign_attrs(accepted.get(name, {})), cubes[name]
+    beside = out.with_name(f".partial-{out.name}-{uuid.uuid4().hex[:8]}")
+    write = write_kerchunk if out.suffix.lower() == ".json" else write_icechunk
+    try:
+        write(beside, groups, {str(key): value for key, value in opened.tree.attrs.items()})
+        _remove(out)
+        os.replace(beside, out)
+    finally:
+        _remove(beside)
+    corrected = {
+        name: str(rest.attrs["alignment"])
+        for name, (rest, _) in groups.items()
+        if rest.attrs.get("alignment_state") == "applied"
+    }
+    return Outcome(out, tuple(groups), (), corrected)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _is_same(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> bool:
+    """Tell whether a virtual store is of the same inputs, and of the same raw files at the same places."""
+    from hyperpaint.io.store.virtual_groups import is_virtual, summary_of, virtual_groups
+
+    wanted = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
+    return is_virtual(out) and virtual_groups(out) == wanted
+
+
+def _companions(line: xr.Dataset) -> xr.Dataset:
+    """Return all of a flight line but its cube: in memory, with what its panels give."""
+    from hyperpaint.light.diffuse_record import split_of_lines
+    from hyperpaint.radiometry.panels import declared_panels
+
+    rest = line.drop_vars("counts")
+    panels = declared_panels(line)
+    if panels:
+        product = line.paint.reflectance(panel=panels)
+        rest = rest.assign({name: product[name] for name in product if str(name).startswith("panel_")})
+    split = split_of_lines(line)
+    if split is not None:
+        rest = rest.assign(split.data_vars)
+    rest = rest.compute()
+    rest.attrs.pop(SETTINGS, None)
+    return rest
+
+
+def _cubes(
+    opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
+) -> dict[str, VirtualCube]:
+    """Return the cube of every line, as slabs of its raw files; refuse those that cannot be referred to."""
+    entries = {str(entry.name): entry for entry in opened.settings.flightlines}
+    problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
+    base = opened.settings.path.absolute().parent
+    cubes = {}
+    for name, line in lines.items():
+        try:
+            arrays = [_array(entries[member]) for member in opened.members[name]]
+            files = tuple(_raw_file(Path(array.path), base, prefix) for array in arrays)
+            cubes[name] = _cube(line, arrays, files)
+        except (FormatError, StoreError) as error:
+            problems.add_error(f"/{name}", error)
+    problems.raise_if_any()
+    return cubes
+
+
+def _array(entry: Any) -> EnviArray:
+    """Return how the samples of a cube lie in its file."""
+    from hyperpaint.io.envi.envi_array import EnviArray
+    from hyperpaint.io.envi.envi_cubes import open_envi
+
+    with warnings.catch_warnings():  # given when the collect was opened
+        warnings.simplefilter("ignore", PaintWarning)
+        opened = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
+    lazy: Any = next(iter(opened.data_vars.values())).variable._data
+    array = lazy.array
+    if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
+        raise FormatError(
+            f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
+            expected="raw counts, uint16 (ENVI data type 12)",
+            mend="process the collect instead",
+        )
+    return array
+
+
+def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
+    """Return the raw file to refer to: the local one, or its copy below a URL."""
+    from hyperpaint.io.store.virtual_groups import RawFile
+
+    local = RawFile.of(f"file://{path}")
+    if prefix is None:
+        return local
+    if not path.is_relative_to(base):
+        raise StoreError(f"{path} does not lie below {base}, and so has no place below {prefix}")
+    from fsspec.core import url_to_fs  # type: ignore[import-untyped]
+
+    copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
+    if copy.size != local.size:
+        raise StoreError(
+            f"{copy.url}: {copy.size} bytes", expected=f"{local.size}, as {path}", mend="copy it again"
+        )
+    fs, key = url_to_fs(copy.url)
+    with open(path, "rb") as file:
+        for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
+            file.seek(start)
+            stop = min(start + _SAMPLE_BYTES, local.size)
+            if fs.cat_file(key, start=start, end=stop) != file.read(stop - start):
+                raise StoreError(
+                    f"{copy.url} differs from {path} at byte {start} or after it", mend="copy it again"
+                )
+    return copy
+
+
+def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
+    from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
+    from hyperpaint.io.store.virtual_groups import VirtualCube
+
+    first = arrays[0]
+    interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first.axes)
+    forms = {(array.axes, array.file_shape[1:], array.stored) for array in arrays}
+    if interleave is None or len(forms) > 1:
+        found = (
+            "bsq: a slab of lines is no run of bytes" if interleave is None else "cubes of several layouts"
+        )
+        raise FormatError(
+            found, expected="bil or bip, alike in all cubes", mend="process the collect instead"
+        )
+    dims = FILE_DIMS[interleave]
+    ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
+    count = line.sizes[ALONG_TRACK]
+    if ends[-1] != count:
+        raise FormatError(
+            f"{count} lines of {ends[-1]} in the files: frames were lost between its cubes",
+            mend="process the collect instead",
+        )
+    lines = slab_lines(ends)
+    width = first.file_shape[1] * first.file_shape[2] * first.stored.itemsize
+    lost = np.flatnonzero(np.isnat(line["time"].values)) // lines
+    slabs: list[tuple[int, int, int]] = []
+    for number, (start, end) in enumerate(itertools.pairwise([0, *ends])):
+        begin, stop = -(-start // lines), end // lines  # slabs that lie in this file
+        offsets = slab_offsets(lines, begin * lines - start, stop - begin, arrays[number].offset, width)
+        slabs += [
+            (slab, number, offset)
+            for slab, offset in zip(range(begin, stop), offsets.tolist(), strict=True)
+            if slab not in lost
+        ]
+    total = -(-count // lines)
+    copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
+    if len(copied) > max(_FEW_SLABS, MOST_COPIED_SHARE * total):
+        raise FormatError(
+            f"{len(copied)} of {total} slabs hold lost frames or lie in two cubes and would be copied",
+            expected=f"at most {MOST_COPIED_SHARE:.0%}",
+            mend="process the collect instead",
+        )
+    cube = line["counts"].transpose(*dims)
+    copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}
+    attrs = {key: value for key, value in cube.attrs.items() if isinstance(value, str | int | float | list)}
+    return VirtualCube("counts", dims, cube.shape, lines, first.stored, attrs, files, tuple(slabs), copies)
