@@ -31,12 +31,12 @@ from hyperpaint.report.summaries import (
 )
 
 from .console import EXISTING
+from .init_command import facts_of_field_folder
 from .virtual_command import facts_of_virtual
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.workflows.field_folder import FieldFolder
 
 __all__ = ["describe_path", "facts_of_path", "info"]
 
@@ -58,7 +58,8 @@ def facts_of_path(path: str | Path) -> dict[str, str]:
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"no such file or folder: {path}")
-    return dict(_folder(path) if path.is_dir() else _file(path))
+    describe = facts_of_virtual if is_virtual(path) else _folder if path.is_dir() else _file
+    return dict(describe(path))
 
 
 def describe_path(path: str | Path) -> str:
@@ -82,8 +83,6 @@ def _file(path: Path) -> Facts:
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
-    if is_virtual(path):
-        return facts_of_virtual(path)
     if _is_pose_table(path):
         return _poses(path)
     if path.suffix.lower() == ".hdr":
@@ -377,8 +376,6 @@ def _collect(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
-    if is_virtual(path):
-        return facts_of_virtual(path)
     if (path / "zarr.json").is_file():
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
@@ -386,40 +383,11 @@ def _folder(path: Path) -> Facts:
     from hyperpaint.workflows.field_folder import find_field_files
 
     try:
-        return _field_folder(find_field_files(path))
+        return facts_of_field_folder(find_field_files(path))
     except CollectError as error:
         raise StoreError(
             f"{path} is a folder, not a Zarr store, and not that of a field day: {error}; {_EXPECTED}"
         ) from error
-
-
-def _field_folder(field: FieldFolder) -> Facts:
-    """Yield what `init` would write a collect.toml from."""
-    yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
-    for cube in field.cubes:
-        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
-        words = [name if place else f"no {name}" for name, place in beside.items()]
-        exposure = "exposure" if cube.has_exposure else "no exposure"
-        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
-    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
-    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
-        yield name, "" if place is None else _within(field.folder, place)
-    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
-    yield (
-        "references",
-        ", ".join(
-            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
-        ),
-    )
-    yield "not used", "\n".join(field.notes)
-    if (field.folder / "collect.toml").exists():
-        yield "process", f"hyperpaint run {field.folder}"
-    else:
-        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
-
-
-def _within(folder: Path, path: Path) -> str:
-    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
 def _store(path: Path) -> Facts:

@@ -3,14 +3,49 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from hyperpaint.report.summaries import Facts, counted
+
 from .console import EXISTING, FILE
 
-__all__ = ["init"]
+if TYPE_CHECKING:
+    from hyperpaint.workflows.field_folder import FieldFolder
+
+__all__ = ["facts_of_field_folder", "init"]
 
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+
+
+def facts_of_field_folder(field: FieldFolder) -> Facts:
+    """Yield what `init` would write a collect.toml from."""
+    yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
+    for cube in field.cubes:
+        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
+        words = [name if place else f"no {name}" for name, place in beside.items()]
+        exposure = "exposure" if cube.has_exposure else "no exposure"
+        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
+    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
+    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
+        yield name, "" if place is None else _within(field.folder, place)
+    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
+    yield (
+        "references",
+        ", ".join(
+            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
+        ),
+    )
+    yield "not used", "\n".join(field.notes)
+    if (field.folder / "collect.toml").exists():
+        yield "process", f"hyperpaint run {field.folder}"
+    else:
+        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
+
+
+def _within(folder: Path, path: Path) -> str:
+    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
 @click.command(
