@@ -13,7 +13,7 @@ import numpy as np
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.store.virtual_groups import is_virtual
+from hyperpaint.io.store.raw_references import is_virtual
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,

@@ -18,7 +18,7 @@ __all__ = ["facts_of_virtual", "virtual"]
 def facts_of_virtual(path: Path) -> Facts:
     """Yield what a virtual store holds, and whether its raw files are what they were."""
     from hyperpaint.base.errors import StoreError
-    from hyperpaint.io.store.virtual_groups import RAW_FILES, open_virtual, virtual_groups
+    from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
 
     kind = "icechunk" if path.is_dir() else "kerchunk"
     groups = virtual_groups(path)

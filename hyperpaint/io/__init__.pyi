@@ -12,4 +12,4 @@ from .skies.uvspec import read_uvspec as read_uvspec
 from .spectrometers.radcal import read_radcal as read_radcal
 from .spectrometers.spectrum_csv import read_certificate as read_certificate
 from .store import encoding as encoding
-from .store.virtual_groups import open_virtual as open_virtual
+from .store.raw_references import open_virtual as open_virtual

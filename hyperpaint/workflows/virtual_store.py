@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.envi.envi_array import EnviArray
-    from hyperpaint.io.store.virtual_groups import RawFile, VirtualCube
+    from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
 __all__ = ["virtualise"]
 
@@ -90,7 +90,7 @@ def virtualise(
     --------
     >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
     """
-    from hyperpaint.io.store.virtual_groups import is_virtual, write_icechunk, write_kerchunk
+    from hyperpaint.io.store.raw_references import is_virtual, write_icechunk, write_kerchunk
 
     out = local_folder(out, "virtual")
     opened, tree = opened_groups(
@@ -140,7 +140,7 @@ def _remove(path: Path) -> None:
 
 def _is_same(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> bool:
     """Tell whether a virtual store is of the same inputs, and of the same raw files at the same places."""
-    from hyperpaint.io.store.virtual_groups import is_virtual, summary_of, virtual_groups
+    from hyperpaint.io.store.raw_references import is_virtual, summary_of, virtual_groups
 
     wanted = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
     return is_virtual(out) and virtual_groups(out) == wanted
@@ -204,7 +204,7 @@ def _array(entry: Any) -> EnviArray:
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     """Return the raw file to refer to: the local one, or its copy below a URL."""
-    from hyperpaint.io.store.virtual_groups import RawFile
+    from hyperpaint.io.store.raw_references import RawFile
 
     local = RawFile.of(f"file://{path}")
     if prefix is None:
@@ -232,7 +232,7 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
     from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
-    from hyperpaint.io.store.virtual_groups import VirtualCube
+    from hyperpaint.io.store.raw_references import VirtualCube
 
     first = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first.axes)

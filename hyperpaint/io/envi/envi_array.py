@@ -140,13 +140,15 @@ class EnviArray(BackendArray):
         breaks = (gaps * self.stored.itemsize > _GAP) | (np.diff((lines - lines[0]) // lines_a_box) != 0)
         breaks |= np.diff(lines) < 0  # a plane that is asked for again
         edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(lines)]
+        places = np.unravel_index(np.arange(len(lines)), into.shape[:2])
+        picked = _selector(samples)
         for start, stop in itertools.pairwise(edges):
             top = int(lines[start])
             box = np.empty((int(lines[stop - 1]) - top + 1, columns), self.stored)
             wanted = box.reshape(-1)[first : (len(box) - 1) * columns + last + 1]
             self._fill(file, top * columns + first, wanted)
-            place = np.unravel_index(np.arange(start, stop), into.shape[:2])
-            into[place] = box[_selector(lines[start:stop] - top)][:, _selector(samples)]
+            rows = box if stop - start == 1 else box[_selector(lines[start:stop] - top)]
+            into[places[0][start:stop], places[1][start:stop]] = rows[:, picked]
 
     def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
         """Read samples from number `first` on into contiguous memory, byte for byte."""
