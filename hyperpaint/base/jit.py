@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import warnings
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
+from numba import types
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.cpu import CPUTargetOptions
+from numba.core.registry import CPUDispatcher
 
 from hyperpaint.base.errors import PaintWarning
 
@@ -84,12 +89,75 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
             )
 
 
+class _Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A kernel, as Python calls it; another kernel that calls it takes a `_Part` in."""
+
+    @functools.cached_property
+    def _part(self) -> _Part:
+        options = {**self.targetoptions, "no_cpython_wrapper": True}
+        return _Part(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return how another kernel calls this one.
+
+        Constants in the call are no types of their own: numba would compile a part again for every number.
+        """
+        kinds = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
+        return self._part.get_call_template(tuple(map(types.unliteral, args)), kinds)
+
+    def get_overload(self, sig: Any) -> Any:
+        """Return what another kernel calls."""
+        return self._part.get_overload(sig)
+
+
+class _Part(CPUDispatcher):  # type: ignore[misc]
+    """A kernel inside another: no machine code, no way in from Python, no place in the cache.
+
+    By itself numba assembles each function once alone and again in all that call it, with the code that
+    unpacks its arguments for Python. Here that is done once, of the whole that Python calls.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._compiler._customize_flags = _without_machine_code
+
+    def add_overload(self, cres: Any) -> None:
+        """Take in what was compiled, under a name that no function of Python has."""
+        name = object()
+        self.targetctx.insert_user_function(name, cres.fndesc, [cres.library])
+        self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=name)
+
+
+def _without_machine_code(flags: Any) -> Any:
+    flags.no_compile = True
+    return flags
+
+
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    """numba's own steps, into a `_PartLibrary`."""
+
+    def __init__(self, typing: Any, target: Any, _library: Any, *args: Any) -> None:
+        super().__init__(typing, target, _PartLibrary(target.codegen(), "part"), *args)
+
+
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that is assembled in the libraries it is linked into.
+
+    It is optimised before that: what calls a part decides by its optimised size whether to take it in, and
+    the renderer, built without, ran a fifth slower. The methods are private to numba: where it has others,
+    all is the same, but compiled more slowly.
+    """
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
     """Compile, and keep the result on disk where there is a folder for it."""
-    compiled: Function = numba.njit(**options)(function)
-    if hasattr(compiled, "_cache"):  # not where NUMBA_DISABLE_JIT leaves plain Python
-        try:
-            compiled._cache = _OptionalCache(function)
-        except RuntimeError:  # numba has no folder for it
-            return compiled
-    return compiled
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled = _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})
+    with contextlib.suppress(RuntimeError):  # numba has no folder for it
+        compiled._cache = _OptionalCache(function)
+    return cast("Function", compiled)

@@ -25,6 +25,18 @@ def doubled(value):
     return 2 * value
 """
 
+PARTS = """
+from hyperpaint.base.jit import kernel
+
+@kernel
+def times(value, factor):
+    return value * factor
+
+@kernel
+def whole(value):
+    return times(value, 2) + times(value, 3) + times(value, times(value, 4))
+"""
+
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
 
@@ -96,3 +108,23 @@ def test_a_damaged_cache_is_made_anew(
     again = doubled()
     assert again(5) == 10
     assert list(again.stats.cache_hits.values()) == [1]
+
+
+def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    source = tmp_path / "parts.py"
+    source.write_text(PARTS)
+    spec = importlib.util.spec_from_file_location("parts", source)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.whole(5) == 5 * (2 + 3) + 5 * 5 * 4
+    assert len(_files(tmp_path, "nbc")) == 1
+    # a number in a call is no type of its own
+    assert len(module.times._part.overloads) == 1
+    # what is part of a whole is a kernel of its own for Python
+    assert module.times(7, 6) == 42
+    assert len(_files(tmp_path, "nbc")) == 2
