@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -36,3 +38,10 @@ def test_workflows_call_what_is_there():
     for workflow in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
         for script in re.findall(r"bash (\S+)", workflow.read_text(encoding="utf-8")):
             assert (ROOT / script).is_file(), f"{workflow.name}: {script}"
+
+
+def test_every_name_is_there_right_after_the_import():
+    names = [name for name in hyperpaint.__all__ if name != "__version__"]
+    code = "import sys, hyperpaint; getattr(hyperpaint, sys.argv[1])"
+    for name in ("errors", *names[:2]):  # each needs a process of its own; the first was missing once
+        subprocess.run([sys.executable, "-c", code, name], check=True)

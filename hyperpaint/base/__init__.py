@@ -1,4 +1,6 @@
 """What every room stands on: errors, units, the one table of variables, dims, quality bits, constants.
 
-Nothing comes in and nothing of the package is imported; everything above may use it.
+Nothing comes in; everything above may use it.
 """
+
+from . import errors as errors  # `hyperpaint.errors` is it, also where nothing else has been loaded
