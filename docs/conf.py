@@ -12,6 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import sphinx_autosummary_accessors
+
 import hyperpaint
 
 HERE = Path(__file__).resolve().parent
@@ -27,7 +29,7 @@ extensions = [
     "sphinx.ext.mathjax", "sphinx.ext.viewcode", "sphinx_autosummary_accessors", "sphinx_copybutton",
     "sphinx_design",
 ]  # fmt: skip
-templates_path = ["_templates"]
+templates_path = [sphinx_autosummary_accessors.templates_path]
 exclude_patterns = ["_build", "jupyter_execute", "README.md"]
 default_role = "py:obj"
 
