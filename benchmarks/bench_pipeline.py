@@ -146,3 +146,43 @@ class Look:
 
     def time_floor_stored_float32(self, lines, view):
         self._look(self.stored, lines, view)
+
+
+class Click:
+    """A pixel, a region and a band of a line from our store, as a person clicks: nothing is cut out before.
+
+    The lazy cube of the same place, and for all lines reading stored float32, stand beside.
+    """
+
+    params = ([128], ["cube", "explore"])
+    param_names = ("lines", "layout")
+    timeout = 300
+
+    def setup(self, lines, layout):
+        import hyperpaint as hp
+
+        self.line = hp.open_store(counts_store(lines, smile=True, layout=layout))
+        self.middle = lines // 2 - lines // 2 % 32
+        self.line.paint.pixels(0, 0)  # what is small is read with the first click
+        self.stored = hp.open_store(reflectance_store(lines))["reflectance"]
+
+    def time_pixel(self, lines, layout):
+        self.line.paint.pixels(self.middle + 5, 100)
+
+    def time_region(self, lines, layout):
+        self.line.paint.pixels(slice(self.middle, self.middle + 32), slice(100, 132))
+
+    def time_band(self, lines, layout):
+        self.line.paint.pixels(wavelength=650.0)
+
+    def time_pixel_of_the_lazy_cube(self, lines, layout):
+        with threads():
+            self.line.paint.reflectance().reflectance[self.middle + 5, :, 100].compute()
+
+    def time_every_pixel(self, lines, layout):
+        with threads():
+            self.line.paint.reflectance().reflectance.data.max(axis=(0, 2)).compute()
+
+    def time_every_pixel_of_stored_float32(self, lines, layout):
+        with threads():
+            self.stored.data.max(axis=(0, 2)).compute()

@@ -191,12 +191,12 @@ def _piece(block: np.ndarray, *, lines: tuple[int, ...], block_id: tuple[int, ..
 
 
 @functools.cache
-def counts_store(lines: int, *, smile: bool = False) -> Path:
+def counts_store(lines: int, *, smile: bool = False, layout: str = "cube") -> Path:
     """Write a flight line as `hyperpaint.to_store` lays it out; return the store."""
     import hyperpaint as hp
 
-    path = scratch() / f"counts-{lines}{'-smile' if smile else ''}.zarr"
-    hp.to_store(flight_line(lines, smile=smile), path, source_token=f"{lines} {smile}")
+    path = scratch() / f"counts-{lines}-{layout}{'-smile' if smile else ''}.zarr"
+    hp.to_store(flight_line(lines, smile=smile), path, source_token=f"{lines} {smile}", layout=layout)
     return path
 
 

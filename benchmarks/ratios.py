@@ -2,6 +2,7 @@
 
     python benchmarks/ratios.py             every ratio, about two minutes
     python benchmarks/ratios.py kernel io   only these
+    python benchmarks/ratios.py click       a pixel, a region, a band of 4,000 lines; writes 3 GB under TMPDIR
     python benchmarks/ratios.py distributed two workers of dask.distributed against two threads
     python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
     python benchmarks/ratios.py collects    whole collects of 10,000 lines from a cold page cache, 8 GB
@@ -18,6 +19,7 @@ import functools
 import json
 import os
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -135,6 +137,39 @@ def look() -> Iterator[Row]:
         stored, ours = timed(Look(), (2048, view), names, 4).values()
         text = f"{view.replace('_', ' ')}: from counts against stored float32"
         yield Row(text, ours, stored, "ms", goal, at_least=True)
+
+
+def click(lines: int = 4000) -> Iterator[Row]:
+    """Milliseconds of one look at a long line, the medians of nine, and the processor's beside them."""
+    from benchmarks.bench_pipeline import Click
+    from benchmarks.common import best_of
+
+    limits = {"time_pixel": 8.0, "time_region": 20.0, "time_band": 150.0}
+    for layout in ("cube", "explore"):
+        case = Click()
+        case.setup(lines, layout)
+        for name, limit in limits.items():
+            wall, processor = _median(functools.partial(getattr(case, name), lines, layout), 9)
+            what = f"{name.removeprefix('time_')} of {lines} lines, {layout} / {limit:g} ms"
+            yield Row(what, wall, limit, "ms", 1.0)
+            yield Row("  the processor's time", processor, limit, "ms", 1.0)
+        names = ("time_every_pixel", "time_every_pixel_of_stored_float32")
+        passes = {name: functools.partial(getattr(case, name), lines, layout) for name in names}
+        ours, stored = (1e3 * seconds for seconds in best_of(passes, 7).values())
+        what = f"every pixel of {lines} lines, {layout}, against reading stored float32"
+        yield Row(what, ours, stored, "ms", 1.0, at_least=True)
+
+
+def _median(run: Callable[[], Any], rounds: int) -> tuple[float, float]:
+    """Return the medians of wall and processor time of calls after the first [ms]."""
+    run()
+    spent = []
+    for _ in range(rounds):
+        start = time.perf_counter(), time.process_time()
+        run()
+        spent.append((time.perf_counter() - start[0], time.process_time() - start[1]))
+    wall, processor = (1e3 * statistics.median(each) for each in zip(*spent, strict=True))
+    return wall, processor
 
 
 def graph() -> Iterator[Row]:
@@ -367,7 +402,9 @@ def _fly(folder: Path, lines: str) -> None:
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store, render)
 }
-EXTRA = {"distributed": distributed, "memory": memory, "collects": collects, "flight": flight}
+EXTRA = {
+    "click": click, "distributed": distributed, "memory": memory, "collects": collects, "flight": flight,
+}  # fmt: skip
 CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process, _fly)}
 
 
@@ -381,7 +418,7 @@ def main(arguments: list[str]) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last four"
+        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last five"
     )
     chosen = parser.parse_args(arguments).groups or list(GROUPS)
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")

@@ -56,6 +56,11 @@ Examples:
     help="'fast' compresses in half the time, and takes a seventh (counts) to two fifths (reflectance) more "
     "room; every reader reads both.",
 )  # fmt: skip
+@click.option(
+    "--layout", type=click.Choice(["cube", "explore"]), default="cube",
+    help="'explore' cuts cubes into eight groups of bands as well, for pictures of single bands; it has "
+    "eight times the files.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def process(collect: Path, out: Path | None, quiet: bool, **options: Any) -> None:

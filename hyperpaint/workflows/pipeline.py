@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from hyperpaint.io.collect.collect_opening import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
-    from hyperpaint.io.store.layout import Codec
+    from hyperpaint.io.store.layout import Codec, Layout
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.record import GroupRecord
     from hyperpaint.io.store.store_runs import TakeUp
@@ -206,6 +206,7 @@ def process(
     overwrite: bool = False,
     progress: bool = False,
     codec: Codec = "compact",
+    layout: Layout = "cube",
 ) -> Path:
     """Process a collect into one Zarr store.
 
@@ -252,6 +253,8 @@ def process(
     codec
         ``"fast"`` halves the time of compression, for a seventh (counts) to two fifths (reflectance) more
         room; see `to_store`. Groups that are there stay, whatever their codec.
+    layout
+        ``"explore"`` cuts cubes into groups of bands as well; see `to_store`. Groups that are there stay.
 
     Returns
     -------
@@ -285,6 +288,7 @@ def process(
     return run(
         collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,
         memory_limit=memory_limit, accept=accept, overwrite=overwrite, progress=progress, codec=codec,
+        layout=layout,
     ).path  # fmt: skip
 
 
@@ -292,7 +296,7 @@ def run(
     collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
     alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
     accept: Collection[str] = (), overwrite: bool = False, progress: bool = False, codec: Codec = "compact",
-    take_up: TakeUp | None = None,
+    layout: Layout = "cube", take_up: TakeUp | None = None,
 ) -> Outcome:  # fmt: skip
     """Do what `process` does, and return what was written; the arguments are those of `process`.
 
@@ -300,11 +304,12 @@ def run(
     """
     from hyperpaint.io.store.budget import limited_threads, parse_size
     from hyperpaint.io.store.computing import errors_of_the_cluster
+    from hyperpaint.io.store.layout import with_layout
     from hyperpaint.io.store.root_record import Member
     from hyperpaint.io.store.store_runs import whole_run
     from hyperpaint.io.store.writer import check_codec, check_room
 
-    _check_words(to, reflectance, alignment, accept)
+    _check_words(to, reflectance, alignment, accept, layout)
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
@@ -327,7 +332,9 @@ def run(
         apply = alignment or opened.settings.alignment
         aligned = {name: aligned_group(groups[name], name, to, apply) for name in pending}
         products = {
-            name: _product(aligned[name], name, to, reflectance).assign_attrs(accepted.get(name, {}))
+            name: with_layout(_product(aligned[name], name, to, reflectance), layout).assign_attrs(
+                accepted.get(name, {})
+            )
             for name in pending
         }
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()}, codec)
@@ -339,7 +346,7 @@ def run(
         again = {
             "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
             "--reflectance": None if reflectance == "stored" else reflectance, "--accept": sorted(accept),
-            "--codec": None if codec == "compact" else codec,
+            "--codec": {"compact": None}.get(codec, codec), "--layout": {"cube": None}.get(layout, layout),
         }  # fmt: skip
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(
@@ -368,12 +375,15 @@ def run(
     return Outcome(out, tuple(products), tuple(complete), corrected)
 
 
-def _check_words(to: str, reflectance: str, alignment: str | None, accept: Collection[str]) -> None:
+def _check_words(
+    to: str, reflectance: str, alignment: str | None, accept: Collection[str], layout: str
+) -> None:
     problems = Problems("cannot process", SchemaError)
     for name, value, allowed in (
         ("to", to, ("radiance", "reflectance")),
         ("reflectance", reflectance, ("none", "stored")),
         ("alignment", alignment or "auto", ALIGNMENTS),
+        ("layout", layout, ("cube", "explore")),
     ):
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .disk import at_once
-from .layout import Codec, encode_chunk, storage_chunks
+from .layout import Codec, chunks_of, encode_chunk
 from .location import plain_file, replace_file
 from .record import checksum
 
@@ -99,8 +99,7 @@ def is_streamed(variable: xr.Variable) -> bool:
 
     if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
         return False
-    chunk = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
-    return dask.is_dask_collection(variable) or chunk != variable.shape
+    return dask.is_dask_collection(variable) or chunks_of(variable) != variable.shape
 
 
 def placeholder(variable: xr.Variable) -> xr.Variable:

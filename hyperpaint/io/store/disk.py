@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
-from .layout import Codec, storage_chunks
+from .layout import Codec, chunks_of
 from .location import Location, sync
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
         noisy = -(-noisy // 8) * 8 if codec == "fast" else noisy
         share = min(1.0, noisy / bits + NOISE_SHARE) if bits else 1.0
         needed += share * variable.nbytes
-        chunk = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
-        chunks = math.prod(-(-size // step) for size, step in zip(variable.shape, chunk, strict=True))
+        grid = zip(variable.shape, chunks_of(variable), strict=True)
+        chunks = math.prod(-(-size // step) for size, step in grid)
         blocks += 4 * chunks + 4
     return int(MARGIN * needed) + blocks * _BLOCK
 

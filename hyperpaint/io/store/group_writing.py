@@ -46,10 +46,11 @@ class Job:
 
     @property
     def content(self) -> str:
-        """Names what is built: one group is never made by two versions of the program, or with two codecs."""
+        """Names what is built: by one version of the program, with one codec, in one layout."""
         from dask.base import tokenize
 
-        return str(tokenize(self.token, version_of_program(), self.codec))
+        layouts = sorted(set(layout.layouts_of(self.dataset).values()))
+        return str(tokenize(self.token, version_of_program(), self.codec, *layouts))
 
     @property
     def member(self) -> Member:

@@ -2,7 +2,8 @@
 
 One rule for every group, so that what `xarray.open_zarr` shows a user is what one task computes on:
 
-* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines;
+* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
+  looking at, `"explore"`, a cube into groups of bands as well;
 * a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
 * anything else is one chunk, unless it is larger than 64 MiB.
 """
@@ -13,10 +14,10 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from hyperpaint.base.errors import Problems, StoreError
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, TIME_UNITS
+from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,6 +35,12 @@ SPLIT_CHUNK = 16 * 2**20
 #: Sentinel of small integers: no 12- or 14-bit camera counts to it, and as quality it sets every flag.
 _INTEGER_FILL = 65535
 
+Layout = Literal["cube", "explore"]
+"""Whether a chunk of a cube holds all bands, so that one task computes on one chunk, or an eighth of them, so
+that a picture of one band reads an eighth."""
+
+BAND_GROUPS = 8
+
 Codec = Literal["compact", "fast"]
 """How samples are shuffled before lz4: by bits, which takes least room, or by bytes, in half the time."""
 
@@ -41,13 +48,17 @@ _SHUFFLES: Mapping[Codec, tuple[str, int]] = {"compact": ("bitshuffle", 2), "fas
 _LZ4 = {"cname": "lz4", "clevel": 5}
 
 
-def storage_chunks(dims: Sequence[Hashable], shape: Sequence[int], itemsize: int) -> tuple[int, ...]:
+def storage_chunks(
+    dims: Sequence[Hashable], shape: Sequence[int], itemsize: int, layout: Layout = "cube"
+) -> tuple[int, ...]:
     """Return the storage chunk of an array, each size at least 1; ``itemsize``: bytes of one sample.
 
     Examples
     --------
     >>> storage_chunks(("along_track", "band", "cross_track"), (2000, 272, 640), 2)
     (32, 272, 640)
+    >>> storage_chunks(("along_track", "band", "cross_track"), (2000, 272, 640), 2, "explore")
+    (32, 34, 640)
     >>> storage_chunks(("band", "cross_track"), (272, 640), 4)
     (272, 640)
     """
@@ -55,6 +66,8 @@ def storage_chunks(dims: Sequence[Hashable], shape: Sequence[int], itemsize: int
     if ALONG_TRACK in dims and len(dims) > 1:
         axis = dims.index(ALONG_TRACK)
         chunks[axis] = min(chunks[axis], CHUNK_LINES)
+        if layout == "explore" and {BAND, CROSS_TRACK} <= set(dims):
+            chunks[dims.index(BAND)] = -(-chunks[dims.index(BAND)] // BAND_GROUPS)
     elif "y" in dims and "x" in dims:
         for name in ("y", "x"):
             chunks[dims.index(name)] = min(chunks[dims.index(name)], TILE)
@@ -62,6 +75,31 @@ def storage_chunks(dims: Sequence[Hashable], shape: Sequence[int], itemsize: int
         row = math.prod(chunks[1:]) * itemsize
         chunks[0] = min(chunks[0], max(1, SPLIT_CHUNK // row))
     return tuple(chunks)
+
+
+def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
+    """Return the storage chunk of a variable, in the layout that `with_layout` gave it."""
+    itemsize = variable.dtype.itemsize if variable.dtype.kind in "biufcmM" else 1
+    return storage_chunks(variable.dims, variable.shape, itemsize, variable.encoding.get(_LAYOUT, "cube"))
+
+
+_LAYOUT = "hyperpaint_layout"
+
+
+def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
+    """Return the layouts that `with_layout` gave variables."""
+    return {name: v.encoding[_LAYOUT] for name, v in dataset.variables.items() if _LAYOUT in v.encoding}
+
+
+def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
+    """Return a dataset that will be stored in a layout; `SchemaError` where that is none."""
+    if layout not in get_args(Layout):
+        raise SchemaError(f"layout={layout!r}, expected {' or '.join(map(repr, get_args(Layout)))}")
+    marked = dataset.copy(deep=False)
+    for variable in marked.variables.values():
+        if layout != "cube" or _LAYOUT in variable.encoding:
+            variable.encoding = {**variable.encoding, _LAYOUT: layout}
+    return marked
 
 
 def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
@@ -143,7 +181,7 @@ def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, An
         "write_empty_chunks": True,
     }
     if variable.ndim:
-        encoding["chunks"] = storage_chunks(variable.dims, variable.shape, typesize)
+        encoding["chunks"] = chunks_of(variable)
     fill = fill_value(dtype)
     if fill is not None:
         encoding["fill_value"] = fill
@@ -177,7 +215,10 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
         problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
     problems.raise_if_any()
+    layouts = layouts_of(dataset)
     prepared = dataset.drop_encoding()
+    for name, layout in layouts.items():
+        prepared.variables[name].encoding = {_LAYOUT: layout}
     changed = {name: _prepared(variable) for name, variable in prepared.variables.items()}
     replaced = {name: new for name, new in changed.items() if new is not prepared.variables[name]}
     return with_variables(prepared, replaced, prepared.coords)
@@ -199,7 +240,7 @@ def _prepared(variable: xr.Variable) -> xr.Variable:
         return variable.astype(object)
     if not is_at_hand(variable) or not isinstance(variable.data, da.Array) or not variable.size:
         return variable
-    step = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
+    step = chunks_of(variable)
     chunks = tuple(
         regroup(pieces, each) if each < size else (size,)
         for pieces, each, size in zip(variable.data.chunks, step, variable.shape, strict=True)

@@ -11,6 +11,7 @@ import warnings
 from typing import TYPE_CHECKING, Any, overload
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
+from hyperpaint.base.schema import BAND
 
 from .documents import check_node
 from .groups import groups_above
@@ -91,8 +92,8 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     Returns
     -------
     xarray.Dataset or xarray.DataTree
-        With one dask chunk to a storage chunk, unless ``chunks`` says otherwise. A tree of all groups where
-        they were asked for.
+        With one dask chunk to a storage chunk, or to those of all bands, unless ``chunks`` says otherwise. A
+        tree of all groups where they were asked for.
 
     Raises
     ------
@@ -234,6 +235,8 @@ def _opened(
     store = guarded(location, group=group, record=record, content=content)
     # the root's consolidated metadata may be older than a group whose writer was killed just before the end
     options = {"consolidated": False, **kwargs}
+    if record is not None and any(len(a.grid) == 3 and a.grid[1] > 1 for a in record.arrays.values()):
+        options.setdefault("chunks", {BAND: -1})  # one task a slab, also of cubes that are cut into bands
     try:
         opened: xr.Dataset = xr.open_zarr(store, group=group or None, **options)
     except StoreError:

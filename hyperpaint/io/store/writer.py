@@ -33,6 +33,7 @@ from .groups import (
     reads_from,
     rebuild_groups,
 )
+from .layout import Layout
 from .location import METADATA, Location, clean_group
 from .record import OWN_ATTRS
 from .root_record import Intention, Member, intention, read_set
@@ -54,6 +55,7 @@ def to_store(
     progress: bool = False,
     source_token: str | None = None,
     codec: layout.Codec = "compact",
+    layout: Layout = "cube",
 ) -> PathT:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
@@ -99,6 +101,11 @@ def to_store(
         ``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor time
         for a seventh (counts) to two fifths (rounded reflectance) more room. Values are the same, and so is
         the content: what is there whole is not written again for another codec.
+    layout
+        ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
+        eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the
+        files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). What is there
+        whole is not written again for another layout.
 
     Returns
     -------
@@ -123,7 +130,7 @@ def to_store(
     """
     check_codec(codec)
     location = Location.of(path)
-    jobs, attrs = _plan(data, clean_group(group), source_token, codec)
+    jobs, attrs = _plan(data, clean_group(group), source_token, (codec, layout))
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         _refuse_own_source(jobs, location)
         above = _groups_without_arrays(jobs, attrs)
@@ -271,7 +278,7 @@ def real_folder(local: Path) -> Path:
 
 
 def _plan(
-    data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, codec: layout.Codec
+    data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, form: tuple[layout.Codec, Layout]
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
     """Return the groups to write, and the attributes of groups without variables."""
     import xarray as xr
@@ -287,12 +294,12 @@ def _plan(
         }
     jobs, attrs = [], {}
     for name, node in nodes.items():
-        dataset = _without_foreign_inputs(node, source_token)
+        dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
         prepared = layout.prepare(dataset, name)
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
         else:
-            jobs.append(Job(name, prepared, _token(dataset, source_token), codec=codec))
+            jobs.append(Job(name, prepared, _token(dataset, source_token), codec=form[0]))
     return jobs, attrs
 
 
