@@ -238,7 +238,13 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Make a paint library: one signature a region, with spread, uncertainty and provenance."""
-    def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
+    def rgb(
+        self,
+        *,
+        stretch: tuple[float, float] = (2.0, 98.0),
+        lines: int | None = None,
+        dims: Dims | None = None,
+    ) -> xr.DataArray:
         """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
     def quicklook(
         self,
@@ -314,7 +320,13 @@ class PaintArrayAccessor:
         """Return the bands nearest to one or several wavelengths."""
     def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
         """Return spectra at the nominal wavelengths: the smile taken out."""
-    def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
+    def rgb(
+        self,
+        *,
+        stretch: tuple[float, float] = (2.0, 98.0),
+        lines: int | None = None,
+        dims: Dims | None = None,
+    ) -> xr.DataArray:
         """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
     def spectrum(
         self,

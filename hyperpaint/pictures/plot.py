@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview",
-    "percent", "quicklook", "rgb",
+    "STRETCH", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview", "percent",
+    "quicklook", "rgb", "stored_picture",
 ]  # fmt: skip
 
 
@@ -30,7 +30,12 @@ OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""
 
 
-def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> xr.DataArray:
+STRETCH = (2.0, 98.0)
+
+
+def rgb(
+    dataset: xr.Dataset, *, stretch: tuple[float, float] = STRETCH, lines: int | None = None
+) -> xr.DataArray:
     """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB.
 
     Lazy; computing it reads every band between 380 and 780 nm.
@@ -42,6 +47,10 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     stretch
         Percentiles of brightness that become black and white, found in at most 64 lines; (0, 100) shows the
         reflectance itself, white being 1.
+    lines
+        Lines of the picture at the most; all by default. Where the stored overview holds as many and the
+        stretch is its own, it is read in place of the cube; the attribute ``level`` says what was taken. A
+        dataset without a cube shows its overview.
 
     Returns
     -------
@@ -60,6 +69,17 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     import xarray as xr
 
     dataset = schema.rename_to_roles(dataset)
+    if lines is not None and lines < 1:
+        raise SchemaError(f"lines={lines}, expected 1 line of the picture or more")
+    has_cube = bool({"reflectance", "counts", "radiance"} & set(dataset.variables))
+    if lines is not None or not has_cube:
+        step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
+        stored = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
+        if stored is not None:
+            return stored
+        if has_cube and step:
+            few = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+            return rgb(few, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
     cube = dataset["reflectance"]
@@ -109,6 +129,53 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
         if "grid_mapping" in kept:
             picture.attrs["grid_mapping"] = kept["grid_mapping"]
     return picture
+
+
+def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
+    """Return every ``step``-th line of the stored overview, or what it has next to that, as `rgb` shows it.
+
+    None where there is none, where it is of a whole of which this is a part, or where it lacks lines that are
+    wanted; with ``step`` None all that it has. ``at_most``: rather fewer lines than more.
+    """
+    import xarray as xr
+
+    row = schema.VARIABLES["overview"]
+    if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
+        return None
+    stored = dataset["overview"].transpose(*row.dims)
+    every = [stored.attrs.get(name) for name in ("line_step", "column_step")]
+    steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in every]
+    # a part of a line still carries the picture of the whole
+    sizes = [dataset.sizes.get(dim, 0) for dim in (schema.ALONG_TRACK, schema.CROSS_TRACK)]
+    held = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
+    if min(steps) < 1 or any(a != b for a, b in zip(held, stored.shape, strict=False)):
+        return None
+    if step is not None and steps[0] > step:
+        return None
+    times = 1 if step is None else -(-step // steps[0]) if at_most else step // steps[0]
+    values = stored[::times].astype(np.float32) / np.float32(255.0)
+    every_line, every_column = steps[0] * times, steps[1]
+    picture = xr.DataArray(
+        values.data,
+        {"rgb": ["red", "green", "blue"]},
+        (schema.ALONG_TRACK, schema.CROSS_TRACK, "rgb"),
+        "true_colour",
+        {
+            "long_name": "True colour (sRGB)",
+            "stretch": f"{STRETCH[0]:g} to {STRETCH[1]:g} %",
+            "level": _level_text("overview", every_line, every_column),
+        },
+    )
+    places = {schema.ALONG_TRACK: every_line, schema.CROSS_TRACK: every_column}
+    for dim, number in places.items():
+        axis = dataset.coords.get(dim)
+        if axis is not None and axis.dims == (dim,):
+            picture = picture.assign_coords({dim: axis[::number].variable})
+    return picture
+
+
+def _level_text(source: str, lines: int, columns: int) -> str:
+    return f"{source}, every {lines}. line and {columns}. column"
 
 
 def _mix(values: Array, *, weights: Array) -> Array:

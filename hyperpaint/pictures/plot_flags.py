@@ -28,7 +28,7 @@ from .figures import (
     save_figure,
 )
 from .orientation import Orientation, orientation_of, show_picture
-from .plot import flags_of, percent, rgb
+from .plot import flags_of, percent, rgb, stored_picture
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -124,16 +124,9 @@ def flag_overlay(
 
 def background(dataset: xr.Dataset, step: int) -> Array:
     """Return a picture of every ``step``-th line, (line, column, rgb), 0 to 1: the stored one if it fits."""
-    if "overview" in dataset.variables:
-        stored = dataset["overview"]
-        lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
-        every = [stored.attrs.get(name) for name in ("line_step", "column_step")]
-        steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in every]
-        # a part of a line still carries the picture of the whole
-        whole = min(steps) > 0 and stored.shape == (-(-lines // steps[0]), -(-columns // steps[1]), 3)
-        if whole and steps[0] <= step:
-            rows = stored.values[:: step // steps[0]]
-            return np.asarray(rows, np.float32) / np.float32(255.0)
+    stored = stored_picture(dataset, step)
+    if stored is not None:
+        return np.asarray(stored.values)
     return np.asarray(rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)})).values)
 
 

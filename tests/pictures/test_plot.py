@@ -13,7 +13,7 @@ from support.strategies import flight
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.paints.colours import colour_matching
-from hyperpaint.pictures.plot import quicklook, rgb
+from hyperpaint.pictures.plot import overview, quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)
 WHITE = (0.0, 100.0)
@@ -184,3 +184,38 @@ def test_smile_does_not_tint_the_picture() -> None:
     seen = rgb(cube, stretch=WHITE).values[0]
     tinted = rgb(cube.drop_vars("wavelength_shift"), stretch=WHITE).values[0]
     assert np.ptp(seen, axis=0).max() < 0.1 * np.ptp(tinted, axis=0).max()
+
+
+def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> None:
+    whole = flight(lines=60, columns=9).line.paint.reflectance().compute()
+    whole = whole.assign_coords(along_track=np.arange(100, 160))
+    few = whole.isel(along_track=slice(None, None, 3)).drop_vars("along_track")
+    picture = overview(few)
+    assert picture is not None
+    picture.attrs["line_step"] = 3
+    line = whole.assign(overview=picture.compute()).chunk({"along_track": 16})
+    with no_compute():
+        small = rgb(line, lines=20)
+    assert small.attrs["level"] == "overview, every 3. line and 1. column"
+    assert small.dims == ("along_track", "cross_track", "rgb")
+    assert small.along_track.values.tolist() == list(range(100, 160, 3))
+    np.testing.assert_allclose(small.values, rgb(few).values, atol=0.5 / 255 + 1e-6)
+    # no more lines than asked for, none of a stretch that it does not have, nor lines that it lacks
+    fewer = rgb(line, lines=13)
+    assert fewer.attrs["level"] == "overview, every 6. line and 1. column"
+    np.testing.assert_array_equal(fewer.values, small.values[::2])
+    other = rgb(line, lines=20, stretch=WHITE)
+    assert other.attrs["level"] == "cube, every 3. line and 1. column"
+    np.testing.assert_array_equal(other.values, rgb(line, stretch=WHITE).values[::3])
+    more = rgb(line, lines=40)
+    assert more.attrs["level"] == "cube, every 2. line and 1. column"
+    assert more.sizes["along_track"] == 30
+    assert "level" not in rgb(line).attrs
+    assert rgb(line.isel(along_track=slice(0, 30)), lines=10).attrs["level"].startswith("cube")
+    # without a cube it is all there is
+    alone = line.drop_vars(["counts", "reflectance"])
+    np.testing.assert_array_equal(rgb(alone).values, small.values)
+    with pytest.raises(SchemaError, match="cannot compute reflectance"):
+        rgb(alone.drop_vars("overview"))
+    with pytest.raises(SchemaError, match="lines=0, expected 1"):
+        rgb(line, lines=0)
