@@ -240,6 +240,22 @@ def test_values_that_cannot_be_are_found_before_writing(
     assert [entry.name for entry in tmp_path.iterdir()] == ["raw"]
 
 
+def test_a_store_may_be_laid_out_for_looking(collect: Path, tmp_path: Path) -> None:
+    out = hp.process(collect, tmp_path / "lot.zarr", layout="explore")
+    group = next(name for name in hp.io.store.list_groups(out) if name.startswith("flightlines/"))
+    line = xr.open_zarr(out, group=group)
+    bands = line.sizes["band"]
+    for name in ("counts", "reflectance"):
+        assert line[name].data.chunksize[1] == -(-bands // 8) < bands
+        assert hp.open_store(out, group)[name].data.numblocks[1] == 1
+    assert hp.verify(out).ok
+    stamp = (out / "zarr.json").stat().st_mtime_ns
+    hp.process(collect, out)  # the same content, whatever its layout
+    assert (out / "zarr.json").stat().st_mtime_ns == stamp
+    with pytest.raises(hp.SchemaError, match="layout='tiles', expected 'cube' or 'explore'"):
+        hp.process(collect, out, layout="tiles")  # type: ignore[arg-type]
+
+
 def test_words_are_checked(collect: Path, tmp_path: Path) -> None:
     words: Any = {"to": "albedo", "reflectance": "maybe"}
     with pytest.raises(hp.SchemaError, match=r"(?s)to='albedo'.*reflectance='maybe'"):
