@@ -169,7 +169,7 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
 
 
 _FOREIGN_ARRAYS = {
-    "cubed": "map hyperpaint.slab over its blocks (docs/engines.md), or open with dask or chunks=None",
+    "cubed": "map hyperpaint.slab over its blocks (docs/howto/engines.md), or open with dask or chunks=None",
     "cupy": "take it from the GPU first, by dataset.as_numpy() or array.get(): the kernels run on processors",
 }
 

@@ -27,7 +27,7 @@ def slab(
 
     For engines other than dask, and for loops of one's own: the function, what goes in and what comes out can
     be pickled, and no scheduler is asked. Recipes for cubed, Ray, process pools and dask.distributed stand in
-    docs/engines.md.
+    docs/howto/engines.md.
 
     Parameters
     ----------
