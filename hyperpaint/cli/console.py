@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "SIGNALLED", "WRONG_INPUT",
     "beside", "given_of", "is_watched", "progress_bar", "refuse_in_store", "say_outcome",
+    "takes_memory_limit",
 ]  # fmt: skip
 
 PLACE = click.Path(path_type=Path)
@@ -29,6 +31,23 @@ FAILED_CHECK, WRONG_INPUT = 1, 2
 
 SIGNALLED = 128
 """Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
+
+
+def takes_memory_limit(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a command with the option of that name, which then plans with no more than it says."""
+
+    @functools.wraps(command)
+    def limited(*args: Any, memory_limit: str | None, **options: Any) -> Any:
+        from hyperpaint.io.store import budget
+
+        with budget.memory_limit(memory_limit):
+            return command(*args, **options)
+
+    return click.option(
+        "--memory-limit", metavar="SIZE",
+        help="Most memory of the process, such as '2 GiB': fewer threads are taken where more would be "
+        "needed.  [default: 80% of the available]",
+    )(limited)  # fmt: skip
 
 
 def is_watched(quiet: bool) -> bool:

@@ -7,7 +7,17 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, FILE, PLACE, beside, given_of, is_watched, progress_bar, refuse_in_store
+from .console import (
+    EXISTING,
+    FILE,
+    PLACE,
+    beside,
+    given_of,
+    is_watched,
+    progress_bar,
+    refuse_in_store,
+    takes_memory_limit,
+)
 from .location_options import takes_location
 
 __all__ = ["make_mosaic"]
@@ -45,6 +55,7 @@ Nothing is averaged: every cell has the spectrum of one pixel, and the store say
 @click.option("--gsd", type=float, metavar="M", help="Edge of a cell.  [default: spacing of the pixels]")
 @takes_location
 @click.option("--seamlines", type=FILE, metavar="FILE", help="GeoJSON of the area that each line shows.")
+@takes_memory_limit
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def make_mosaic(

@@ -7,7 +7,16 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar, refuse_in_store
+from .console import (
+    EXISTING,
+    PLACE,
+    beside,
+    given_of,
+    is_watched,
+    progress_bar,
+    refuse_in_store,
+    takes_memory_limit,
+)
 from .location_options import takes_location
 
 __all__ = ["make_map"]
@@ -49,6 +58,7 @@ at -30 m. Where the map is shifted or torn, look first at --boresight, --ground,
 @takes_location
 @click.option("--stac", is_flag=True, help="Write a STAC item beside it, map.json.")
 @click.option("--geozarr", is_flag=True, help="Say where map.zarr lies in the attributes of GeoZarr too.")
+@takes_memory_limit
 @click.option("--overwrite", is_flag=True, help="Replace a map that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def make_map(store: Path, line: str | None, out: Path | None, quiet: bool, **options: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING_FILE, FILE, PLACE, is_watched, say_outcome
+from .console import EXISTING_FILE, FILE, PLACE, is_watched, say_outcome, takes_memory_limit
 
 __all__ = ["render"]
 
@@ -69,6 +69,7 @@ Then, in Python:
     help="Also draw the renders side by side (png, pdf ...).",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
+@takes_memory_limit
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @click.option(

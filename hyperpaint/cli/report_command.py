@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, FAILED_CHECK, PLACE, beside, is_watched, progress_bar
+from .console import EXISTING, FAILED_CHECK, PLACE, beside, is_watched, progress_bar, takes_memory_limit
 
 __all__ = ["make_report"]
 
@@ -47,6 +47,7 @@ Examples:
     "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",
     help="Zenith angle of the sun, for the flags.  [default: from time and position of the line]",
 )  # fmt: skip
+@takes_memory_limit
 @click.option("--overwrite", is_flag=True, help="Replace a page that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @click.pass_context

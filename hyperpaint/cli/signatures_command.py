@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar
+from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar, takes_memory_limit
 from .location_options import takes_location
 
 __all__ = ["make_signatures"]
@@ -96,6 +96,7 @@ Options from --ground on place the lines for regions of a map; by default the st
     help="Leave regions with fewer out and name them, in place of an error.",
 )  # fmt: skip
 @takes_location
+@takes_memory_limit
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def make_signatures(

@@ -20,10 +20,11 @@ from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
+from hyperpaint.surroundings.scratch import compute_into, scratch_array, survey_planned
 
 from .pages import page_part
 from .report_sections import (
-    LAYERS,
+    LAYERS as DRAWN,
     Part,
     calibration_section,
     card_parts,
@@ -193,8 +194,18 @@ def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress |
     """Return a line with flags and layers in memory, found in one pass after a survey."""
     seen = line if "reflectance" in line.variables else reflectance(line)
     surveyed = part_of(progress, 0, 2)
-    flagged = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
-    return line.assign(flagged[["quality", *LAYERS]].reset_coords(drop=True).compute().data_vars)
+    with survey_planned(line, "the survey"):
+        flagged = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
+        names = ["quality", *DRAWN]
+        lazy = [flagged[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
+        found = [scratch_array(each.shape, each.dtype) for each in lazy]
+        compute_into(lazy, found)
+    return line.assign(
+        {
+            name: flagged[name].reset_coords(drop=True).copy(data=each)
+            for name, each in zip(names, found, strict=True)
+        }
+    )
 
 
 # --- what there is to show ---------------------------------------------------------------------------------

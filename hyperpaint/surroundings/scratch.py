@@ -9,18 +9,31 @@ import mmap
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import StoreError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 if TYPE_CHECKING:
     import dask.array as da
+    import xarray as xr
 
-__all__ = ["compute_into", "gather", "line_parts", "release", "scratch_array", "trim_memory"]
+__all__ = [
+    "compute_into",
+    "gather",
+    "line_parts",
+    "release",
+    "scratch_array",
+    "survey_planned",
+    "trim_memory",
+]
 
+SURVEYED_BYTES = 30
+"""Memory of a survey for every pixel, beside the channels in their file: what 12,000 lines took."""
 MOST_IN_MEMORY_BYTES = 32 * 2**20
 """Size up to which an array is in memory as any other: channels of some 500 lines."""
 
@@ -30,6 +43,15 @@ _ROWS = 64
 """Rows of an array that are gathered at a time."""
 _LINES = 128
 """Lines that are looked at together."""
+
+
+def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[None]:
+    """Return where a line is surveyed within the memory limit (`hyperpaint.io.store.budget.planned`)."""
+    from hyperpaint.io.store import budget
+
+    pixels = math.prod(line.sizes.get(dim, 1) for dim in (ALONG_TRACK, CROSS_TRACK))
+    least = budget.LOADED + SURVEYED_BYTES * pixels
+    return budget.planned(subject, a_thread=budget.Load.of(line).a_thread, least=least)
 
 
 def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:

@@ -334,6 +334,7 @@ def survey(
         bright = own_level[segments.number[part]]
         deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * bright)
     shade_distance[of_shadows(shaded, (shade_distance == 0) | deep)] = 0
+    trim_memory()
     return SceneModel(
         wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
         zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,

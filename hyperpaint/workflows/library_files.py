@@ -5,6 +5,7 @@ The one place where readers meet signatures and validation.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import io
@@ -25,6 +26,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.text_cells import safe_cell
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
+from hyperpaint.surroundings.scratch import survey_planned
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -92,8 +94,9 @@ def write_signatures(
         The store has no finished flight line of the regions; or the library cannot be written, or its store
         holds something else, and ``overwrite`` is False.
     """
-    from hyperpaint.io.store import to_store
+    from hyperpaint.io.store import budget, to_store
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+    from hyperpaint.paints.signatures.extraction import GATHERED_BYTES
     from hyperpaint.regions import regions_from
 
     inside, around = Path(out).resolve(), Path(store).resolve()
@@ -114,7 +117,8 @@ def write_signatures(
     flagged = {}
     for number, name in enumerate(wanted):
         share = part_of(progress, number, len(wanted) + 1)
-        flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
+        with survey_planned(lines[name], f"the survey of {name or store}"):
+            flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
     origin = _origin(lines, flagged, looked_at)
     targets, refused = _proposed(lines, flagged, surveys) if given is None else (given, [])
     lines |= {name: done.line for name, done in flagged.items()}
@@ -124,7 +128,13 @@ def write_signatures(
         # a shadow is looked for in the image by flags alone
         options.setdefault("diffuse", None if isinstance(word, str) and word == "shadow" else word)
     share = part_of(progress, len(wanted), len(wanted) + 1)
-    library = extract_signatures(lines, targets, progress=share, **options)
+    with contextlib.ExitStack() as stack:
+        for name, line in lines.items():
+            if name not in maps:
+                load, besides = budget.Load.of(line), budget.LOADED + GATHERED_BYTES
+                subject = f"extracting from {name or store}"
+                stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
+        library = extract_signatures(lines, targets, progress=share, **options)
     library.attrs |= {"store": around.name, "flags": origin}
     if refused:
         library.attrs["refused"] = refused[:_MOST_REFUSED]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,15 @@ from hyperpaint.geometry.orthorectification import orthorectify
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LOCATION", "location_of", "map_of_store", "mosaic_of_store", "write_map", "write_seamlines"]
+__all__ = [
+    "LOCATION",
+    "location_of",
+    "map_of_store",
+    "map_planned",
+    "mosaic_of_store",
+    "write_map",
+    "write_seamlines",
+]
 
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
@@ -131,6 +141,34 @@ def write_map(
     Raises `SchemaError`: nothing tells when or where it was recorded, for a STAC item; `StoreError`: the
     place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
     """
+    with map_planned(orthomap, str(path)):
+        return _write_map(orthomap, path, stac=stac, geozarr=geozarr, overwrite=overwrite, progress=progress)
+
+
+def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
+    """Return where the tiles of a map are computed within the memory limit.
+
+    A thread holds the spectra of a tile, turned and encoded, and all share the lines that a row of tiles
+    shows: of a line that goes straight up or across, those of the row; of one that goes aslant, also as many
+    as it has columns.
+
+    Entering it raises `StoreError` where not even one thread stays within.
+    """
+    from hyperpaint.io.store import budget
+
+    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
+    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    aslant = min(rows, cols) / max(rows, cols, 1)
+    # lines of about a cell each, of twice the bytes: slabs are computed from others
+    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
+    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
+
+
+def _write_map(
+    orthomap: xr.Dataset, path: Path, *, stac: bool, geozarr: bool, overwrite: bool, progress: bool
+) -> str:
+    """Do what `write_map` says."""
     from hyperpaint.io.files.publishing import check_place, publish_file
     from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
 

@@ -16,6 +16,7 @@ import math
 import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,6 +47,9 @@ TASK_BYTES = 16_000
 
 MARGIN = 1.1
 """Needed is what the model says, and a tenth more."""
+
+LOADED = 390 * 10**6
+"""Bytes of a process in which what reads, calibrates and surveys lines is loaded, without any slab."""
 
 USABLE = 0.8
 """Share of the available memory that a run takes when it is given no limit."""
@@ -85,7 +89,7 @@ class Load:
         """Return the load of a flight line as `open_flightline` returns it."""
         import numpy as np
 
-        cube = line["counts"] if "counts" in line else line["radiance"]
+        cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize
         cells = _smile_cells(line)
@@ -99,6 +103,12 @@ class Load:
             shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
             lines=cube.sizes[ALONG_TRACK],
         )
+
+    @property
+    def a_thread(self) -> int:
+        """What a thread takes that reads slabs of a storage chunk's lines [byte]."""
+        slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
+        return SLABS_IN_HAND * slab + self.encoded // 2
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
         """Return the modelled peak [byte] at ``lines`` a task; ``fixed`` is there without any slab."""
@@ -179,6 +189,55 @@ def fit(
     return plan
 
 
+_LIMIT: ContextVar[int | None] = ContextVar("memory_limit", default=None)
+
+
+@contextlib.contextmanager
+def memory_limit(size: str | int | None) -> Iterator[None]:
+    """Let nothing in this process plan with more memory than that; None leaves 80 % of the available.
+
+    Raises `SchemaError`: this is no size.
+    """
+    token = _LIMIT.set(None if size is None else parse_size(size))
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
+
+
+@contextlib.contextmanager
+def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0) -> Iterator[None]:
+    """Compute on as many threads as stay within the memory that may be taken; all of a cluster's.
+
+    ``a_thread``: what each thread takes; ``fixed``: what is there without any; ``least``: what is needed at
+    another time, whatever the threads; all in bytes.
+
+    Raises `StoreError`: not even one thread stays within; the figures are given.
+    """
+    from .computing import client_in_force
+
+    if client_in_force() is not None:
+        yield
+        return
+    resident, threads = resident_memory(), thread_count()
+    limit = process_limit(resident)
+    fixed = max(fixed, resident)
+
+    def needed(threads: int) -> int:
+        return int(MARGIN * max(least, fixed + threads * a_thread)) + threads * thread_space()
+
+    while threads > 1 and needed(threads) > limit:
+        threads -= 1
+    if needed(threads) > limit:
+        raise StoreError(
+            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}, but "
+            f"{size_text(limit)} may be taken; end other programs, raise the memory limit, take fewer lines, "
+            "or a larger machine"
+        )
+    with limited_threads(threads):
+        yield
+
+
 # --- what there is -----------------------------------------------------------------------------------------
 
 
@@ -210,8 +269,10 @@ def available_memory(system: Path = Path("/")) -> int:
     The least of what the machine, its container and the limit of this process's address space leave; of the
     last, what helper threads reserve is taken off first.
     """
-    space = _address_space()
+    space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
+    if limit is not None:
+        shared = min(shared, limit - resident_memory())
     return max(0, shared if space is None else min(shared, space))
 
 
@@ -229,6 +290,7 @@ def process_limit(resident: int, limit: int | None = None) -> int:
     ``limit`` of the user stands in place of `USABLE` of what is available; a limit of the address space,
     which no other program shares, holds besides.
     """
+    limit = _LIMIT.get() if limit is None else limit
     if limit is None:
         limit = resident + int(USABLE * max(0, _shared_memory(Path("/"))))
     space = _address_space()

@@ -47,7 +47,7 @@ EXCLUDED = (
 )
 """Flags of pixels whose reflectance is not that of the surface."""
 
-GATHERED_BYTES = 128 * 2**20
+GATHERED_BYTES = 64 * 2**20
 """Samples of pixels that are held at once; a region of more is done some bands at a time."""
 WHOLE_BYTES = 256 * 2**20
 """Samples of a region whose spectra are needed whole."""
@@ -75,7 +75,7 @@ def extract_signatures(
     r"""Make a paint library: one signature a region, with spread, uncertainty and provenance.
 
     Eager: gathers the pixels of the regions, then reduces them. Only the blocks of lines that regions touch
-    are read. At most 128 MiB of samples are gathered at once, whatever the regions' size (256 of a region for
+    are read. At most 64 MiB of samples are gathered at once, whatever the regions' size (256 of a region for
     the geometric median); a region of more is read several times, some bands at a time.
 
     Parameters

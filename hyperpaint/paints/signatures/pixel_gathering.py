@@ -11,13 +11,14 @@ from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
 from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
+from hyperpaint.surroundings.scratch import trim_memory
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["gather"]
 
-_TOGETHER = 32
+_TOGETHER = 16
 """Blocks that are computed at a time."""
 
 
@@ -78,6 +79,8 @@ def gather(
                 out[pixel] = piece
         if not start:
             values |= dict(zip(lazy, results[len(part) :], strict=True))
+        del results
+        trim_memory()
     return spectra, values
 
 

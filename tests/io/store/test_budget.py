@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import os
@@ -448,3 +449,38 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A collect of the camera's whole size."""
     folder = tmp_path_factory.mktemp("large")
     return hp.simulate_collect(folder, scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False)
+
+
+def test_a_limit_in_force_holds_for_every_plan_and_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "thread_count", lambda: 8)
+    monkeypatch.setattr(budget, "resident_memory", lambda: 100 * 10**6)
+    monkeypatch.setattr(budget, "_address_space", lambda: None)
+    before = budget.process_limit(100 * 10**6)
+    taken = []
+    monkeypatch.setattr(
+        budget, "limited_threads", lambda count: taken.append(count) or contextlib.nullcontext()
+    )
+    with budget.memory_limit("1 GB"):
+        assert budget.process_limit(100 * 10**6) == 10**9
+        assert budget.available_memory() <= 900 * 10**6
+        with budget.planned("a line", a_thread=100 * 10**6, fixed=400 * 10**6):
+            assert taken == [5]  # 1.1 x (400 + 5 x 100) MB
+        with pytest.raises(StoreError, match=r"a line needs .* with 1 thread, but 954 MiB may be taken"):
+            budget.planned("a line", a_thread=1, least=10**9).__enter__()
+    assert budget.process_limit(100 * 10**6) == pytest.approx(before, rel=0.2)
+    with pytest.raises(SchemaError, match="is no size of memory"):
+        budget.memory_limit("much").__enter__()
+
+
+def test_commands_refuse_what_does_not_fit_the_limit(tmp_path: Path) -> None:
+    line = hp.simulation.simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+    hp.to_store(line, tmp_path / "lot.zarr", group="flightlines/raw_0")
+    regions = hp.Regions((hp.Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]),))
+    hp.write_regions(regions, tmp_path / "grass.geojson")
+    call = ["signatures", tmp_path / "lot.zarr", "--regions", tmp_path / "grass.geojson", "--no-flags"]
+    small = CliRunner().invoke(main, [*map(str, call), "--memory-limit", "300 MB"])
+    assert small.exit_code == 2
+    assert "extracting from raw_0 needs" in small.output
+    assert not (tmp_path / "paints.zarr").exists()
+    enough = CliRunner().invoke(main, [*map(str, call), "--memory-limit", "4 GB"])
+    assert enough.exit_code == 0, enough.output
