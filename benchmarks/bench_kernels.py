@@ -112,6 +112,9 @@ class Calibrate:
         for cube in (self.out, self.u_random, self.u_systematic):
             np.copyto(cube, self.counts)
 
+    def time_everything(self, lines):
+        self._run(smile=True, quality=self.quality, cleared_bits=11, terms=self.terms)
+
     def time_smile_quality_rounding(self, lines):
         self._run(smile=True, quality=self.quality, cleared_bits=11)
 
@@ -123,22 +126,31 @@ class Smooth:
     param_names = ("lines",)
 
     def setup(self, lines):
+        from hyperpaint.radiometry.spectral_axis import _window_polynomials
+
         self.counts = counts_block(lines)
         self.values = self.counts.astype(np.float32)
         self.out = np.empty_like(self.values)
-        width = 11
-        self.weights = np.full((BANDS, width), 1.0 / width, np.float32)
-        self.first = np.clip(np.arange(BANDS) - width // 2, 0, BANDS - width)
-        self.fallback = np.zeros((BANDS, width, width), np.float32)
+        self.polynomials = _window_polynomials(11, 2, BANDS)
         self.time_box(lines)
+        self.time_savitzky_golay(lines)
 
     def time_floor(self, lines):
         np.copyto(self.out, self.counts)
 
-    def time_box(self, lines):
+    def time_box(self, lines, width=11):
+        from hyperpaint.kernels.spectral_axis import average_slab
+
+        average_slab(self.values, width, self.out)
+
+    def time_wide_box(self, lines):
+        self.time_box(lines, 51)
+
+    def time_savitzky_golay(self, lines):
         from hyperpaint.kernels.spectral_axis import filter_slab
 
-        filter_slab(self.values, self.weights, self.first, True, self.fallback, self.out)
+        first, weights, fallback = self.polynomials
+        filter_slab(self.values, weights, first, fallback, self.out)
 
 
 class MatchIrradiance:

@@ -3,6 +3,7 @@
     python benchmarks/ratios.py             every ratio, about two minutes
     python benchmarks/ratios.py kernel io   only these
     python benchmarks/ratios.py click       a pixel, a region, a band of 4,000 lines; writes 3 GB under TMPDIR
+    python benchmarks/ratios.py kernel --processors host,generic,haswell,skylake-avx512
     python benchmarks/ratios.py distributed two workers of dask.distributed against two threads
     python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
     python benchmarks/ratios.py collects    whole collects of 10,000 lines from a cold page cache, 8 GB
@@ -86,29 +87,65 @@ def imports() -> Iterator[Row]:
 
 
 def kernel() -> Iterator[Row]:
-    from benchmarks.bench_kernels import Calibrate
+    from benchmarks.bench_kernels import Calibrate, Smooth
 
     names = (
         "time_floor",
         "time_plain",
         "time_smile_quality_rounding",
         "time_uncertainty",
+        "time_everything",
         "time_three_casts",
     )
-    floor, plain, full, uncertain, casts = timed(Calibrate(), (128,), names, 25).values()
+    floor, plain, full, uncertain, everything, casts = timed(Calibrate(), (128,), names, 25).values()
     yield Row("kernel, 128 lines, one thread / np.copyto(float32, uint16)", plain, floor, "ms", 1.4)
-    yield Row("  the same with smile, quality and rounding", full, floor, "ms", 2.5)
-    yield Row(
-        "  with both uncertainties / three casts, since it writes three cubes", uncertain, casts, "ms", 1.5
-    )
-    yield Row("  with both uncertainties / without", uncertain, plain, "ms", 4)
+    yield Row("  the same with smile, quality and rounding", full, floor, "ms", 3)
+    yield Row("  with both uncertainties", uncertain, floor, "ms", 5)
+    yield Row("  against three casts, since it writes three cubes", uncertain, casts, "ms", 1.5)
+    yield Row("  with smile, quality, rounding and both uncertainties", everything, floor, "ms", 5)
+    names = ("time_floor", "time_box", "time_wide_box", "time_savitzky_golay")
+    floor, box, wide, polynomial = timed(Smooth(), (128,), names, 15).values()
+    yield Row("box of 11 bands / np.copyto(float32, uint16)", box, floor, "ms", 3.5)
+    yield Row("  of 51 bands", wide, floor, "ms", 3.5)
+    yield Row("  Savitzky-Golay of 11 bands", polynomial, floor, "ms", 5)
+
+
+def eager() -> Iterator[Row]:
+    """A cube in memory, against the arithmetic alone in plain float32 xarray, without flags and smile."""
+    import numpy as np
+
+    from benchmarks.bench_pipeline import threads
+    from benchmarks.common import best_of, counts_block, flight_line
+
+    line = flight_line(480, smile=True, counts=np.tile(counts_block(240), (2, 1, 1)))
+    light = line["irradiance"].interp(irradiance_time=line["time"])
+    light = light.interp(irradiance_wavelength=line["wavelength"]).reset_coords(drop=True).astype("f4")
+    exposure = line["exposure_time"].astype("f4")
+
+    def ours() -> None:
+        with threads():
+            line.paint.reflectance()[["reflectance", "quality"]].compute()
+
+    def plain(counts: Any = line["counts"]) -> None:
+        above = counts.astype("f4") - line["dark_counts"]
+        with threads():
+            (np.float32(np.pi) * (above * line["radiance_gain"] / exposure) / light).compute()
+
+    chunked = line["counts"].chunk({"along_track": 32})
+    variants = {"ours": ours, "plain": plain, "dask": functools.partial(plain, chunked)}
+    best = best_of(variants, 7)
+    peer = min(best["plain"], best["dask"])
+    text = "480 lines in memory, reflectance and quality: plain xarray / ours"
+    yield Row(text, 1e3 * best["ours"], 1e3 * peer, "ms", 2, at_least=True)
 
 
 def irradiance() -> Iterator[Row]:
     from benchmarks.bench_kernels import MatchIrradiance
 
-    names = ("time_floor", "time_match", "integral_of_each_band")
-    floor, ours, slow = timed(MatchIrradiance(), (1800,), names, 2).values()
+    names = ("time_floor", "time_match", "time_match_with_smile", "integral_of_each_band")
+    floor, ours, bent, slow = timed(MatchIrradiance(), (1800,), names, 7).values()
+    yield Row("one hour of sky spectra to 272 bands / 12 ms", ours, 12.0, "ms", 1)
+    yield Row("  with smile / 25 ms", bent, 25.0, "ms", 1)
     yield Row("one hour of sky spectra to 272 bands / bare matrix product", ours, floor, "ms", 10)
     yield Row("  against an integral for each band", ours, slow, "ms", 300, at_least=True)
 
@@ -400,12 +437,27 @@ def _fly(folder: Path, lines: str) -> None:
 
 
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
-    group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store, render)
+    group.__name__: group for group in (imports, kernel, eager, irradiance, graph, io, look, store, render)
 }
 EXTRA = {
     "click": click, "distributed": distributed, "memory": memory, "collects": collects, "flight": flight,
 }  # fmt: skip
 CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process, _fly)}
+
+
+def _processor() -> str:
+    import llvmlite.binding
+
+    return str(llvmlite.binding.get_host_cpu_name())
+
+
+def _compiled_for(processor: str, groups: list[str]) -> int:
+    """Run groups in a process, with a cache of its own, whose kernels are for a processor; its status."""
+    with tempfile.TemporaryDirectory(prefix="hyperpaint-kernels-") as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        if processor != "host":
+            environment["NUMBA_CPU_NAME"] = processor
+        return subprocess.run([sys.executable, __file__, *groups], check=False, env=environment).returncode
 
 
 def main(arguments: list[str]) -> int:
@@ -420,7 +472,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last five"
     )
-    chosen = parser.parse_args(arguments).groups or list(GROUPS)
+    parser.add_argument(
+        "--processors", help="compile for these too, each in its own process: host,generic,haswell"
+    )
+    given = parser.parse_args(arguments)
+    if given.processors:
+        return sum(_compiled_for(name, given.groups) for name in given.processors.split(","))
+    chosen = given.groups or list(GROUPS)
+    print(f"{_processor()}; compiled for {os.environ.get('NUMBA_CPU_NAME') or 'it'}; ", end="")
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")
     rows = []
     for name in chosen:

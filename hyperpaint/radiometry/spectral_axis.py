@@ -266,10 +266,11 @@ def smooth(
         problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
-    first, weights, fallback = _window_weights(method, window, order, array.sizes[schema.BAND])
     cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if cube else array
-    options = {"weights": weights, "first": first, "fallback": fallback, "box": method == "box", "cube": cube}
+    options: dict[str, Any] = {"cube": cube, "window": window}
+    if method != "box":
+        options["polynomials"] = _window_polynomials(window, order, array.sizes[schema.BAND])
     arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
     core = [schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]
     if "good" in dataset.variables:
@@ -300,46 +301,52 @@ def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
     return np.asarray(filtered["reflectance"].values.T)
 
 
+class WindowPolynomials(NamedTuple):
+    """The weights by which a polynomial through the window of each band gives its value there."""
+
+    first: Array  #: (band,) int64: first band of the window
+    weights: Array  #: (band, width) float32
+    fallback: Array  #: (band, width, width) float32: in row ``k`` those without the ``k``-th value
+
+
 def _filter(
     values: Array,
     good: Array | None = None,
     *,
-    weights: Array,
-    first: Array,
-    fallback: Array,
-    box: bool,
+    window: int,
+    polynomials: WindowPolynomials | None = None,
     cube: bool,
 ) -> Array:
-    from hyperpaint.kernels.spectral_axis import filter_slab
+    from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
     shaped = values.astype(np.float32, copy=False)
     # spectra without a cross-track dim are lines one column wide, whatever their other dims
     if not cube:
-        shaped = shaped.reshape(-1, first.size, 1)
+        shaped = shaped.reshape(-1, values.shape[-1], 1)
     out = np.empty(shaped.shape, np.float32)
-    filtered = shaped if good is None else np.where(good[:, None], shaped, np.float32(np.nan))
-    filter_slab(np.ascontiguousarray(filtered), weights, first, box, fallback, out)
-    if good is not None:
-        out[:, ~good] = shaped[:, ~good]
+    bad = None if good is None or good.all() else ~good
+    filtered = shaped if bad is None else np.where(bad[:, None], np.float32(np.nan), shaped)
+    filtered = np.ascontiguousarray(filtered)
+    if polynomials is None:
+        average_slab(filtered, window, out)
+    else:
+        filter_slab(filtered, polynomials.weights, polynomials.first, polynomials.fallback, out)
+    if bad is not None:
+        out[:, bad] = shaped[:, bad]
     return out.reshape(values.shape)
 
 
-def _window_weights(method: str, window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
-    """Return the first band of each window, its weights, and its weights without each of its values."""
+def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomials:
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
     place = np.arange(window)
-    if method == "box":
-        near = np.abs(place - centres[:, None]) <= window // 2
-        weights = near / near.sum(axis=1, keepdims=True)
-        return first, weights.astype(np.float32), np.zeros((1, 1, 1), np.float32)
     whole = np.stack([_polynomial_weights(place - centre, order) for centre in place])
     without = np.zeros((window, window, window))
     for centre in place:
         for gap in place:
             left = place != gap
             without[centre, gap, left] = _polynomial_weights(place[left] - centre, order)
-    return first, whole[centres].astype(np.float32), without[centres].astype(np.float32)
+    return WindowPolynomials(first, whole[centres].astype(np.float32), without[centres].astype(np.float32))
 
 
 def _polynomial_weights(distance: Array, order: int) -> Array:

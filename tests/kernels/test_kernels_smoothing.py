@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.spectral_axis import filter_slab
-from hyperpaint.radiometry.spectral_axis import _window_weights
+from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
+from hyperpaint.radiometry.spectral_axis import _window_polynomials
 
 
 def filtered(values: np.ndarray, method: str, window: int, order: int = 2) -> np.ndarray:
-    first, weights, fallback = _window_weights(method, window, order, values.shape[1])
     out = np.full(values.shape, 77, np.float32)
-    filter_slab(values, weights, first, method == "box", fallback, out)
+    if method == "box":
+        average_slab(values, window, out)
+    else:
+        first, weights, fallback = _window_polynomials(window, order, values.shape[1])
+        filter_slab(values, weights, first, fallback, out)
     return out
 
 
@@ -75,3 +78,24 @@ def test_nothing_at_all() -> None:
     values = np.full((1, 9, 2), np.nan, np.float32)
     assert np.isnan(filtered(values, "box", 3)).all()
     assert np.isnan(filtered(values, "savitzky-golay", 5)).all()
+
+
+@pytest.mark.parametrize("method", ["savitzky-golay", "box"])
+@pytest.mark.parametrize("value", [1e30, np.inf])
+def test_a_huge_band_touches_its_window_only(values: np.ndarray, method: str, value: float) -> None:
+    before = filtered(values, method, 7)
+    values[1, 12, 3] = value
+    with np.errstate(invalid="ignore"):  # infinity without weight, where loops are plain Python
+        after = filtered(values, method, 7)
+    changed = np.argwhere(after.view(np.uint32) != before.view(np.uint32))
+    assert {(line, x) for line, _, x in changed} == {(1, 3)}
+    assert sorted({band for _, band, _ in changed}) == list(range(9, 16))
+
+
+@pytest.mark.parametrize("method", ["savitzky-golay", "box"])
+def test_no_bit_depends_on_other_lines_and_columns(values: np.ndarray, method: str) -> None:
+    values[0, 8, 2] = values[2, 4:9, 5] = np.nan
+    whole = filtered(values, method, 11)
+    for line, x in np.ndindex(3, 7):
+        alone = np.ascontiguousarray(values[line : line + 1, :, x : x + 1])
+        assert filtered(alone, method, 11).tobytes() == whole[line, :, x].tobytes()
