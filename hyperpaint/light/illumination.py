@@ -331,7 +331,7 @@ def _warn_of(matching: Matching, channels: Floats, imager: Mapping[str, Any]) ->
             PaintWarning,
             stacklevel=3,
         )
-    outside = np.flatnonzero(np.isnan(matching.weights).any(axis=(0, 2)))
+    outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))  # a row is, or is not
     if outside.size:
         warnings.warn(
             f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
@@ -341,14 +341,18 @@ def _warn_of(matching: Matching, channels: Floats, imager: Mapping[str, Any]) ->
         )
 
 
-def _apply(matching: Matching, spectra: Array) -> Floats:
-    """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one."""
+def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Floats:
+    """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one.
+
+    ``order``: channels of the spectra in the order of the weights; None for the same.
+    """
     # a spectrometer reaches far beyond the camera: most of its channels have no weight
-    used = (np.nan_to_num(matching.weights) != 0.0).any(axis=(0, 1))
-    spectra, weights = spectra[..., used], matching.weights[..., used]
-    missing = np.isnan(spectra)
-    matched = np.tensordot(np.where(missing, 0.0, spectra), weights, axes=([-1], [-1]))
-    if missing.any():
+    used = matching.used
+    spectra = np.asarray(spectra[..., used if order is None else order[used]], np.float64)
+    weights, missing = matching.weights[..., used], np.isnan(spectra)
+    gaps = missing.any()
+    matched = np.tensordot(np.where(missing, 0.0, spectra) if gaps else spectra, weights, axes=([-1], [-1]))
+    if gaps:
         touched = np.tensordot(missing.astype(np.float64), np.abs(weights) > 1e-6, axes=([-1], [-1])) > 0
         matched = np.where(touched, np.nan, matched)
     return np.asarray(matched)
@@ -405,7 +409,7 @@ def matched_series(
             channels[order] - as_found.shift_at(channels[order]), width * as_found.width, irradiance_shape
         )
         misfit = misfit_through(matching, spectrometer, bands, nodes)
-    return _apply(matching, np.asarray(spectra, np.float64)[:, order]), misfit
+    return _apply(matching, np.asarray(spectra), order), misfit
 
 
 def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
@@ -210,6 +210,11 @@ class Matching:
     #: (node, band): norm of a row: the noise of a matched value over that of one channel [1]
     noise_gain: Floats
     coverage: Floats  #: (node, band): part of the imager's response inside the spectrometer's range [1]
+
+    @functools.cached_property
+    def used(self) -> Ints:
+        """Channels that any band weighs."""
+        return np.flatnonzero((np.nan_to_num(self.weights) != 0.0).any(axis=(0, 1)))
 
 
 def matching_operator(
