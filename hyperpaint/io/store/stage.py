@@ -231,19 +231,29 @@ def discard(build: Path) -> None:
 def _check_owner(folder: Path) -> None:
     """Refuse a folder that hyperpaint did not make: whatever is in it is somebody's.
 
-    One without a mark is ours where all in it has names that earlier versions gave.
+    One without a mark is ours where all in it has names that earlier versions gave; a power failure leaves
+    an empty mark, which is none.
     """
     try:
         names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):
         return
-    others = [name for name in names if not _OURS.fullmatch(name)]
+    cut_off = _MARK if _is_empty(folder / _MARK) else ""
+    others = [name for name in names if not _OURS.fullmatch(name) and name != cut_off]
     if others and not _is_marked(folder):
         named = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         raise StoreError(
             f"{folder} is not of hyperpaint, which builds there: it holds {named}",
             mend="move it away, or choose another path for the store; nothing in it was touched",
         )
+
+
+def _is_empty(path: Path) -> bool:
+    try:
+        status = os.lstat(path)
+    except OSError:
+        return False
+    return stat.S_ISREG(status.st_mode) and not status.st_size
 
 
 def _is_marked(folder: Path) -> bool:
@@ -300,6 +310,9 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
     mark = lock.with_name(_MARK)
     try:
         mark.write_bytes(_MARK_TEXT)
+        # a power failure would leave both empty: nobody could tell then whose they are, or that we have died
+        for path in (lock, mark, lock.parent):
+            sync(path)
         yield
     finally:
         with contextlib.suppress(OSError):  # a disk may have become read-only

@@ -307,6 +307,25 @@ def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
     assert theirs.read_text() == "precious"
 
 
+def test_what_a_power_failure_leaves_empty_is_ours(tmp_path: Path) -> None:
+    folder = partial(tmp_path / "lot.zarr")
+    folder.mkdir()
+    for name in ("lock", "hyperpaint"):
+        (folder / name).touch()
+        os.utime(folder / name, (0, 0))
+    to_store(small(), tmp_path / "lot.zarr")
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_lock_and_mark_are_on_the_disk_before_anything_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[str] = []
+    monkeypatch.setattr(stage, "sync", lambda path: synced.append(Path(path).name))
+    with staging(tmp_path / "lot.zarr"):
+        assert synced == ["lock", "hyperpaint", ".partial-lot.zarr"]
+
+
 def test_what_lies_in_our_folder_and_is_not_ours_stays(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     with staging(path):
