@@ -1,12 +1,14 @@
 """Maps written as GeoTIFF: every band as it is, or a picture in true colours.
 
-Windows are written as dask computes them, one at a time; a cloud-optimised file is made of the plain one
-afterwards, by GDAL, in the same streaming way.
+Windows are written a row of tiles after another, one at a time; a cloud-optimised file is made of the plain
+one afterwards, by GDAL, in the same streaming way.
 """
 
 from __future__ import annotations
 
 import os
+import threading
+import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -23,6 +25,7 @@ from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of
 from .rasters import TIFF, open_raster
 
 if TYPE_CHECKING:
+    import dask.array as da
     import xarray as xr
     from numpy.typing import NDArray
 
@@ -32,6 +35,8 @@ _TILE = 256
 _SAMPLED = 64
 """Rows that the levels of a picture are found in."""
 _BLOCK = 64 * 2**20
+_CACHE_MB = 256
+"""GDAL's own would be a twentieth of the machine's memory, and fill up with bands that are written once."""
 
 
 @takes_quantities()
@@ -117,9 +122,10 @@ def write_geotiff(
     with published_files([path], overwrite=overwrite) as (target,):
         plain = target.with_name("plain.tif") if cog else target
         try:
-            _write(plain, stored, grid, picture, names, tags, progress)
-            if cog:
-                _optimise(plain, target, picture)
+            with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+                _write(plain, stored, grid, picture, names, tags, progress)
+                if cog:
+                    _optimise(plain, target, picture)
         except rasterio.errors.RasterioError as error:
             raise StoreError(f"{path} cannot be written: {error}") from error
     return path
@@ -293,17 +299,37 @@ def _write(
             raster.update_tags(place, **about)
         target = _Target(raster, stored.size, progress)
         if stored.chunks is not None:
-            import dask
-            import dask.array as da
-
-            # a raster belongs to this process, and is no friend of threads
-            with dask.config.set(scheduler="threads"):
-                da.store(stored.data, target, lock=True)
+            _write_in_stages(stored.data, target)
             return
         step = max(_TILE, _BLOCK // max(1, width * count * stored.dtype.itemsize) // _TILE * _TILE)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             target[rows, slice(None), slice(None)] = stored[rows].values
+
+
+def _write_in_stages(array: da.Array, target: _Target) -> None:
+    """Write the blocks of a lazy map (y, x, band), a row of tiles after another, in this process."""
+    import dask.threaded
+
+    from hyperpaint.io.store.stages import in_stages
+
+    lock = threading.Lock()  # a raster is no friend of threads
+
+    def write(block: NDArray[Any], block_info: Any = None) -> NDArray[Any]:
+        rows, columns, bands = (slice(*ends) for ends in block_info[0]["array-location"])
+        with lock:
+            target[rows, columns, bands] = block
+        return np.zeros((1,) * block.ndim, np.uint8)
+
+    places = array.map_blocks(
+        write, dtype=np.uint8, chunks=tuple((1,) * count for count in array.numblocks),
+        meta=np.empty((0,) * array.ndim, np.uint8), name=f"write-{uuid.uuid4().hex}",
+    )  # fmt: skip
+    axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
+    stages = {(places.name, *index): index[axis] for index in np.ndindex(places.numblocks)}
+    graph = dict(places.__dask_optimize__(places.__dask_graph__(), list(stages)))
+    for _ in in_stages(dask.threaded.get, graph, stages):
+        pass
 
 
 def _optimise(plain: Path, target: Path, picture: bool) -> None:
