@@ -447,5 +447,7 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
         np.array([record["wavelength"] for record in records]),
         {"units": "nm"},
     )
-    coords = {PAINT: column("paint", object), "material_id": column("id", object)}
+    # pandas keeps texts as Arrow's where pyarrow is installed, and cannot hold halves of surrogate pairs
+    names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
+    coords = {PAINT: (PAINT, np.array(names, object)), "material_id": column("id", object)}
     return xr.Dataset(values, {**coords, "end": ["low", "high"]}, {"title": "DIRSIG materials", **attrs})

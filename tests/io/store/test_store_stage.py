@@ -309,7 +309,6 @@ def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
 
 def test_what_a_power_failure_leaves_empty_is_ours(tmp_path: Path) -> None:
     folder = partial(tmp_path / "lot.zarr")
-    folder.mkdir()
     for name in ("lock", "hyperpaint"):
         (folder / name).touch()
         os.utime(folder / name, (0, 0))
