@@ -34,6 +34,7 @@ KILLS, KILLS_A_STORE = 500, 5
 LINES, FEW_LINES = 40, 2
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _KILLED, _FAILED, _MOST_CALLS = 9, 3, 2000
+_MOST_SECONDS = 60.0  # that a child may take to start
 _CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
 _SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 _CONTEXT = multiprocessing.get_context("forkserver")
@@ -78,21 +79,34 @@ def _end(number: int, _: object) -> None:
     sys.exit(128 + number)
 
 
-def _child_process(collect: Path, path: Path, overwrite: bool, fault: Fault | None) -> None:
-    """Process as the command does; a signal is an exception, an error of the store a status of its own."""
-    signal.signal(signal.SIGTERM, _end)
-    signal.signal(signal.SIGINT, _end)
+def _answer_signals(answer: Any) -> None:
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, answer)
+
+
+def _child_process(collect: Path, path: Path, overwrite: bool, fault: Fault | None, ready: Any) -> None:
+    """Process as the command does; a signal is an exception, an error of the store a status of its own.
+
+    Before ``ready`` and after the end a signal would only meet the start and the end of `multiprocessing`,
+    which answers an interrupt there with a status of 1.
+    """
+    _answer_signals(_end)
+    ready.send(True)
     if fault is not None:
         fault.arm(path.parent)
     try:
         _process(collect, path, overwrite=overwrite)
     except PaintError:
         os._exit(_FAILED)
+    _answer_signals(signal.SIG_IGN)
 
 
 def _started(lot: Lot, path: Path, *, overwrite: bool, fault: Fault | None = None) -> Any:
-    process = _CONTEXT.Process(target=_child_process, args=(lot.newer, path, overwrite, fault))
-    process.start()
+    armed, ready = _CONTEXT.Pipe(duplex=False)
+    with armed, ready:
+        process = _CONTEXT.Process(target=_child_process, args=(lot.newer, path, overwrite, fault, ready))
+        process.start()
+        armed.poll(_MOST_SECONDS)
     return process
 
 
