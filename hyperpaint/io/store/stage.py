@@ -41,6 +41,8 @@ _PATIENCE_S = 3.0
 """How long a lock without a record is watched; filelock takes it over after 2 s without a change."""
 _EMPTY_AGE_S = 30.0
 """Age from which an empty lock is taken for what a power failure left: a writer fills it at once."""
+_MOST_LOCK_BYTES = 1024
+"""Of the record of a writer; filelock reads no more either."""
 _TRIES = 20
 _MARK = "hyperpaint"
 _MARK_TEXT = b"hyperpaint builds a store here, and removes this folder in the end; nothing else belongs.\n"
@@ -286,7 +288,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
     `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the lock
     of a process that has died; a file without such a record it takes over after 2 s without a change.
     StoreError where another writer holds it, where it cannot be seen from here whether that one has died, or
-    where it is no file.
+    where it is no file, or one that no writer left.
     """
     import filelock
 
@@ -324,12 +326,12 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
 
 def _refuse_what_is_no_lock(lock: Path, store: Path) -> None:
-    """Refuse a link, folder or pipe in a lock's place; remove the empty file that a power failure left."""
+    """Refuse what is no record in the place of a lock; remove the empty file that a power failure left."""
     with contextlib.suppress(FileNotFoundError):
         status = os.lstat(lock)
-        if not stat.S_ISREG(status.st_mode):
+        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_LOCK_BYTES:
             raise StoreError(
-                f"{lock} is a link, a folder or a pipe",
+                f"{lock} is a link, a folder, a pipe or a file of {status.st_size} bytes",
                 expected="the file that a writer leaves there",
                 mend=f"delete it once no process writes {store}",
             )

@@ -205,18 +205,22 @@ def is_taken_over(lock: Path) -> None:
     assert not lock.parent.exists()
 
 
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda lock: lock.symlink_to("precious")])
+def _long_text(lock: Path) -> None:
+    lock.write_bytes(b"[" * 4000)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda lock: lock.symlink_to("precious"), _long_text])
 def test_what_is_no_lock_is_refused(make: Callable[[Path], None], lock: Path) -> None:
     (lock.parent / "precious").write_text("x")
     make(lock)
     with pytest.raises(
-        StoreError, match=r"is a link, (a folder or a pipe, .*delete it once no process|which no writer)"
+        StoreError, match=r"is a link, (a folder, a pipe.*delete it once no process|which no writer)"
     ):
         write(lock.parent.parent / "lot.zarr")
     assert (lock.parent / "precious").read_text() == "x"
 
 
-@pytest.mark.parametrize("content", [b"{", b"[" * 4000, b'{"host": "a"}' + b" " * 10**6, b"\xff\xfe\x00"])
+@pytest.mark.parametrize("content", [b"{", b'{"host": "a"}' + b" " * 100, b"\xff\xfe\x00"])
 def test_what_is_no_record_is_taken_over(content: bytes, lock: Path) -> None:
     lock.write_bytes(content)
     is_taken_over(lock)
