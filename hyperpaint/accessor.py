@@ -25,6 +25,7 @@ METHODS = {
     "radiance": "radiometry",
     "reflectance": "radiometry",
     "pixels": "radiometry",
+    "coarse": "radiometry",
     "smooth": "radiometry",
     "at": "radiometry",
     "to_nominal": "radiometry",

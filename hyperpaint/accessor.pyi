@@ -77,6 +77,8 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Return reflectance of some pixels at once, as `reflectance` computes it: a pixel, a region, a band."""
+    def coarse(self, *, side: int | None = None, dims: Dims | None = None) -> PaintDataset:
+        """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels."""
     def smooth(
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
     ) -> PaintDataset:

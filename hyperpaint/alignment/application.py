@@ -195,7 +195,8 @@ def _replaced(
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
     """Return a line without what was computed at other wavelengths: reflectance and what panels say of it."""
-    names = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
+    uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
+    names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
     return dataset.drop_vars(
         [name for name in dataset.variables if name in names or str(name).startswith("panel_")]
     )

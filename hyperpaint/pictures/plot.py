@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -180,10 +182,11 @@ def _level_text(source: str, lines: int, columns: int) -> str:
 
 def _mix(values: Array, *, weights: Array) -> Array:
     """Return linear sRGB of (..., band, column); a missing band of a seen pixel is over-bright."""
-    missing = np.isnan(values)
-    seen = ~missing.all(axis=-2, keepdims=True)
-    filled = np.where(missing, seen.astype(np.float32), values)
-    return np.stack([(filled * weight).sum(axis=-2, dtype=np.float32) for weight in weights], axis=-1)
+    *lines, bands, columns = values.shape
+    out = np.empty((math.prod(lines), columns, 3), np.float32)
+    cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
+    mix_bands(cube, np.ascontiguousarray(np.broadcast_to(weights, (3, bands, columns))), out)
+    return out.reshape(*lines, columns, 3)
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:

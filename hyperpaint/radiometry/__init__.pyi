@@ -1,3 +1,4 @@
+from .coarse_lines import coarse as coarse
 from .counts_to_reflectance import (
     panel_closure as panel_closure,
     radiance as radiance,

@@ -212,12 +212,12 @@ def process(
 
     Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
     ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept, how its light divides
-    (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`)
-    and a small true-colour ``overview``. Before, camera and irradiance record are compared, and put right
-    where they differ (`hyperpaint.alignment.align`, whose attributes the group keeps). Panels that the
-    collect names (``[[panels]]``) scale their line, and what they measure stands beside it (``panel_factor``
-    and so on, see `hyperpaint.radiometry.panel_closure`). The whole irradiance record, the calibration and
-    the spectra of field spectrometers are archived beside them.
+    (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`),
+    a small true-colour ``overview`` and means of blocks, ``coarse_reflectance``. Before, camera and
+    irradiance record are compared, and put right where they differ (`hyperpaint.alignment.align`, whose
+    attributes the group keeps). Panels that the collect names (``[[panels]]``) scale their line, and what
+    they measure stands beside it (``panel_factor`` and so on, see `hyperpaint.radiometry.panel_closure`). The
+    whole irradiance record, the calibration and the spectra of field spectrometers are archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -440,6 +440,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
         return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.pictures.plot import overview
+    from hyperpaint.radiometry.coarse_lines import coarse_reflectance
     from hyperpaint.radiometry.panels import declared_panels
 
     panels = declared_panels(dataset)
@@ -448,9 +449,8 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     split = split_of_lines(dataset)
     if split is not None:
         product = product.assign(split.data_vars)
-    picture = overview(product)
-    if picture is not None:
-        product = product.assign(overview=picture)
+    pictures = {"overview": overview(product), "coarse_reflectance": coarse_reflectance(product)}
+    product = product.assign({key: picture for key, picture in pictures.items() if picture is not None})
     return product.drop_vars("reflectance") if storage == "none" else product
 
 

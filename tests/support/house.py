@@ -34,7 +34,7 @@ LINES = {
     "truth of the chain": 7_500, "a whole that can be proven": 5_000, "instant": 4_000,
 }  # fmt: skip
 FILES = {"the house": 290, "field day": 24, "light and coat": 26, "real cars": 20, "truth of the chain": 30,
-         "a whole that can be proven": 20, "instant": 20}  # fmt: skip
+         "a whole that can be proven": 20, "instant": 22}  # fmt: skip
 
 Names = list[str]
 

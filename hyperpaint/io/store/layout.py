@@ -5,6 +5,7 @@ One rule for every group, so that what `xarray.open_zarr` shows a user is what o
 * an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
   looking at, `"explore"`, a cube into groups of bands as well;
 * a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
+* means of blocks of a line (`coarse_y`, ...), for looking at, are cut every 128 rows and in groups of bands;
 * anything else is one chunk, unless it is larger than 64 MiB.
 """
 
@@ -68,6 +69,9 @@ def storage_chunks(
         chunks[axis] = min(chunks[axis], CHUNK_LINES)
         if layout == "explore" and {BAND, CROSS_TRACK} <= set(dims):
             chunks[dims.index(BAND)] = -(-chunks[dims.index(BAND)] // BAND_GROUPS)
+    elif "coarse_y" in dims and BAND in dims:
+        chunks[dims.index("coarse_y")] = min(chunks[dims.index("coarse_y")], TILE)
+        chunks[dims.index(BAND)] = -(-chunks[dims.index(BAND)] // BAND_GROUPS)
     elif "y" in dims and "x" in dims:
         for name in ("y", "x"):
             chunks[dims.index(name)] = min(chunks[dims.index(name)], TILE)

@@ -1,0 +1,68 @@
+"""Small pictures of a slab: means of blocks, and colours from bands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import kernel
+
+__all__ = ["average_blocks", "mix_bands"]
+
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+
+
+@kernel
+def average_blocks(values: Array, side: int, out: Array) -> None:
+    """Write the means of blocks of ``side`` lines and columns of values (line, band, column), float32.
+
+    ``out`` is (row, band, block), float32. What is missing is left out, and the last blocks may be cut. Sums
+    run over lines, then over columns, so that they vectorise.
+    """
+    lines, bands, columns = values.shape
+    sums, counts = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    for row in range(out.shape[0]):
+        for band in range(bands):
+            sums[:] = _ZERO
+            counts[:] = _ZERO
+            for line in range(row * side, min((row + 1) * side, lines)):
+                for x in range(columns):
+                    value = values[line, band, x]
+                    is_valid = value == value
+                    sums[x] += value if is_valid else _ZERO
+                    counts[x] += _ONE if is_valid else _ZERO
+            for block in range(out.shape[2]):
+                total, count = _ZERO, _ZERO
+                for x in range(block * side, min((block + 1) * side, columns)):
+                    total += sums[x]
+                    count += counts[x]
+                out[row, band, block] = total / count  # NaN where all are missing
+
+
+@kernel
+def mix_bands(values: Array, weights: Array, out: Array) -> None:
+    """Write linear sRGB (line, column, 3) of values (line, band, column), all float32.
+
+    ``weights`` are (3, band, column). A missing band of a pixel that has others is over-bright and counts 1;
+    a pixel without any is black.
+    """
+    lines, bands, columns = values.shape
+    filled, seen = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    sums = np.empty((3, columns), np.float32)
+    for line in range(lines):
+        seen[:] = _ZERO
+        for band in range(bands):
+            for x in range(columns):
+                value = values[line, band, x]
+                seen[x] = _ONE if value == value else seen[x]
+        sums[:] = _ZERO
+        for band in range(bands):
+            for x in range(columns):
+                value = values[line, band, x]
+                filled[x] = value if value == value else seen[x]
+            for colour in range(3):
+                for x in range(columns):
+                    sums[colour, x] += filled[x] * weights[colour, band, x]
+        for x in range(columns):
+            for colour in range(3):
+                out[line, x, colour] = sums[colour, x]
