@@ -136,6 +136,14 @@ class PaintAccessor:
         ------
         StoreError
             The dataset does not say where it was opened from, or no Zarr store is there.
+
+        Examples
+        --------
+        >>> from hyperpaint.io.store import to_store
+        >>> light = xr.Dataset({"wavelength": ("band", [450.0, 550.0])})
+        >>> path = to_store(light, "memory://whole.zarr", "flightlines/raw_0")
+        >>> xr.open_zarr(path, group="flightlines/raw_0").paint.verify().ok
+        True
         """
         from .base.errors import StoreError
         from .io.store import verify
@@ -165,6 +173,12 @@ class PaintAccessor:
         ------
         UnitsError
             Units cannot be read, or are not those of the registry; all are listed.
+
+        Examples
+        --------
+        >>> width = xr.Dataset({"fwhm": ("band", [6.0], {"units": "nm"})})
+        >>> width.paint.quantify().fwhm.pint.to("um").pint.magnitude  # needs pint-xarray
+        array([0.006])
         """
         from .base.units import quantify
 

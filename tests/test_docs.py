@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import doctest
+import functools
+import importlib.util
+import inspect
 import re
 import shlex
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import click
 import pytest
 
 import hyperpaint as hp
+from hyperpaint.accessor import PaintAccessor
 from hyperpaint.cli.program import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,3 +68,48 @@ def test_links_between_pages_lead_somewhere(name):
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+@functools.cache
+def site() -> ModuleType:
+    """Return docs/public_names.py, which lies in no package."""
+    spec = importlib.util.spec_from_file_location("public_names", ROOT / "docs" / "public_names.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def examples(value: Any) -> list[doctest.Example]:
+    return doctest.DocTestParser().get_examples(inspect.getdoc(value) or "")
+
+
+#: Whose examples need an extra that the tests do without; run below where it is there.
+WITH_EXTRAS = {"hyperpaint.pictures.pick_regions": "panel", "Dataset.paint.quantify": "pint_xarray"}
+
+
+def public_values() -> dict[str, Any]:
+    names = {name: functools.reduce(getattr, name.split(".")[1:], hp) for name in site().public_names()}
+    methods = {f"Dataset.paint.{name}": getattr(PaintAccessor, name) for name in site().accessor_methods()}
+    return {**names, **methods}
+
+
+def test_every_public_name_has_an_example_that_runs():
+    skips = {
+        name: [one.options.get(doctest.SKIP, False) for one in examples(value)]
+        for name, value in public_values().items()
+    }
+    assert len(skips) > 170
+    lacking = {name for name, each in skips.items() if all(each)} - set(WITH_EXTRAS)
+    assert not lacking, f"no example that runs: {sorted(lacking)}"
+
+
+@pytest.mark.parametrize("name", [*WITH_EXTRAS, "Dataset.paint.verify"])
+def test_examples_that_need_an_extra_or_stand_in_the_accessor(name):
+    if name in WITH_EXTRAS:
+        pytest.importorskip(WITH_EXTRAS[name])
+    value = public_values()[name]
+    wanted = examples(value)
+    for one in wanted:
+        one.options.pop(doctest.SKIP, None)
+    run = doctest.DocTest(wanted, inspect.getmodule(value).__dict__.copy(), name, None, 0, None)
+    assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(run).failed == 0

@@ -189,8 +189,7 @@ class _WindowFit:
     def departure(self, shift: Floats, width: float) -> Floats:
         """Return radiance over light (band, group), as logarithms, without what is smooth.
 
-        A surface of slope g seen by a band of variance v acts as a shift g v: the slope is the smooth
-        curve's.
+        A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
         """
         place = self.shift + shift[:, None]
         ratio = self.log - self.light_at(place, width)
@@ -210,9 +209,16 @@ def _lagrange(nodes: Floats, at: float) -> Floats:
 def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Comparison | None:
     """Return how far apart camera and record are; None where no window has bands, record and light enough.
 
-    ``line``: with counts or radiance and their irradiance, as `hyperpaint.reflectance` needs them.
+    ``line``: with counts or radiance and their irradiance, as `hyperpaint.reflectance` needs them. Raises
+    `SchemaError`, `UnitsError`: variables are missing, or have other dims or units.
 
-    Raises `SchemaError`, `UnitsError`: variables are missing, or have other dims or units.
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, columns=32, smile_nm=0.0, irradiance_fwhm_nm=4.0)
+    >>> line = line.assign_coords(irradiance_wavelength=line.irradiance_wavelength - 0.3)
+    >>> round(compared(line).shift, 1)  # camera minus record [nm]
+    -0.3
     """
     dataset = schema.rename_to_roles(line)
     declared = Declared.by(dataset)
@@ -334,11 +340,8 @@ def _window_fit(
         return None
     wavelength = bands.wavelength[covered]
     by_channel = np.zeros((channels.size, covered.sum()))
-    by_channel[near] = (
-        weights[covered]
-        * np.nan_to_num(noise[near])
-        / (weights[covered] @ np.nan_to_num(light[near]))[:, None]
-    ).T
+    level, sd = np.nan_to_num(light[near]), np.nan_to_num(noise[near])
+    by_channel[near] = (weights[covered] * sd / (weights[covered] @ level)[:, None]).T
     scale = np.ptp(wavelength) / 2.0
     place = (wavelength - wavelength.min()) / scale - 1.0
     basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(place, rules.degree))
@@ -356,9 +359,6 @@ def _window_fit(
         light=logs[:, :, covered],
         noise=by_channel,
     )
-
-
-# --- least squares over all windows and groups ---
 
 
 def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:

@@ -156,6 +156,13 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     -------
     float
         Depth [1]; NaN where there are too few bands in it or on its shoulders.
+
+    Examples
+    --------
+    >>> nm = np.arange(740.0, 781.0, 2.0)
+    >>> left = oxygen_depth(nm, 0.3 - 0.03 * np.exp(-(((nm - 761.0) / 3.0) ** 2)))
+    >>> abs(oxygen_depth(nm, np.full(nm.size, 0.3))) < 1e-12 < left
+    True
     """
     shoulders, weight = _parts(wavelength)
     there = np.isfinite(spectrum)

@@ -63,6 +63,14 @@ class PaintError(Exception):
         See `Problem`.
     problems
         All that is wrong with the subject.
+
+    Examples
+    --------
+    >>> error = PaintError("2 lights", expected="1", mend="pass light=", option="give --light")
+    >>> print(error)
+    2 lights, expected 1; pass light=
+    >>> print(error.about("lot.zarr").text(on_command_line=True))
+    lot.zarr: 2 lights, expected 1; give --light
     """
 
     def __init__(
@@ -109,35 +117,106 @@ class PaintError(Exception):
 
 
 class UnitsError(PaintError, ValueError):
-    """Units are missing, unreadable, or of another dimension than the quantity needs."""
+    """Units are missing, unreadable, or of another dimension than the quantity needs.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> from hyperpaint.base.units import convert
+    >>> convert(xr.DataArray(1.0, attrs={"units": "m"}), "s", "exposure_time")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.UnitsError: 'exposure_time': units 'm' are not convertible to 's'; ...
+    """
 
 
 class SchemaError(PaintError, ValueError):
-    """A dataset lacks variables, dims, units or chunks that an operation needs."""
+    """A dataset lacks variables, dims, units or chunks that an operation needs.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> xr.Dataset().paint.reflectance()
+    Traceback (most recent call last):
+    hyperpaint.base.errors.SchemaError: cannot compute reflectance from no variable; ...
+    """
 
 
 class FormatError(PaintError, ValueError):
-    """A file is not what its format says: truncated, over-long, contradictory or foreign."""
+    """A file is not what its format says: truncated, over-long, contradictory or foreign.
+
+    Examples
+    --------
+    >>> import hyperpaint as hp
+    >>> hp.regions.regions_from({"type": "Feature"})
+    Traceback (most recent call last):
+    hyperpaint.base.errors.FormatError: these regions: no regions can be made of it:
+      feature 0: it has no property 'name', which names the paint
+    """
 
 
 class TimeError(PaintError, ValueError):
-    """Time stamps are duplicate, unordered, without a zone, or do not fit the lines."""
+    """Time stamps are duplicate, unordered, without a zone, or do not fit the lines.
+
+    Examples
+    --------
+    >>> raise TimeError("stamps run backwards", mend="sort the record")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.TimeError: stamps run backwards; sort the record
+    """
 
 
 class CollectError(PaintError, ValueError):
-    """A ``collect.toml``, or the files it names, cannot be processed as written."""
+    """A ``collect.toml``, or the files it names, cannot be processed as written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import hyperpaint as hp
+    >>> from pathlib import Path
+    >>> path = Path(tempfile.mkdtemp(), "collect.toml")
+    >>> _ = path.write_text("flight = 7")
+    >>> hp.open_collect(path)
+    Traceback (most recent call last):
+    hyperpaint.base.errors.CollectError: ... cannot be processed:
+      unknown table or key 'flight'; did you mean 'flightlines'?
+      ...
+    """
 
 
 class StoreError(PaintError, OSError):
-    """A store cannot be written where asked, or what it holds must not be touched."""
+    """A store cannot be written where asked, or what it holds must not be touched.
+
+    Examples
+    --------
+    >>> import hyperpaint as hp
+    >>> hp.open_store("memory://nowhere.zarr")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.StoreError: there is no group '/' of memory://nowhere.zarr; ...
+    """
 
 
 class IncompleteStoreError(StoreError):
-    """A store or group was never finished, or has been damaged since."""
+    """A store or group was never finished, or has been damaged since.
+
+    Examples
+    --------
+    >>> import fsspec, hyperpaint as hp, xarray as xr
+    >>> path = hp.to_store(xr.Dataset({"wavelength": ("band", [450.0, 550.0])}), "memory://damaged.zarr")
+    >>> fsspec.filesystem("memory").rm("/damaged.zarr/wavelength", recursive=True)
+    >>> hp.open_store(path)
+    Traceback (most recent call last):
+    hyperpaint.base.errors.IncompleteStoreError: the arrays in group '/' of memory://damaged.zarr are not ...
+    """
 
 
 class MissingExtraError(PaintError, ImportError):
-    """A feature needs a package that only an extra of hyperpaint installs."""
+    """A feature needs a package that only an extra of hyperpaint installs.
+
+    Examples
+    --------
+    >>> print(MissingExtraError.of("pyproj", "geo", "a map"))
+    a map needs pyproj; install it with: python -m pip install 'hyperpaint[geo]'
+    """
 
     @classmethod
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
@@ -147,7 +226,15 @@ class MissingExtraError(PaintError, ImportError):
 
 @contextlib.contextmanager
 def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
-    """Turn the ImportError of a package that an extra installs into a `MissingExtraError`."""
+    """Turn the ImportError of a package that an extra installs into a `MissingExtraError`.
+
+    Examples
+    --------
+    >>> with needs_extra("unheard_of", "geo", "a map"):
+    ...     import unheard_of
+    Traceback (most recent call last):
+    hyperpaint.base.errors.MissingExtraError: a map needs unheard_of; install it with: ...
+    """
     try:
         yield
     except ImportError as error:
@@ -155,7 +242,17 @@ def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
 
 
 class PaintWarning(UserWarning):
-    """Something the user can act on, which does not stop the computation."""
+    """Something the user can act on, which does not stop the computation.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as noted:
+    ...     warnings.simplefilter("always", PaintWarning)  # or "error", or "ignore"
+    ...     warnings.warn("3 lines have no light", PaintWarning)
+    >>> str(noted[0].message)
+    '3 lines have no light'
+    """
 
 
 class Problems:
@@ -209,7 +306,14 @@ class Problems:
 
 
 class Unavailable(Enum):
-    """Stands for an input that failed to open and has been reported."""
+    """Stands for an input that failed to open and has been reported.
+
+    Examples
+    --------
+    >>> record = Unavailable.REPORTED  # in place of a dataset
+    >>> record is Unavailable.REPORTED
+    True
+    """
 
     REPORTED = "reported"
 
@@ -218,6 +322,18 @@ class Findings:
     """Errors that independent inputs raise, raised together; `Problems` lists the faults of one input.
 
     A lone error is raised as it is, more than one are listed.
+
+    Examples
+    --------
+    >>> findings = Findings("lot.zarr")
+    >>> for name in ("dark", "light"):
+    ...     with findings.step():
+    ...         raise FormatError(f"no {name}")
+    >>> findings.raise_if_any()
+    Traceback (most recent call last):
+    hyperpaint.base.errors.FormatError: lot.zarr:
+      no dark
+      no light
     """
 
     def __init__(self, subject: str) -> None:

@@ -69,7 +69,17 @@ DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
 
 
 class Quality(IntFlag):
-    """Bits of ``quality``; a bit set early is still set in every later product."""
+    """Bits of ``quality``; a bit set early is still set in every later product.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> quality = np.uint16([0, 64, 65])
+    >>> (quality & Quality.GLINT) != 0
+    array([False,  True,  True])
+    >>> Quality(65)
+    <Quality.SATURATED|GLINT: 65>
+    """
 
     SATURATED = 1
     BELOW_DARK = 2

@@ -82,6 +82,12 @@ def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_sl
     ------
     SchemaError
         A number is not positive, or not in metres and radians.
+
+    Examples
+    --------
+    >>> etendue = etendue_from_pupil(4.8e-3, 7.4e-6 / 12e-3, 20e-6 / 12e-3)
+    >>> f"{etendue:.4e}"
+    '1.8598e-11'
     """
     _check_lengths({"diameter": diameter}, 10.0)
     _check_lengths({"field_along_slit": field_along_slit, "field_across_slit": field_across_slit}, 1.0)
@@ -115,6 +121,12 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     ------
     UnitsError
         ``irradiance`` has no units of irradiance.
+
+    Examples
+    --------
+    >>> irradiance = xr.DataArray([1.0, 1.3], dims="wavelength", attrs={"units": "W m-2 nm-1"})
+    >>> panel_radiance(irradiance, 0.5).values.round(4)
+    array([0.1592, 0.2069])
     """
     radiance = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
     return label(radiance, "radiance")
@@ -164,6 +176,18 @@ def anchor_to_radiance(
     -----
     PaintWarning
         Some frames are saturated; those elements keep no gain.
+
+    Examples
+    --------
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
+    >>> frames = line[["counts", "dark_counts", "exposure_time"]]
+    >>> nm = xr.DataArray([400.0, 700.0], dims="wavelength", attrs={"units": "nm"})
+    >>> sphere = xr.DataArray([0.05, 0.05], {"wavelength": nm}, attrs={"units": "W m-2 sr-1 nm-1"})
+    >>> anchored = anchor_to_radiance(line.drop_vars("counts"), frames, sphere)
+    >>> rate = (frames.counts - frames.dark_counts) / frames.exposure_time
+    >>> float((anchored.radiance_gain * rate).mean().round(6))
+    0.05
     """
     if scale not in ("element", "common"):
         raise SchemaError(f"scale {scale!r}, expected 'element' or 'common'")

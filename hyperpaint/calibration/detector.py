@@ -162,6 +162,14 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     """Return the ``dark_counts`` (band, cross_track) [count] of a dark model at an exposure [s].
 
     Only the rate is scaled by the exposure, never the bias.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> element = ("band", "cross_track"), [[100.0]]
+    >>> model = xr.Dataset({"dark_bias": element, "dark_rate": (element[0], [[50.0]])})
+    >>> dark_at(model, 0.02).values
+    array([[101.]], dtype=float32)
     """
     dark = model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]
     return label(dark.astype(np.float32), "dark_counts")

@@ -66,6 +66,14 @@ class Tilt:
     ------
     SchemaError
         A value is out of its range; all are listed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> noon = np.array(["2021-06-21T17:00"], "datetime64[ns]")
+    >>> facing, turned = Tilt(10.0, 180.0), Tilt(10.0, 0.0)  # to the south, and to the north
+    >>> facing.factor(noon, 43.0, -77.0, [550.0]) > 1 > turned.factor(noon, 43.0, -77.0, [550.0])
+    array([[ True]])
     """
 
     angle: float

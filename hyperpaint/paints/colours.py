@@ -100,6 +100,14 @@ def paint_colours(paints: xr.Dataset) -> Floats32:
     """Return the colour of every paint in daylight, (paint, 3), sRGB from 0 to 1; NaN where it has none.
 
     Bands that are not ``good`` are left out.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> paints = starter_library(members=0)
+    >>> red = paint_colours(paints.isel(paint=[5]))[0]
+    >>> int(red.argmax()), red.shape
+    (0, (3,))
     """
     variables = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
     values = variables["reflectance"].values

@@ -82,7 +82,13 @@ def paint_card(
 
     Examples
     --------
-    >>> figure = paint_card(line, paints, "car_07", "car_07.png")     # doctest: +SKIP
+    >>> from hyperpaint.paints import extract_signatures
+    >>> from hyperpaint.regions import Region
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> paints = extract_signatures(line, [Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])])
+    >>> len(paint_card(line, paints, "grass").axes)
+    4
     """
     line, (own, colour) = schema.rename_to_roles(line), _paint_of(library, paint)
     region = region_of_paint(own)

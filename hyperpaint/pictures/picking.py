@@ -75,9 +75,12 @@ def pick_regions(
 
     Examples
     --------
-    >>> picker = pick_regions(line)                            # doctest: +SKIP
-    >>> picker                                                 # doctest: +SKIP
-    >>> line.paint.signatures(picker.regions)                  # doctest: +SKIP
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])
+    >>> picker = pick_regions(line, [grass])  # the last line of a cell shows it   # doctest: +SKIP
+    >>> line.paint.signatures(picker.regions).sizes["paint"]                       # doctest: +SKIP
+    1
     """
     return RegionPicker(line, regions, flightline, lines, exclude)
 

@@ -67,6 +67,14 @@ def rgb(
     ------
     SchemaError
         There is no reflectance, or there are no visible bands.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> picture = rgb(line)
+    >>> picture.sizes["along_track"], picture["rgb"].values.tolist(), float(picture.max()) <= 1.0
+    (32, ['red', 'green', 'blue'], True)
     """
     import xarray as xr
 
@@ -268,6 +276,14 @@ def quicklook(
         matplotlib is not installed.
     SchemaError
         There is no reflectance, or nothing that it follows from; or matplotlib writes no such picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = quicklook(line)
+    >>> [axes.get_title() for axes in figure.axes][:2]
+    ['simulated line: true colour', 'flags']
     """
     is_wide = columns_for(width, 4.0, 2) > 1
     figure = new_figure("a quicklook", figsize=(width, 8.0 if is_wide else 15.0), layout="constrained")

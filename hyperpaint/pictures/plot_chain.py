@@ -86,6 +86,15 @@ def triptych(
     SchemaError, UnitsError
         There is more than one region, none of its pixels are left, or pixels lie beside the line; or the
         flight line lacks what reflectance follows from.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> from hyperpaint.regions import Region
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = triptych(line, Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]))
+    >>> [axes.get_title() for axes in figure.axes]
+    ['counts', 'radiance', 'reflectance']
     """
     columns = columns_for(width, _PANEL[0], 3)
     columns = columns if columns == 3 else 1
@@ -266,6 +275,15 @@ def straightening(
     SchemaError
         There is no reflectance, or fewer than three visible bands; or there is no map, and the line is not
         located.
+
+    Examples
+    --------
+    >>> from hyperpaint.geometry import locate
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = locate(simulate_line(lines=64, bands=12, columns=48), ground=160.0)
+    >>> figure = straightening(line)
+    >>> len(figure.axes)
+    2
     """
     line = schema.rename_to_roles(line)
     if "reflectance" not in line.variables:

@@ -102,6 +102,14 @@ def flag_overlay(
         matplotlib is not installed.
     SchemaError
         There is no such flag or layer, or neither quality nor what it follows from.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> axes = flag_overlay(line, ["saturated", "shadow"])
+    >>> axes.get_xlabel()
+    'cross_track [column]'
     """
     dataset = schema.rename_to_roles(dataset)
     wanted = _flags_named(flags)
@@ -308,6 +316,16 @@ def adjacency_figure(
     -----
     A neighbour of reflectance :math:`\rho_n` adds :math:`F \rho_n` to the light of a surface, with F the part
     of its hemisphere that the lit neighbour fills: the nearer, the more, and only in the neighbour's colour.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> from hyperpaint.regions import Region
+    >>> line = simulate_line(lines=32, bands=40, columns=24).paint.reflectance()
+    >>> near = Region("near", [(2, 2), (6, 2), (6, 6), (2, 6)])
+    >>> far = Region("far", [(2, 20), (6, 20), (6, 24), (2, 24)])
+    >>> len(adjacency_figure(line, [near], [far]).axes)
+    4
     """
     is_wide = columns_for(figure_width, 5.0, 3) > 1
     size = (figure_width, 5.6 if is_wide else 14.0)

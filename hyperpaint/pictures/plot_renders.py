@@ -72,8 +72,11 @@ def chips_and_renders(
     Examples
     --------
     >>> from hyperpaint.paints import starter_library
-    >>> line = open_store("scene.zarr", "renders/noon")                          # doctest: +SKIP
-    >>> chips_and_renders(starter_library(), line, "collage.png")                # doctest: +SKIP
+    >>> from hyperpaint.simulation import simulate_line
+    >>> paints, line = starter_library(members=0), simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = chips_and_renders(paints.isel(paint=[0, 5]), line)
+    >>> [axes.get_title() for axes in figure.axes][:2]
+    ['Synthetic Polar White', 'Synthetic Signal Red']
     """
     paints, wrong = find_usable(paints)
     variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)

@@ -85,6 +85,14 @@ def spectrum(
         matplotlib is not installed.
     SchemaError, UnitsError
         The dataset has none of what is asked for, or there are more than 24 curves; all problems are listed.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> axes = spectrum(line, pixels=[(3, 4), (20, 10)])
+    >>> [curve.get_label() for curve in axes.lines]
+    ['(3, 4)', '(20, 10)']
     """
     dataset = schema.rename_to_roles(dataset)
     library = _is_library(dataset)
@@ -304,6 +312,13 @@ def library_overview(
     SchemaError
         It is no paint library, what it holds has other dims, units or dtypes than a library's, or matplotlib
         writes no such picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> figure = library_overview(starter_library(members=0).isel(paint=[0, 5]))
+    >>> figure.axes[0].get_xlabel()
+    'wavelength [nm]'
     """
     paints, wrong = find_usable(paints)
     problems = Problems("a paint library cannot be drawn", SchemaError)

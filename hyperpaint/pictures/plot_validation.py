@@ -61,6 +61,19 @@ def validation_figure(
         matplotlib is not installed.
     SchemaError
         ``columns`` or ``limit`` is not positive, or matplotlib writes no such picture.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.validation import validate
+    >>> nm = np.linspace(400.0, 700.0, 61)
+    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["hood"]}
+    >>> level = 0.2 + 0.001 * (nm - 400.0)
+    >>> field = xr.Dataset({"reflectance": (("paint", "band"), [level], {"units": "1"})}, axis)
+    >>> paints = field.assign(reflectance=field.reflectance + 0.002)
+    >>> agreement = validate(paints, field, reference_fwhm=5.0)
+    >>> len(validation_figure(agreement).axes)
+    2
     """
     if columns < 1 or (limit is not None and not limit > 0.0):
         raise SchemaError(f"columns={columns}, limit={limit}: expected positive numbers")

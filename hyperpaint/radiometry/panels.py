@@ -58,6 +58,12 @@ class Panel:
     ------
     SchemaError
         The reflectance or its uncertainty is out of range.
+
+    Examples
+    --------
+    >>> panel = Panel(along_track=slice(10, 20), cross_track=slice(4, 9), reflectance=0.5, uncertainty=0.02)
+    >>> panel.at([450.0, 850.0])
+    array([0.5, 0.5])
     """
 
     along_track: slice

@@ -117,6 +117,19 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     -----
     Cubic (Lagrange) over the four nearest bands. Nothing is extrapolated: the outermost bands are NaN in
     columns that do not reach the nominal wavelength, and so is a value one of whose four bands is missing.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> nm = np.array([540.0, 545.0, 550.0, 555.0, 560.0])
+    >>> shift = np.array([0.0, 1.0])  # the second column is 1 nm towards the red
+    >>> seen = (nm[:, None] + shift)[None] / 1000.0
+    >>> line = xr.Dataset(
+    ...     {"reflectance": (("along_track", "band", "cross_track"), seen.astype("float32"), {"units": "1"})},
+    ...     {"wavelength": ("band", nm, {"units": "nm"}),
+    ...      "wavelength_shift": ("cross_track", shift, {"units": "nm"})})
+    >>> to_nominal(line).reflectance[0, 2].values.round(4)
+    array([0.55, 0.55], dtype=float32)
     """
     dataset = schema.rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]

@@ -108,6 +108,15 @@ def write_regions(
     ------
     StoreError
         The file holds something else, or cannot be written. It is as it was.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from hyperpaint.regions import Region
+    >>> hood = Region("hood", [(0, 0), (4, 0), (4, 3), (0, 3)])
+    >>> path = write_regions([hood], Path(tempfile.mkdtemp(), "regions.geojson"))
+    >>> [region.name for region in read_regions(path)]
+    ['hood']
     """
     place = Path(path)
     document = regions_from(regions).__geo_interface__
@@ -155,6 +164,13 @@ def regions_from(source: Any) -> Regions:
         A file or mapping is not GeoJSON of regions.
     SchemaError
         It is nothing that regions can be made of, or names occur twice.
+
+    Examples
+    --------
+    >>> from hyperpaint.regions import Region
+    >>> hood = Region("hood", [(0, 0), (4, 0), (4, 3), (0, 3)])
+    >>> regions_from([hood]).coordinates
+    'sensor'
     """
     if isinstance(source, Regions):
         return source

@@ -118,6 +118,14 @@ class Regions(Sequence[Region]):
     SchemaError
         Names that occur twice, unknown coordinates, or a reference system that is no text or of a sensor; all
         are listed.
+
+    Examples
+    --------
+    >>> hood = Region("hood", [(0, 0), (4, 0), (4, 3), (0, 3)])
+    >>> roof = Region("roof", [(6, 0), (9, 0), (9, 3), (6, 3)])
+    >>> regions = Regions((hood, roof))
+    >>> len(regions), [region.name for region in regions]
+    (2, ['hood', 'roof'])
     """
 
     regions: tuple[Region, ...]

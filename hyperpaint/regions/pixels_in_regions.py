@@ -101,6 +101,17 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
     ------
     FormatError, SchemaError
         As `regions_from` and `pixels`.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.regions import Region
+    >>> line = xr.Dataset({"counts": (("along_track", "band", "cross_track"), np.zeros((3, 2, 4)))})
+    >>> left = Region("left", [(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
+    >>> region_mask([left], line).values
+    array([[ 0,  0, -1, -1],
+           [ 0,  0, -1, -1],
+           [-1, -1, -1, -1]], dtype=int16)
     """
     import xarray as xr
 
@@ -123,6 +134,16 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     """Return the pixels of every region; see `pixels`.
 
     Of a sensor nothing is read, of a map the places of the pixels, once, a block of lines at a time.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.regions import Region, Regions
+    >>> line = xr.Dataset({"counts": (("along_track", "band", "cross_track"), np.zeros((3, 2, 4)))})
+    >>> left = Region("left", [(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
+    >>> ((lines, columns),) = pixels_of(Regions((left,)), line)
+    >>> lines, columns
+    (array([0, 0, 1, 1]), array([0, 1, 0, 1]))
     """
     line = schema.rename_to_roles(line)
     problems = Problems("pixels of regions cannot be found in this line", SchemaError)

@@ -121,8 +121,14 @@ def write_report(
 
     Examples
     --------
-    >>> write_report("lot.zarr", "report.html").problems     # doctest: +SKIP
-    ()
+    >>> import tempfile
+    >>> from hyperpaint.io.store import to_store
+    >>> from hyperpaint.simulation import simulate_line
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> store = to_store(line, folder / "lot.zarr", "flightlines/raw_0")
+    >>> write_report(store, folder / "report.html").flightlines
+    ('flightlines/raw_0',)
     """
     from hyperpaint.io.store import list_groups
 

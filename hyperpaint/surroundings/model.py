@@ -194,6 +194,19 @@ class SceneModel:
         Median of a segment's pixels, and that of its body without what glint and shadow change [1].
     attrs
         How it was made.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.surroundings import survey
+    >>> nm = np.linspace(400.0, 1000.0, 48)
+    >>> seen = np.full((16, 48, 16), 0.1, np.float32)
+    >>> seen[:, :, 8:] = 0.5
+    >>> cube = ("along_track", "band", "cross_track"), seen, {"units": "1"}
+    >>> line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", nm, {"units": "nm"})})
+    >>> model = survey(line, sun_zenith=30.0, diffuse="model")
+    >>> model.segment[0, [0, 15]].tolist(), model.size.tolist()
+    ([0, 1], [128, 128])
     """
 
     wavelength: Floats

@@ -107,6 +107,19 @@ class Validation:
     between
         References of one paint against one another, where several instruments measured it: the same, a pair
         for two instruments. It does not decide whether signatures pass.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.validation import validate
+    >>> nm = np.linspace(400.0, 700.0, 61)
+    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["hood"]}
+    >>> level = 0.2 + 0.001 * (nm - 400.0)
+    >>> field = xr.Dataset({"reflectance": (("paint", "band"), [level], {"units": "1"})}, axis)
+    >>> paints = field.assign(reflectance=field.reflectance + 0.002)
+    >>> agreement = validate(paints, field, reference_fwhm=5.0)
+    >>> agreement.passed, agreement.statistics.bias.sel(part="VIS").values.round(3)
+    (True, array([0.002]))
     """
 
     statistics: xr.Dataset

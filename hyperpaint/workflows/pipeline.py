@@ -250,11 +250,8 @@ def process(
         Replace groups that were made from other inputs or parameters.
     progress
         Show on stderr which line is being written, and how far it is.
-    codec
-        ``"fast"`` halves the time of compression, for a seventh (counts) to two fifths (reflectance) more
-        room; see `to_store`. Groups that are there stay, whatever their codec.
-    layout
-        ``"explore"`` cuts cubes into groups of bands as well; see `to_store`. Groups that are there stay.
+    codec, layout
+        See `to_store`. Groups that are there stay, whatever theirs are.
 
     Returns
     -------
@@ -282,8 +279,11 @@ def process(
 
     Examples
     --------
-    >>> path = process("collect.toml", "lot.zarr")                                # doctest: +SKIP
-    >>> xr.open_zarr(path, group="flightlines/raw_0").paint.rgb()                 # doctest: +SKIP
+    >>> import tempfile, hyperpaint as hp
+    >>> collect = hp.simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6)
+    >>> path = process(collect, collect.with_name("lot.zarr"))
+    >>> hp.open_store(path, "flightlines/raw_0").paint.reflectance().sizes["along_track"]
+    40
     """
     return run(
         collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,

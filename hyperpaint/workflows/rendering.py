@@ -144,8 +144,20 @@ def render_scene(
 
     Examples
     --------
-    >>> path = render_scene("scene.toml", "scene.zarr")                          # doctest: +SKIP
-    >>> xr.open_zarr(path, group="renders/noon").paint.reflectance()            # doctest: +SKIP
+    >>> import tempfile, hyperpaint as hp
+    >>> scene = Path(tempfile.mkdtemp(), "lawn.toml")
+    >>> _ = scene.write_text('''[scene]
+    ... kind = "plane"
+    ... spectrum = "grass"
+    ... [platform]
+    ... lines = 2
+    ... columns = 2
+    ... ground_sample_m = 0.1
+    ... altitude_m = 15.0
+    ... ''')
+    >>> path = render_scene(scene, scene.with_name("lawn.zarr"))
+    >>> hp.open_store(path, "renders/noon").radiance.shape
+    (2, 272, 2)
     """
     return run(
         path, out, samples=samples, to=to, atmospheres=atmospheres, paints=paints, hold_edges=hold_edges,

@@ -50,6 +50,21 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     -----
     The union of the quadrilaterals between the ends of neighbouring lines: what a wobble folds back over
     itself is counted once. Bends of less than half the spacing of the pixels are left out.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.base.attitude_conventions import Convention
+    >>> from hyperpaint.geometry import PinholeCamera, locate
+    >>> pose = dict(longitude=-81.0, altitude=150.0, roll=0.0, pitch=0.0, heading=0.0)
+    >>> line = xr.Dataset({name: ("along_track", np.full(2, value)) for name, value in pose.items()})
+    >>> line = line.assign(latitude=("along_track", [34.0, 34.0001]), cross_track=[0, 1, 2])
+    >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
+    >>> convention = Convention(column_order="left_to_right")
+    >>> located = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> outline = footprint(located)
+    >>> outline["geometry"]["type"], round(outline["properties"]["area"], -1)  # [m2]
+    ('Polygon', 1110.0)
     """
     try:
         import shapely
@@ -99,6 +114,21 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     ------
     SchemaError
         The line is not located, or no two neighbouring pixels are.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.base.attitude_conventions import Convention
+    >>> from hyperpaint.geometry import PinholeCamera, locate
+    >>> pose = dict(longitude=-81.0, altitude=150.0, roll=0.0, pitch=0.0, heading=0.0)
+    >>> line = xr.Dataset({name: ("along_track", np.full(2, value)) for name, value in pose.items()})
+    >>> line = line.assign(latitude=("along_track", [34.0, 34.0001]), cross_track=[0, 1, 2])
+    >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
+    >>> convention = Convention(column_order="left_to_right")
+    >>> located = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> distances = spacing(located)
+    >>> round(distances["across"]), round(distances["along"], 1)  # [m]
+    (100, 11.1)
     """
     east, north, _ = _places(located)
     across, along = _steps(east, north)

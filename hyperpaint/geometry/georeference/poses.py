@@ -235,6 +235,18 @@ def interpolate_pose(
         As `canonical_navigation`; an interpolation that does not exist; a gap that is not above 0.
     TimeError
         Times of the record run backwards.
+
+    Examples
+    --------
+    >>> pose = {"latitude": [34.0, 34.001], "longitude": [-81.0, -81.0], "altitude": [150.0, 150.0]}
+    >>> pose |= {"roll": [0.0, 0.0], "pitch": [0.0, 0.0], "heading": [350.0, 10.0]}
+    >>> start = np.datetime64("2021-07-20T17:00", "ns")
+    >>> rows = {"navigation_time": start + np.array([0, 2], "timedelta64[s]")}
+    >>> record = xr.Dataset({name: ("navigation_time", values) for name, values in pose.items()}, rows)
+    >>> times = xr.DataArray(start + np.array([1, 3], "timedelta64[s]"), dims="along_track")
+    >>> poses = interpolate_pose(record, times, convention=Convention())
+    >>> poses.heading.values, poses.latitude.values  # through north; nothing beyond the record
+    (array([ 0., nan]), array([34.0005,     nan]))
     """
     convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)

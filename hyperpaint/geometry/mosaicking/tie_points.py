@@ -107,6 +107,18 @@ def find_tie_points(
     Both lines are resampled bilinearly on one grid with north up. Patches with texture in every direction are
     looked for in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
     Patterns that repeat within the search, and shifts apart from a plane through all of a pair, are left out.
+
+    Examples
+    --------
+    >>> from hyperpaint.geometry import locate
+    >>> from hyperpaint.simulation import simulate_line
+    >>> size = dict(lines=400, bands=2, columns=400, swath=6.0, square=0.64)
+    >>> lines = {
+    ...     seed: locate(simulate_line(scene="checkerboard", wobble="calm", seed=seed, **size), ground=160.0)
+    ...     for seed in (0, 1)}
+    >>> ties = find_tie_points(lines, search_m=0.4)
+    >>> ties.sizes["point"] > 30, float(abs(ties["shift"]).max()) < 0.01  # [m]
+    (True, True)
     """
     named = named_lines(lines)
     if len(named) < 2 or any(map(is_map, named.values())):

@@ -175,6 +175,15 @@ def check_conventions(
 
     The shift between rows is `hyperpaint.geometry.navigation_checks.picture_motion`, what is to be expected
     `hyperpaint.geometry.navigation_checks.pose_motion`.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> size = dict(lines=400, bands=2, columns=320, swath=8.0)
+    >>> line = simulate_line(scene="checkerboard", wobble="rough", **size)
+    >>> mirrored = line.assign(roll=-line["roll"])
+    >>> check_conventions(line, ground=160.0).wrong, check_conventions(mirrored, ground=160.0).wrong
+    ((), ('roll_positive',))
     """
     setting = setting_of(
         line, navigation, convention=convention, camera=camera, ground=ground, boresight=boresight,

@@ -143,6 +143,27 @@ def estimate_clock_offset(
         follow, several offsets fit alike, or the best is at the end of those tried. The reason is given.
     SchemaError
         Neither or both records; what is needed is missing.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> def light(seconds):  # a cloud comes
+    ...     return 1.0 - 0.5 / (1.0 + np.exp(-(seconds - 30.0) / 1.5))
+    >>> start = np.datetime64("2021-07-20T17:00", "ns")
+    >>> def stamps(seconds):
+    ...     return start + (1e9 * seconds).astype("timedelta64[ns]")
+    >>> flown, logged = 0.1 * np.arange(600), np.arange(-10.0, 70.0)
+    >>> ground = 800.0 * (1.0 + 0.03 * np.random.default_rng(0).standard_normal((600, 1, 32)))
+    >>> counts = ("along_track", "band", "cross_track"), ground * light(flown)[:, None, None]
+    >>> line = xr.Dataset({"counts": counts}, {"time": ("along_track", stamps(flown))})
+    >>> dims = ("irradiance_time", "irradiance_wavelength")
+    >>> level = np.repeat(light(logged)[:, None], 3, axis=1)
+    >>> record = xr.Dataset(
+    ...     {"irradiance": (dims, level, {"units": "W m-2 nm-1"})},
+    ...     {dims[0]: stamps(logged - 1.3), dims[1]: (dims[1], [500.0, 600.0, 700.0], {"units": "nm"})})
+    >>> offset = estimate_clock_offset(line, irradiance=record, max_offset_s=5.0)
+    >>> abs(offset.offset_s - 1.3) < 2 * offset.uncertainty_s
+    True
     """
     if (navigation is None) == (irradiance is None):
         raise SchemaError("give navigation= or irradiance=, one of them: they have clocks of their own")

@@ -187,6 +187,22 @@ def solve_boresight(
 
     Pitch and clock both move points along the track: on a line that does not turn they are one. Lines of
     opposite courses part them, as does the platform's own wobble.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.geometry import locate
+    >>> from hyperpaint.simulation import simulate_line
+    >>> mounted = dict(boresight=(0.4, -0.6, 0.8))
+    >>> line = simulate_line(scene="checkerboard", lines=400, bands=2, columns=320, **mounted)
+    >>> located = locate(line, ground=160.0, crs="EPSG:32618", **mounted)
+    >>> lines, columns = np.array([20, 100, 200, 300, 380]), np.array([10, 300, 160, 20, 310])
+    >>> places = {name: ("point", located[name].values[lines, columns]) for name in ("east", "north")}
+    >>> points = xr.Dataset(places)
+    >>> points = points.assign(along_track_pixel=("point", lines), cross_track_pixel=("point", columns))
+    >>> points = points.assign(height=("point", np.full(5, 160.0))).assign_attrs(crs="EPSG:32618")
+    >>> np.round(solve_boresight(line, points, solve=("roll", "pitch", "heading")).boresight, 4)
+    array([ 0.4, -0.6,  0.8])
     """
     pairs = control_points.sizes["point"] if "side" in control_points.dims else 0
     if pairs:

@@ -81,8 +81,11 @@ class EnviParser:
 
     Examples
     --------
-    >>> from virtualizarr import open_virtual_dataset                                   # doctest: +SKIP
-    >>> cube = open_virtual_dataset(url, registry=registry, parser=EnviParser())        # doctest: +SKIP
+    >>> parser = EnviParser("counts", lines=32)
+    >>> parser.variable, parser.lines
+    ('counts', 32)
+    >>> from virtualizarr import open_virtual_dataset                             # doctest: +SKIP
+    >>> cube = open_virtual_dataset(url, registry=registry, parser=parser)        # doctest: +SKIP
     """
 
     def __init__(self, variable: str = "counts", lines: int | None = None) -> None:

@@ -97,8 +97,15 @@ def write_geotiff(
 
     Examples
     --------
-    >>> write_geotiff(ortho, "ortho.tif", bands="rgb")  # doctest: +SKIP
-    PosixPath('ortho.tif')
+    >>> import tempfile, xarray as xr
+    >>> from hyperpaint.geometry import orthorectify
+    >>> north, east = np.meshgrid([0.0, 2.0, 4.0], [10.0, 12.0, 14.0], indexing="ij")
+    >>> dims, metres = ("along_track", "cross_track"), {"units": "m", "crs": "EPSG:32618"}
+    >>> line = xr.Dataset({"red": (dims, np.arange(9.0).reshape(3, 3))})
+    >>> line = line.assign_coords(east=(dims, east, metres), north=(dims, north, metres))
+    >>> map = orthorectify(line, 2.0, variables="red")
+    >>> write_geotiff(map, Path(tempfile.mkdtemp(), "red.tif"), variable="red").name
+    'red.tif'
     """
     rasterio = _rasterio()
     path = Path(path)

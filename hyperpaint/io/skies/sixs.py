@@ -46,6 +46,21 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
         A file has none of these: runs over a filter are refused, their figures are sums.
     SchemaError
         The sun is not above the horizon.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> run = '''* monochromatic calculation at wl : {} micron *
+    ... *        irr. at ground level (w/m2/mic)            *
+    ... * direct solar irr. atm. diffuse irr. environment irr *
+    ... *         {}           {}           4.000 *
+    ... '''
+    >>> paths = [Path(tempfile.mkdtemp(), name) for name in ("450.txt", "650.txt")]
+    >>> _ = paths[0].write_text(run.format("0.450", 500.0, 180.0))
+    >>> _ = paths[1].write_text(run.format("0.650", 700.0, 100.0))
+    >>> light = read_sixs(paths, sun_zenith=60.0)
+    >>> light.direct_normal.values.round(3), light.diffuse.values.round(3)
+    (array([1. , 1.4]), array([0.184, 0.104]))
     """
     if not 0.0 <= sun_zenith < 90.0:
         raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")

@@ -116,6 +116,18 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     ------
     FormatError
         Headings are missing, rows are no numbers, or directions are not the same at every wavelength.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "sky.csv")
+    >>> _ = path.write_text('''wavelength [um],direct_normal [mW m-2 nm-1],diffuse [mW m-2 nm-1]
+    ... 0.45,1200,300
+    ... 0.85,800,50
+    ... ''')
+    >>> light = read_sky_csv(path)
+    >>> light.wavelength.values, light.diffuse.values
+    (array([450., 850.]), array([0.3 , 0.05]))
     """
     lines = (line for line in sky_lines(path) if line.strip() and not line.startswith("#"))
     try:

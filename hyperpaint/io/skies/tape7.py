@@ -61,6 +61,20 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
               L_\lambda = 10^{-3} \nu^2 L_\nu
 
     with L per nm of m2 (L. Guanter et al., Int. J. Remote Sens. 30, 1407 (2009), has the same sums).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "tape7")
+    >>> _ = path.write_text('''  1 5 0 6
+    ... FREQ TOT_TRANS THRML_EM THRML_SCT SURF_EMIS MULT_SCAT SING_SCAT GRND_RFLT DRCT_RFLT
+    ... 22222.0 0.8 1e-9 9e-9 8e-9 2e-9 1e-9 1.70e-7 1.23e-7
+    ... 11765.0 0.8 1e-9 9e-9 8e-9 2e-9 1e-9 2.76e-7 2.54e-7
+    ... -9999.
+    ... ''')
+    >>> light = read_tape7(path, sun_zenith=60.0, ground=0.3)
+    >>> light.wavelength.values.round(), light.direct_normal.values.round(2), light.diffuse.values.round(2)
+    (array([450., 850.]), array([1.59, 0.92]), array([0.3 , 0.04]))
     """
     if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
         raise SchemaError(

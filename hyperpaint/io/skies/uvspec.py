@@ -52,6 +52,17 @@ def read_uvspec(
         Lines are others than these (``output_user``, another solver): they are refused, not guessed.
     SchemaError
         The sun is not above the horizon, or ``units`` are no irradiance of a wavelength.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "uvspec.out")
+    >>> _ = path.write_text('''450.0 500.0 180.0 61. 79. 45. 12.
+    ... 850.0 420.0 40.0 61. 79. 45. 12.
+    ... ''')
+    >>> light = read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1")
+    >>> light.direct_normal.values.round(2), light.diffuse.values.round(2)
+    (array([1.  , 0.84]), array([0.18, 0.04]))
     """
     if not 0.0 <= sun_zenith < 90.0:
         raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")

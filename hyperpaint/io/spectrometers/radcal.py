@@ -61,6 +61,33 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     .. math:: L = E \rho / \pi
 
     of a panel of reflectance factor :math:`\rho` for 0 degrees to 45 under the lamp's irradiance :math:`E`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> path = Path(tempfile.mkdtemp(), "radcal.txt")
+    >>> _ = path.write_text('''!FRM4SOC_CP
+    ... !RADCAL
+    ... [DEVICE]
+    ... X1
+    ... [LAMPDATA]
+    ... 400 0 2.0 1.0
+    ... 500 0 4.0 1.0
+    ... [END_OF_LAMPDATA]
+    ... [PANELDATA]
+    ... 400 0 0.99 1.2
+    ... 500 0 0.99 1.2
+    ... [END_OF_PANELDATA]
+    ... [CALDATA]
+    ... 0 0 1024 0 0 0 1024 0 512 0
+    ... 1 400 1e-4 1.5 10 0 900 1 901 1
+    ... 2 410 1e-4 1.5 10 0 950 1 951 1
+    ... [END_OF_CALDATA]
+    ... ''')
+    >>> lamp = read_radcal(path)
+    >>> lamp.panel_radiance.values.round(4), lamp.lamp_irradiance_u.values
+    (array([0.0006, 0.0013]), array([0.005, 0.005]))
     """
     import xarray as xr
 

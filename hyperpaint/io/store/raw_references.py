@@ -352,8 +352,12 @@ def open_virtual(
 
     Examples
     --------
-    >>> line = open_virtual("lot.icechunk", "flightlines/raw_0")                        # doctest: +SKIP
-    >>> line.paint.reflectance()                                                        # doctest: +SKIP
+    >>> import tempfile, hyperpaint as hp
+    >>> from hyperpaint.workflows.virtual_store import virtualise  # as `hyperpaint virtual` does
+    >>> collect = hp.simulate_collect(tempfile.mkdtemp(), scene="plan", lines=64, bands=4, columns=6)
+    >>> line = open_virtual(virtualise(collect, collect.with_name("lot.json")).path)
+    >>> line.paint.reflectance().sizes["along_track"]
+    64
     """
     import xarray as xr
 

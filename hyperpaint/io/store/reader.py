@@ -113,6 +113,17 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     See Also
     --------
     open_group : A finished group of a store that is still being written.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> from hyperpaint.io.store import to_store
+    >>> light = xr.Dataset({"wavelength": ("band", [450.0, 550.0])})
+    >>> path = to_store(light, "memory://small_collect.zarr", "flightlines/raw_0")
+    >>> open_store(path, "flightlines/raw_0").wavelength.values
+    array([450., 550.])
+    >>> sorted(open_store(path)["flightlines"].children)
+    ['raw_0']
     """
     location, name = Location.of(path), clean_group(group)
     if group is None and (groups := location.groups()) and "" not in groups:

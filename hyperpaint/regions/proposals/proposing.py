@@ -118,6 +118,14 @@ class Proposals(Regions):
         shadow, and what has fewer than a quarter of ``min_pixels`` pixels away from edges: a car whose paint
         is like the ground is in neither list, and so is what ``most`` cuts off. Not among the regions
         themselves, and not written with them.
+
+    Examples
+    --------
+    >>> from hyperpaint.regions import Region, Regions
+    >>> pane = Region("paint_02", [(6, 0), (9, 0), (9, 3)], properties={"refused": "it looks like a window"})
+    >>> proposals = Proposals((Region("paint_01", [(0, 0), (4, 0), (4, 3)]),), refused=Regions((pane,)))
+    >>> len(proposals), proposals.refused[0].properties["refused"]
+    (1, 'it looks like a window')
     """
 
     refused: Regions = field(default_factory=lambda: Regions(()))
