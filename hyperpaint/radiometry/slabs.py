@@ -8,6 +8,7 @@ task then makes one pass over the slab's counts. Nothing is read while the graph
 from __future__ import annotations
 
 import functools
+import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
@@ -144,10 +145,26 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
     if cube.chunks is None:
         line_bytes = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
         lines = lines_a_task(line_bytes, CHUNK_LINES)
+        if cube.variable._in_memory:
+            return cube.copy(data=_in_slabs(cube.values, lines))
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
     if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
         return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
     return cube
+
+
+def _in_slabs(values: Array, lines: int) -> da.Array:
+    """Return values (line, band, column) in memory as a dask array of views.
+
+    Its name is new each time: dask names arrays by hashing them, which takes longer than calibrating them.
+    """
+    name = f"lines-{uuid.uuid4().hex}"
+    slabs = {
+        (name, number, 0, 0): values[start : start + lines]
+        for number, start in enumerate(range(0, max(len(values), 1), lines))
+    }
+    chunks = (tuple(map(len, slabs.values())), *((size,) for size in values.shape[1:]))
+    return da.Array(slabs, name, chunks, meta=values[:0])
 
 
 _NO_CUBE = np.empty((0, 0, 0), np.float32)
