@@ -161,7 +161,7 @@ class Click:
     def setup(self, lines, layout):
         import hyperpaint as hp
 
-        self.line = hp.open_store(counts_store(lines, smile=True, layout=layout))
+        self.line = hp.open_store(counts_store(lines, smile=True, layout=layout, coarse=True))
         self.middle = lines // 2 - lines // 2 % 32
         self.line.paint.pixels(0, 0)  # what is small is read with the first click
         self.stored = hp.open_store(reflectance_store(lines))["reflectance"]
@@ -174,6 +174,14 @@ class Click:
 
     def time_band(self, lines, layout):
         self.line.paint.pixels(wavelength=650.0)
+
+    def time_band_at_the_size_of_a_screen(self, lines, layout):
+        with threads():
+            self.line.paint.coarse().paint.at(650.0).reflectance.compute()
+
+    def time_colours_at_the_size_of_a_screen(self, lines, layout):
+        with threads():
+            self.line.paint.coarse().paint.rgb().compute()
 
     def time_pixel_of_the_lazy_cube(self, lines, layout):
         with threads():

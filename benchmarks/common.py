@@ -191,12 +191,17 @@ def _piece(block: np.ndarray, *, lines: tuple[int, ...], block_id: tuple[int, ..
 
 
 @functools.cache
-def counts_store(lines: int, *, smile: bool = False, layout: str = "cube") -> Path:
-    """Write a flight line as `hyperpaint.to_store` lays it out; return the store."""
+def counts_store(lines: int, *, smile: bool = False, layout: str = "cube", coarse: bool = False) -> Path:
+    """Write a flight line as `hyperpaint.to_store` lays it out, with its ``coarse`` means; return it."""
     import hyperpaint as hp
 
-    path = scratch() / f"counts-{lines}-{layout}{'-smile' if smile else ''}.zarr"
-    hp.to_store(flight_line(lines, smile=smile), path, source_token=f"{lines} {smile}", layout=layout)
+    path = scratch() / f"counts-{lines}-{layout}{'-smile' if smile else ''}{'-coarse' if coarse else ''}.zarr"
+    line = flight_line(lines, smile=smile)
+    if coarse:
+        from hyperpaint.radiometry.coarse_lines import coarse_reflectance
+
+        line = line.assign(coarse_reflectance=coarse_reflectance(line.paint.reflectance()))
+    hp.to_store(line, path, source_token=f"{lines} {smile}", layout=layout)
     return path
 
 

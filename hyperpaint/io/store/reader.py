@@ -246,10 +246,16 @@ def _opened(
     store = guarded(location, group=group, record=record, content=content)
     # the root's consolidated metadata may be older than a group whose writer was killed just before the end
     options = {"consolidated": False, **kwargs}
-    if record is not None and any(len(a.grid) == 3 and a.grid[1] > 1 for a in record.arrays.values()):
-        options.setdefault("chunks", {BAND: -1})  # one task a slab, also of cubes that are cut into bands
+    arrays = {} if record is None or "chunks" in options else record.arrays
+    grouped = {name for name, array in arrays.items() if len(array.grid) == 3 and array.grid[1] > 1}
+    if grouped:
+        options["chunks"] = {BAND: -1}  # one task a slab, also of cubes that are cut into bands
     try:
         opened: xr.Dataset = xr.open_zarr(store, group=group or None, **options)
+        if COARSE in grouped:  # of which a picture of one band reads its group alone
+            others = [name for name in arrays if name != COARSE]
+            options |= {"chunks": {}, "drop_variables": others}
+            opened[COARSE] = xr.open_zarr(store, group=group or None, **options)[COARSE].variable
     except StoreError:
         raise
     except Exception as error:  # zarr, numpy and xarray's decoding each have their own
@@ -262,6 +268,9 @@ def _opened(
     for name in (SET, PLACE, SETTINGS):  # of the place, not of what is made from it
         opened.attrs.pop(name, None)
     return opened
+
+
+COARSE = "coarse_reflectance"
 
 
 def _complete_record(location: Location, group: str) -> GroupRecord:
