@@ -413,10 +413,11 @@ def matched_series(
     _warn_of(matching, channels[order], imager)
     misfit = matching.misfit
     if as_found is not None:
-        spectrometer = Responses(
+        found = Responses(
             channels[order] - as_found.shift_at(channels[order]), width * as_found.width, irradiance_shape
         )
-        misfit = misfit_through(matching, spectrometer, bands, nodes)
+        shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
+        misfit = misfit_through(spectrometer, found, bands, shifts)
     return _apply(matching, np.asarray(spectra), order), misfit
 
 

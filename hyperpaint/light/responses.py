@@ -101,26 +101,33 @@ class Responses:
             return np.asarray(0.5 * (self.fwhm + np.asarray(self.spacing)))
         return np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
 
-    def on(self, grid: Floats, band: int) -> Floats:
-        """Return the response of one band on an even grid [nm], its sum times the step being 1."""
-        distance = grid - self.wavelength[band]
-        width = self.fwhm[band]
+    def on(self, grid: Floats, band: int | Ints) -> Floats:
+        """Return responses on an even grid [nm], (point,) of one band or (band, point) of several.
+
+        The sum of each times the step is 1.
+        """
+        bands = np.atleast_1d(band)
+        distance = grid - self.wavelength[bands, None]
+        width = self.fwhm[bands, None]
         if self.shape == "gaussian":
             # cut off, since products of far tails are denormal numbers, a hundred times slower
             tail = np.abs(distance) > _REACH * width
             response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
-            pixel = np.asarray(self.spacing)[band]
+            pixel = np.asarray(self.spacing)[bands, None]
             edge = 0.5 * (width + pixel) - np.abs(distance)
-            response = np.clip(edge, 0.0, min(width, pixel))
+            response = np.clip(edge, 0.0, np.minimum(width, pixel))
         else:
-            response = np.interp(distance, np.asarray(self.offset), np.asarray(self.table)[band], 0.0, 0.0)
+            offset, table = np.asarray(self.offset), np.asarray(self.table)
+            rows = zip(distance, table[bands], strict=True)
+            response = np.stack([np.interp(away, offset, row, 0.0, 0.0) for away, row in rows])
         if self.slope is not None:
-            response = response * np.exp(self.slope[band] * distance)
-        total = response.sum()
-        if total <= 0:
-            return np.zeros_like(grid)
-        return np.asarray(response / (total * (grid[1] - grid[0])))
+            response = response * np.exp(self.slope[bands, None] * distance)
+        total = response.sum(axis=1, keepdims=True)
+        # one without a point of the grid inside it stays zero
+        total = np.where(total > 0, total, np.inf)
+        response = response / (total * (grid[1] - grid[0]))
+        return np.asarray(response if np.ndim(band) else response[0])
 
 
 def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:
@@ -285,7 +292,7 @@ def _remembered_operator(
         if near.size == 0 or not covered.any():
             weights[:, band] = np.nan
             continue
-        channels = np.stack([spectrometer.on(grid, int(order[j])) for j in near])
+        channels = spectrometer.on(grid, order[near])
         rows = _constrained_ridge(channels, responses[covered], ridge)
         for node, row in zip(np.flatnonzero(covered), rows, strict=True):
             weights[node, band, order[near]] = row
@@ -297,26 +304,30 @@ def _remembered_operator(
     return Matching(weights, misfit, noise_gain, coverage)
 
 
+@functools.lru_cache(maxsize=64)
 def misfit_through(
-    matching: Matching, spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike
+    declared: Responses, spectrometer: Responses, imager: Responses, nodes: tuple[float, ...]
 ) -> Floats:
     """Return the misfit (node, band) of an operator whose spectrometer is another than it was made for [1].
 
-    ``spectrometer``: responses of the channels as they are; NaN where the operator is.
+    ``declared``: what it was made for; ``spectrometer``: responses of the channels as they are. NaN where the
+    operator is. Remembered, since a line is planned once to look at it, and once to write it.
     """
+    matching = matching_operator(declared, imager, nodes)
     reach = spectrometer.reach()
     step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / _FINEST
     misfit = np.full(matching.misfit.shape, np.nan)
-    for node, shift in enumerate(np.atleast_1d(np.asarray(nodes, np.float64))):
-        moved = imager.shifted(float(shift))
+    for node, shift in enumerate(nodes):
+        moved = imager.shifted(shift)
         for band in np.flatnonzero(np.isfinite(matching.misfit[node])):
             row = matching.weights[node, band]
             near = np.flatnonzero(row)
             half = moved.reach()[band] + 2.0 * reach[near].max()
             grid = np.arange(-half, half + step, step) + moved.wavelength[band]
             response = moved.on(grid, int(band))
-            seen = row[near] @ np.stack([spectrometer.on(grid, int(j)) for j in near])
+            seen = row[near] @ spectrometer.on(grid, near)
             misfit[node, band] = np.sqrt(((seen - response) ** 2).sum() / (response**2).sum())
+    misfit.flags.writeable = False
     return misfit
 
 

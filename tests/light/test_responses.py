@@ -173,12 +173,27 @@ def test_a_wider_detector_elsewhere_changes_nothing() -> None:
 def test_misfit_of_weights_made_for_another_spectrometer() -> None:
     channels = np.arange(560.0, 680.0)
     bands = Responses(np.linspace(600.0, 640.0, 5), np.full(5, 6.0))
-    matching = matching_operator(Responses(channels, 3.0), bands, (0.0, 0.5))
-    same = misfit_through(matching, Responses(channels, 3.0), bands, (0.0, 0.5))
+    declared = Responses(channels, 3.0)
+    matching = matching_operator(declared, bands, (0.0, 0.5))
+    same = misfit_through(declared, declared, bands, (0.0, 0.5))
     np.testing.assert_allclose(same, matching.misfit, rtol=1e-3, atol=1e-6)
     # weights for 3 nm make of 4 nm a Gaussian of a = sqrt(36 - 9 + 16) nm; its distance from one of b = 6 nm,
     # both of unit area, is sqrt(1 + b / a - 2 sqrt(2 / (1 + (a / b)^2))) in norms of the latter
     ratio = 6.0 / np.sqrt(43.0)
     expected = np.sqrt(1.0 + ratio - 2.0 * np.sqrt(2.0 / (1.0 + 1.0 / ratio**2)))
-    wide = misfit_through(matching, Responses(channels, 4.0), bands, (0.0, 0.5))
+    wide = misfit_through(declared, Responses(channels, 4.0), bands, (0.0, 0.5))
     np.testing.assert_allclose(wide, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "slit", "tabulated"])
+def test_responses_of_several_bands_have_the_bits_of_each(shape: str) -> None:
+    rng = np.random.default_rng(4)
+    nm = np.sort(rng.uniform(450.0, 850.0, 40))
+    table = {"offset": np.linspace(-9.0, 9.0, 37), "table": rng.uniform(0.1, 1.0, (40, 37))}
+    extra = {"gaussian": {}, "slit": {"spacing": rng.uniform(1.0, 5.0, 40)}, "tabulated": table}[shape]
+    bands = Responses(nm, rng.uniform(1.0, 8.0, 40), shape, slope=rng.normal(0.0, 0.01, 40), **extra)
+    grid, chosen = np.arange(600.0, 640.0, 0.37), np.array([0, *np.argsort(np.abs(nm - 620.0))[:3], 39])
+    together = bands.on(grid, chosen)
+    np.testing.assert_array_equal(together, [bands.on(grid, int(band)) for band in chosen])
+    assert not together[0].any()  # no point of the grid in it
+    np.testing.assert_allclose(together[1].sum() * 0.37, 1.0, rtol=1e-12)
