@@ -15,6 +15,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.cpu import CPUTargetOptions
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 
 from hyperpaint.base.errors import PaintWarning
 
@@ -65,9 +66,15 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
     """A cache on disk that may be full, read-only or damaged: then a kernel is compiled, and works."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a compiled kernel, or None: numba then compiles it."""
+        """Return a compiled kernel, or None: numba then compiles it.
+
+        numba would first register all that it can compile, which takes longer than the load and which its
+        compiler does anyway, when it is needed.
+        """
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
         except OSError:
             return None
         except Exception:  # what a torn pickle raises has no common class

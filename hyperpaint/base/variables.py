@@ -85,7 +85,7 @@ class Variable:
             return (
                 f"{self.name!r} has no units; set {self.name}.attrs['units'], for example to {self.units!r}"
             )
-        if not same_dimension(str(units), self.units):
+        if str(units) != self.units and not same_dimension(str(units), self.units):
             return f"{self.name!r} has units {str(units)!r}, expected something like {self.units!r}"
         return None
 

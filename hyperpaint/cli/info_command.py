@@ -357,7 +357,7 @@ def _collect(path: Path) -> Facts:
 
     collect = read_collect(path, need_irradiance=False)
     lit = collect.irradiance is not None
-    tree = open_collect(path, need_irradiance=lit)
+    tree = open_collect(path, need_irradiance=lit, chunks=None)  # nothing is computed: without dask
     several = counted(len(collect.flightlines), "flight line")
     yield "is", f"collect {collect.name!r}, {several}; every file opens"
     total = 0

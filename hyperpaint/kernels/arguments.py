@@ -16,6 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 __all__ = [
+    "BLOCK",
     "AmountPrior",
     "Bodies",
     "Calibration",
@@ -314,6 +315,10 @@ class LineFrames(NamedTuple):
     y: Array
     height: Array
     turn: Array  #: (line,) float64: how north turns with the way to the east [rad m-1]
+
+
+BLOCK = 16
+"""Cells of a raster along either axis whose highest point is known."""
 
 
 class Raster(NamedTuple):

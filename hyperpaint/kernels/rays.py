@@ -15,12 +15,12 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .arguments import LineFrames, LineRays, Raster
+from .arguments import BLOCK, LineFrames, LineRays, Raster
 
 Vector = tuple[float, float, float]
 Parabola = tuple[float, float, float]
 
-__all__ = ["BLOCK", "PLACES", "level_places", "raster_places"]
+__all__ = ["PLACES", "level_places", "raster_places"]
 
 
 PLACES = 5
@@ -36,8 +36,6 @@ _NUDGE = 1e-7
 """Part of a cell by which a ray is put across the border of the next."""
 _STEEP = 1e-30
 """Cells per metre below which a ray stays in its cell."""
-BLOCK = 16
-"""Cells of a raster along either axis whose highest point is known."""
 
 
 @borrowing_kernel

@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.store.computing import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs
 
 from .counts_to_reflectance import applied, merged_quality
@@ -93,7 +94,7 @@ def pixels(
     if entry is None:
         names = [name for name in ("reflectance", "quality") if name in line.variables]
         schema.require(line, names or ["reflectance"], "reflectance of pixels")
-        return line[names].isel(chosen, missing_dims="ignore").compute()
+        return line[names].isel(chosen, missing_dims="ignore").compute(scheduler=scheduler_in_force())
     single = {dim: 0 for dim, place in chosen.items() if isinstance(place, int)}
     chosen |= {dim: slice(chosen[dim], chosen[dim] + 1) for dim in single}
     region = _calibrated(line, entry, chosen)
@@ -126,13 +127,14 @@ def _entry_of(line: xr.Dataset) -> Entry:
     scaling = () if stored is None else declared_panels(line)
     inputs = plan_inputs(line, stored, scaling)[1]
     if entry is None:
-        (read,) = dask.compute(inputs)
+        (read,) = dask.compute(inputs, scheduler=scheduler_in_force())
         plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **read)
         entry = Entry(Origin(line, options), plan)
     small = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
     smile = {"wavelength_shift"} & set(line.coords)
     notes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scaling))}
-    entry.labels = line[[]].assign_coords({name: line[name] for name in {*small, *smile}}).compute()
+    labels = line[[]].assign_coords({name: line[name] for name in {*small, *smile}})
+    entry.labels = labels.compute(scheduler=scheduler_in_force())
     entry.labels.attrs = {name: text for name, text in notes.items() if text}
     PLANS.add(entry)
     return entry
@@ -173,7 +175,9 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
         before = None
         if "quality" in line.variables:
             stored = schema.require(line, ["quality"], "reflectance")["quality"]
-            before = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute()
+            before = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute(
+                scheduler=scheduler_in_force()
+            )
         merged = merged_quality("reflectance", _joined(flags), before, anew=is_from_counts)
         products["quality"] = merged.variable
     return labels.assign(products).assign_attrs(line.attrs)
@@ -245,4 +249,4 @@ def _read(cube: xr.Variable, places: tuple[Any, ...]) -> Array:
         is_whole = getattr(sources[0], "shape", None) == data.shape
         if is_whole and getattr(sources[0], "dtype", None) == data.dtype:
             return np.asarray(sources[0][places])
-    return np.asarray(data[places].compute())
+    return np.asarray(data[places].compute(scheduler=scheduler_in_force()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib.util
 import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -128,3 +129,26 @@ def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
     # what is part of a whole is a kernel of its own for Python
     assert module.times(7, 6) == 42
     assert len(_files(tmp_path, "nbc")) == 2
+
+
+LOADED = """
+import sys
+from parts import times, whole
+print(whole(5), "numba.np.arraymath" in sys.modules, times(7, 6), "numba.np.arraymath" in sys.modules)
+"""
+
+
+def test_a_kernel_is_loaded_without_what_compiling_needs(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    folders = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {
+        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(folders),
+    }  # fmt: skip
+
+    def printed(code: str) -> str:
+        run = [sys.executable, "-c", code]
+        return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert printed("from parts import whole; print(whole(5))").split() == ["125"]
+    # what is compiled after it, in the same process, works
+    assert printed(LOADED).split() == ["125", "False", "42", "True"]

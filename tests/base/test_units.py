@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
 
-from hyperpaint.base import schema
+from hyperpaint.base import schema, units
 from hyperpaint.base.errors import MissingExtraError, UnitsError
 from hyperpaint.base.units import canonical, conversion_factor, convert, quantify, registry, same_dimension
 
@@ -50,6 +50,12 @@ RADIANCE = "W m-2 sr-1 nm-1"
 )
 def test_spellings(found: str, wanted: str, factor: float) -> None:
     assert conversion_factor(found, wanted) == factor
+
+
+def test_usual_factors_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = dict(units._USUAL_FACTORS)
+    monkeypatch.setattr(units, "_USUAL_FACTORS", {})
+    assert usual == {pair: conversion_factor(*pair) for pair in usual}
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
-from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
 from .attitude_rotations import matrices, quaternions
 from .cameras import PinholeCamera, directions, look_angles
@@ -70,6 +69,8 @@ class Swath:
 
 def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     """Return x, y, height [m], zenith and azimuth [degree] of the pixels of a slab (part, line, column)."""
+    from hyperpaint.kernels.rays import PLACES, level_places, raster_places
+
     poses = swath.poses[:, swath.starts[block_id[1]] : swath.starts[block_id[1] + 1]]
     latitude, longitude, altitude = poses[:3]
     body = _MAP_FROM_NED @ matrices(quaternions(*poses[3:]))

@@ -12,7 +12,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.kernels.rays import BLOCK
+from hyperpaint.kernels.arguments import BLOCK
 
 from .geodesy import crs_of
 
@@ -40,8 +40,8 @@ class Terrain:
 
     grid: TerrainGrid  #: Where its cells lie
     heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
-    #: (block, block) float64: highest point of every block of `hyperpaint.kernels.rays.BLOCK` cells; minus
-    #: infinity in holes
+    #: (block, block) float64: highest point of every block of `hyperpaint.kernels.arguments.BLOCK` cells;
+    #: minus infinity in holes
     tops: Floats
     lowest: float  #: Of all [m]
     highest: float

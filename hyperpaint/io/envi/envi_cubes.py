@@ -373,8 +373,9 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
 
 
 def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
+    # else xarray imports dask, which takes longer than all else, to ask whether the values are its own
     coords: dict[str, Any] = {
-        name: ("band", values, schema.VARIABLES[name].attrs)
+        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
         for name, values in (
             ("wavelength", header.wavelength), ("fwhm", header.fwhm), ("good", header.good),
         )

@@ -187,7 +187,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         except (SchemaError, UnitsError) as error:
             problems.add(str(error))
     for name, array in arrays.items():
-        _check_values(name, array.to_numpy(), problems)
+        _check_values(name, array.values, problems)
     if shape is not None and shape not in SRF_SHAPES:
         problems.add(f"attribute srf_shape {shape!r}, expected one of {', '.join(SRF_SHAPES)}")
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}

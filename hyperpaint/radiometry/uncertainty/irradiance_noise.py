@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.light.illumination import imager_of, matched_series
@@ -79,6 +78,8 @@ def noise_of_record(spectra: Array, times: Array, *, fewest: int = FEWEST_TRIPLE
     over wavelength; median over samples and 21 channels. Noise that channels share is not seen; samples
     without light or values are left out. ``fewest``: samples between two others that it takes.
     """
+    from scipy import ndimage
+
     seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9
     steps = np.diff(seconds)
     near = steps <= _LONGEST_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
