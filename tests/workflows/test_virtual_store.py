@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import threading
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -253,6 +254,39 @@ def test_raw_files_on_a_web_server(collect: Path, wanted: xr.Dataset, tmp_path: 
     # icechunk would leave the port out
     with pytest.raises(StoreError, match=r"icechunk reads no raw files from http.*without a port; write"):
         virtualise(collect, tmp_path / "lot.icechunk", prefix=server)
+
+
+@pytest.fixture
+def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Serve a collect's files from a bucket of S3, as moto mocks it on this machine."""
+    moto = pytest.importorskip("moto.server", reason="moto is not installed: no bucket to read from")
+    pytest.importorskip("s3fs", reason="s3fs is not installed: fsspec reads no S3")
+    served = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    served.start()
+    host, port = served.get_host_and_port()
+    environment = {"AWS_ACCESS_KEY_ID": "mock", "AWS_SECRET_ACCESS_KEY": "mock", "AWS_REGION": "us-east-1"}
+    for name, value in {**environment, "AWS_ENDPOINT_URL": f"http://{host}:{port}"}.items():
+        monkeypatch.setenv(name, value)
+    s3 = fsspec.filesystem("s3", skip_instance_cache=True)
+    name = f"flights-{uuid.uuid4().hex}"  # all servers of a process share their buckets
+    s3.mkdir(name)
+    s3.put(f"{collect.parent / 'flight'}/", f"{name}/day/flight/", recursive=True)
+    yield f"{name}/day"
+    served.stop()
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_raw_files_in_a_bucket(
+    collect: Path, wanted: xr.Dataset, tmp_path: Path, name: str, bucket: str
+) -> None:
+    virtualise(collect, tmp_path / name, prefix=f"s3://{bucket}")
+    assert_same(hp.io.open_virtual(tmp_path / name), wanted)
+    s3 = fsspec.filesystem("s3")
+    s3.pipe(f"{bucket}/flight/raw_0", bytes((collect.parent / "flight" / "raw_0").stat().st_size))
+    s3.invalidate_cache()
+    with pytest.raises(StoreError, match=r"raw_0: etag .*, expected"):
+        hp.io.open_virtual(tmp_path / name)
 
 
 def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
