@@ -8,6 +8,8 @@ import functools
 
 import numpy as np
 
+from .common import cases
+
 STEPS, BANDS = 61, 272
 
 
@@ -24,7 +26,7 @@ def lab_sweep(columns):
 class Sweep:
     """`hyperpaint.calibrate`; the floor takes the dark off every step and sums the bands."""
 
-    params = ([8, 64],)
+    params = (cases(8, 64),)
     param_names = ("columns",)
 
     def setup(self, columns):

@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 
-from .common import BANDS, scratch, wavelengths
+from .common import BANDS, cases, scratch, wavelengths
 
 MEMBERS = 200
 _ALONE = "from benchmarks.bench_dirsig import peak; import sys; print(peak(int(sys.argv[1])))"
@@ -55,7 +55,7 @@ def peak(paints):
 class WriteDirsig:
     """A thousand paints of 200 members are a gigabyte of text; formatted one by one, half a minute."""
 
-    params = ([10, 100, 1000],)
+    params = (cases(10, 100, 1000),)
     param_names = ("paints",)
     timeout = 600
     number, repeat, warmup_time = 1, 1, 0

@@ -10,10 +10,10 @@ import subprocess
 import sys
 
 from .bench_dirsig import paint_library
-from .common import scratch
+from .common import cases, scratch
 
 FORMATS = ("sli", "zarr", "csv")
-PAINTS = (10, 100, 1000)
+PAINTS = cases(10, 100, 1000)
 _ALONE = "from benchmarks.bench_library import peak; import sys; print(peak(sys.argv[1], int(sys.argv[2])))"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .common import THREADS
+from .common import THREADS, cases
 from .orthorectified_lines import located_line, posed_line, with_counts
 
 
@@ -17,7 +17,7 @@ def threads():
 class Map:
     """From poses to a map of counts in memory, kernels compiled before."""
 
-    params = ([100, 500], ["flight", "north"])
+    params = (cases(100, 500), ["flight", "north"])
     param_names = ("lines", "grid")
     number = 1
     timeout = 300

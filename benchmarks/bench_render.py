@@ -9,6 +9,7 @@ import functools
 import numpy as np
 
 from .bench_pipeline import threads
+from .common import cases
 
 SUN = (25.0, 180.0)  # of the preset atmosphere "noon"
 BLOCK = (32, 640)
@@ -69,7 +70,7 @@ def traced_block(samples):
 class Block:
     """One task: 32 lines of 640 columns, one thread. The floor writes a cube of that size."""
 
-    params = ([1, 64],)
+    params = (cases(1, 64),)
     param_names = ("samples",)
     number = 1
     timeout = 300
@@ -106,7 +107,7 @@ class Block:
 class Render:
     """From a scene to radiance in 272 bands, two threads, kernels compiled before."""
 
-    params = ([16, 64],)
+    params = (cases(16, 64),)
     param_names = ("pixels",)
     number = 1
     timeout = 300
@@ -148,7 +149,7 @@ class Render:
 class Graph:
     """What is paid before anything is computed."""
 
-    params = ([1_000, 100_000],)
+    params = (cases(1_000, 100_000),)
     param_names = ("lines",)
     number = 1
 

@@ -19,6 +19,7 @@ from .common import (
     COLUMNS,
     EXPOSURE,
     THREADS,
+    cases,
     counts_store,
     flight_line,
     instrument,
@@ -137,7 +138,7 @@ def write_chunks(folder, cubes, lines, codec="compact", *, durable=False):
 class Process:
     """`process` of a collect whose cubes are not in memory; the floor encodes and writes what is stored."""
 
-    params = ([256], [1, 2])
+    params = ([256], cases(1, 2))
     param_names = ("lines", "flights")
     number, repeat, timeout = 1, (1, 3, 60.0), 300
 
