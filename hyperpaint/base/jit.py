@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import warnings
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core.caching import FunctionCache
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    InTreeCacheLocator,
+    NullCache,
+    UserProvidedCacheLocator,
+    _CacheLocator,
+)
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.cpu import CPUTargetOptions
@@ -33,7 +41,8 @@ def kernel(function: Function) -> Function:
 
     What is compiled is kept on disk, for every later process: in ``NUMBA_CACHE_DIR``, else beside the
     package, else, where that must not be written, in the user's cache folder. Where none can be written
-    (a container with a read-only disk, a full disk) every process compiles for itself.
+    (a container with a read-only disk, a full disk) every process compiles for itself what is in none of them
+    (see ``hyperpaint warm``).
     """
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
@@ -94,6 +103,65 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
                 PaintWarning,
                 stacklevel=2,
             )
+
+
+class _Readable(_CacheLocator):  # type: ignore[misc]
+    """A folder that holds compiled kernels, whether or not it may be written."""
+
+    def ensure_cache_path(self) -> None:
+        """Refuse a folder that is not there; numba refuses one that is read-only, too."""
+        os.listdir(self.get_cache_path())
+
+
+class _Given(_Readable, UserProvidedCacheLocator):  # type: ignore[misc]
+    """``NUMBA_CACHE_DIR``."""
+
+
+class _Installed(_Readable, InTreeCacheLocator):  # type: ignore[misc]
+    """The folder beside the module."""
+
+
+class _ReadableImplementation(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes: ClassVar = [_Given, _Installed]
+
+
+class _ReadableCache(_OptionalCache):
+    """What `hyperpaint warm` left in a folder that may since be read-only, as in the image of a container."""
+
+    _impl_class = _ReadableImplementation
+
+
+class _KernelCaches(NullCache):  # type: ignore[misc]
+    """The caches of a kernel, looked for when it is first called from Python: most never are."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    @functools.cached_property
+    def _caches(self) -> list[_OptionalCache]:
+        """Folders to read from; the first may be written, unless it is a `_ReadableCache`."""
+        caches: list[_OptionalCache] = []
+        for kind in (_OptionalCache, _ReadableCache):
+            with contextlib.suppress(RuntimeError):  # numba has no folder for it
+                caches.append(kind(self._function))
+        return caches[:1] if len({cache.cache_path for cache in caches}) == 1 else caches
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder that is written to, None without."""
+        own = [cache for cache in self._caches if not isinstance(cache, _ReadableCache)]
+        return own[0].cache_path if own else None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return a kernel from the first folder that has it, or None."""
+        loads = (cache.load_overload(sig, target_context) for cache in self._caches)
+        return next((kernel for kernel in loads if kernel is not None), None)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled kernel where there is a folder for it."""
+        for cache in self._caches:
+            if not isinstance(cache, _ReadableCache):
+                cache.save_overload(sig, data)
 
 
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
@@ -165,6 +233,5 @@ def _compiled(function: Function, options: dict[str, Any]) -> Function:
     if numba.config.DISABLE_JIT:
         return function
     compiled = _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})
-    with contextlib.suppress(RuntimeError):  # numba has no folder for it
-        compiled._cache = _OptionalCache(function)
+    compiled._cache = _KernelCaches(function)
     return cast("Function", compiled)

@@ -28,7 +28,7 @@ __all__ = ["main"]
 
 COMMANDS = {
     **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
-    **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify")},
+    **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify", "warm")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures", "check-library": "check_library", "virtual": "virtual",
 }  # fmt: skip

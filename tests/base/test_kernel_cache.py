@@ -14,7 +14,12 @@ from typing import Any
 
 import numba
 import pytest
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import (
+    IndexDataCacheFile,
+    InTreeCacheLocator,
+    UserWideCacheLocator,
+    _CacheLocator,
+)
 
 from hyperpaint.base.errors import PaintWarning
 
@@ -60,6 +65,10 @@ def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     sys.modules.pop("doubling", None)
 
 
+def _refuse(*_: Any) -> None:
+    raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+
 def _files(folder: Path, ending: str) -> list[Path]:
     return sorted(folder.rglob(f"*.{ending}"))
 
@@ -87,12 +96,27 @@ def test_a_full_or_read_only_cache_is_said_and_the_kernel_works(
 def test_no_folder_for_a_cache_is_no_error(
     doubled: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: Any) -> None:
-        raise RuntimeError("no locator available")
-
-    monkeypatch.setattr("hyperpaint.base.jit._OptionalCache.__init__", refuse)
+    monkeypatch.setattr(_CacheLocator, "ensure_cache_path", _refuse)
     assert doubled()(3) == 6
     assert not _files(tmp_path, "nb[ci]")
+
+
+def test_a_read_only_folder_is_read(
+    doubled: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    user = tmp_path / "user"
+    monkeypatch.setattr(UserWideCacheLocator, "get_cache_path", lambda _: str(user))
+    assert doubled()(3) == 6
+    # what is to be written goes to the user's folder; with none, it is compiled
+    for locators in ((InTreeCacheLocator,), (InTreeCacheLocator, UserWideCacheLocator)):
+        for locator in locators:
+            monkeypatch.setattr(locator, "ensure_cache_path", _refuse)
+        again = doubled()
+        assert again(4) == 8
+        assert list(again.stats.cache_hits.values()) == [1]
+        assert again(0.5) == 1.0
+        assert len(_files(tmp_path, "nbc")) == 2
+    assert len(_files(user, "nbc")) == 1
 
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
