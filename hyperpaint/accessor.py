@@ -46,6 +46,7 @@ METHODS = {
     "spectrum": "pictures",
     "triptych": "pictures",
     "flag_overlay": "pictures",
+    "explore": "pictures",
     "relight": "simulation",
 }
 """The room of each method's function, and the function's name where it is another."""

@@ -5,6 +5,7 @@ checked, say once what a dataset is: ``line = cast(PaintDataset, xr.open_zarr(..
 is one again. `PaintDataset` exists for type checkers only: import it under ``if TYPE_CHECKING:``.
 """
 
+import os
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -22,6 +23,7 @@ from hyperpaint.geometry.georeference.poses import Interpolation
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
+from hyperpaint.pictures.explorer import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
@@ -291,6 +293,17 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> Any:
         """Draw flags, or a continuous layer, over the true-colour picture of a flight line."""
+    def explore(
+        self,
+        regions: Any = None,
+        *,
+        library: xr.Dataset | str | os.PathLike[str] | None = None,
+        flightline: str = "",
+        exclude: Quality | int | None = None,
+        theme: Literal["light", "dark"] = "light",
+        dims: Dims | None = None,
+    ) -> Explorer:
+        """Look at a flight line with the mouse: pictures of bands, spectra, flags, regions, near paints."""
     def relight(
         self,
         bands: Any = None,

@@ -31,6 +31,7 @@ COMMANDS = {
     **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify", "warm")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures", "check-library": "check_library", "virtual": "virtual",
+    "view": "view",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
 
@@ -149,6 +150,7 @@ Step by step:
   hyperpaint export paints.zarr --format dirsig --out dirsig
   hyperpaint paints --colour red                      red ones of the synthetic starter library
   hyperpaint report lot.zarr --out report.html        all of it on one page
+  hyperpaint view lot.zarr                            look at it with the mouse
   hyperpaint render --example > scene.toml            a synthetic scene to begin with
   hyperpaint render scene.toml                        its cubes, with what is true of every pixel
 

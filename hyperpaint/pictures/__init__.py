@@ -1,4 +1,4 @@
-"""Figures, plots and the picker of regions.
+"""Figures, plots and the explorer.
 
 Lines, libraries and results come in, matplotlib axes and PNG files go out. For reports, workflows and the
 accessor.

@@ -1,5 +1,5 @@
+from .exploring import explore as explore
 from .paint_cards import paint_card as paint_card
-from .picking import pick_regions as pick_regions
 from .plot import (
     quicklook as quicklook,
     rgb as rgb,

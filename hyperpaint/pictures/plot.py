@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "STRETCH", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview", "percent",
-    "quicklook", "rgb", "stored_picture",
+    "STRETCH", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "linear_srgb",
+    "overview", "percent", "quicklook", "rgb", "stored_picture",
 ]  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def rgb(
         source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
     source = source.transpose(..., schema.BAND, schema.CROSS_TRACK)
     linear = xr.apply_ufunc(
-        _mix,
+        linear_srgb,
         source,
         kwargs={"weights": srgb_weights(wavelength[visible], shift)},
         input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
@@ -188,7 +188,7 @@ def _level_text(source: str, lines: int, columns: int) -> str:
     return f"{source}, every {lines}. line and {columns}. column"
 
 
-def _mix(values: Array, *, weights: Array) -> Array:
+def linear_srgb(values: Array, *, weights: Array) -> Array:
     """Return linear sRGB of (..., band, column); a missing band of a seen pixel is over-bright."""
     *lines, bands, columns = values.shape
     out = np.empty((math.prod(lines), columns, 3), np.float32)

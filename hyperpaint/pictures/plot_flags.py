@@ -33,7 +33,7 @@ from .plot import flags_of, percent, rgb, stored_picture
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "flag_overlay"]
+__all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "flag_overlay", "reduced_lines"]
 
 
 FLAG_COLOURS: Mapping[Quality, str] = {
@@ -188,7 +188,7 @@ def _draw_flags(
     quality = flags_of(dataset)
     shares = schema.flag_shares(quality)
     shown = wanted or tuple(shares)
-    bits = _blocks(quality, step, np.bitwise_or)
+    bits = reduced_lines(quality, step, np.bitwise_or)
     drawn = np.zeros((*bits.shape, 4), np.float32)
     for flag in sorted(shown, key=lambda flag: -shares.get(flag, 0.0)):
         drawn[(bits & int(flag)) != 0] = (*to_rgb(FLAG_COLOURS[flag]), opacity)
@@ -209,7 +209,7 @@ def _draw_flags(
         )  # fmt: skip
 
 
-def _blocks(values: Array, step: int, combine: Any) -> Array:
+def reduced_lines(values: Array, step: int, combine: Any) -> Array:
     """Return what ``combine`` makes of every ``step`` lines."""
     if step == 1:
         return values
@@ -239,7 +239,7 @@ def _draw_layer(
     from matplotlib.colors import Normalize
 
     array = dataset[layer].transpose(ALONG_TRACK, CROSS_TRACK)
-    values = _blocks(array.values.astype(np.float32), step, np.fmax)
+    values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
     both = -low > 0.05 * max(high, 0.0) and low < 0  # what is a little below zero is noise

@@ -20,7 +20,7 @@ LOOSE = ("__init__", "__main__", "accessor", "paper")
 #: What stands for its content no better than `x` does.
 RIDDLES = ("made", "told", "found", "known", "kept")
 MAX_POSITIONAL = 8
-#: What xarray, zarr, Jupyter, click, users of the picker and examples in docstrings call by name.
+#: What xarray, zarr, Jupyter, click, users of the explorer and examples in docstrings call by name.
 _CALLED_BY_OTHERS = {
     "AsdBackendEntrypoint", "CollectBackendEntrypoint", "EnviBackendEntrypoint", "SvcBackendEntrypoint",
     "description", "guess_can_open", "open_groups_as_dict", "get_partial_values", "_repr_html_",
@@ -32,9 +32,10 @@ _CALLED_BY_OTHERS = {
 LINES = {
     "the house": 66_000, "field day": 5_500, "light and coat": 6_000, "real cars": 4_000,
     "truth of the chain": 7_500, "a whole that can be proven": 5_000, "instant": 4_000,
+    "seen and learned": 900,
 }  # fmt: skip
 FILES = {"the house": 290, "field day": 24, "light and coat": 26, "real cars": 20, "truth of the chain": 30,
-         "a whole that can be proven": 20, "instant": 22}  # fmt: skip
+         "a whole that can be proven": 20, "instant": 22, "seen and learned": 4}  # fmt: skip
 
 Names = list[str]
 

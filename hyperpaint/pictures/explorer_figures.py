@@ -1,0 +1,179 @@
+"""Figures of the explorer in bokeh, with the sources that it writes what is shown into."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+
+from .explorer_state import Explored, Picture
+
+__all__ = ["PictureFigure", "SpectraFigure"]
+
+COLOURS = ("#e6550d", "#1f9ed1", "#31a354", "#c51b8a", "#a6761d", "#6a51a3", "#d7b600", "#17becf")
+"""Of the regions, in turn."""
+INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}
+"""Themes, with the colour of what stands out."""
+NEAR_COLOUR = "#8c8c8c"
+DASHES = ("dashed", "dotted", "dotdash", "dashdot", "solid")
+PICTURE_HEIGHT, NAVIGATOR_HEIGHT, SPECTRA_HEIGHT = 380, 60, 330
+
+_WATCH = """
+const timers = (window.hyperpaint_timers = window.hyperpaint_timers || {});
+clearTimeout(timers[plot.id]);
+timers[plot.id] = setTimeout(() => {
+  seen.data = {along: [plot.x_range.start, plot.x_range.end], size: [plot.inner_width, plot.inner_height]};
+}, 120);
+"""
+"""Says which lines are shown, once they have been for a moment."""
+
+
+def source_of(*names: str) -> Any:
+    """Return a source of bokeh with empty columns."""
+    from bokeh.models import ColumnDataSource
+
+    return ColumnDataSource({name: [] for name in names})
+
+
+class PictureFigure:
+    """The picture of a flight line, flown to the right, and below a longer one the whole line in small.
+
+    ``seen`` holds the ends of what is shown and the size of the figure [pixel].
+    """
+
+    def __init__(self, state: Explored, theme: str) -> None:
+        from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d
+        from bokeh.plotting import figure
+
+        self.base, self.detail, self.flags = (source_of("image", "x", "y", "dw", "dh") for _ in range(3))
+        self.outlines = source_of("along", "across", "name", "colour", "width")
+        self.draft, self.corners, self.spot = (source_of("along", "across") for _ in range(3))
+        self.seen = source_of("along", "size")
+        self._lines, columns = state.shape
+        edges = (-0.5, columns - 0.5)
+        # flown to the right, the columns to the right of the flight are the lower ones
+        self._edges = edges if state.orientation.is_mirrored else edges[::-1]
+        self.plot = plot = figure(
+            name="picture", height=PICTURE_HEIGHT, sizing_mode="stretch_width", tools="wheel_zoom,reset",
+            active_scroll="wheel_zoom", x_axis_label="line, flown to the right", y_axis_label="column",
+            x_range=Range1d(-0.5, min(self._lines, 2 * columns) - 0.5), y_range=Range1d(*self._edges),
+        )  # fmt: skip
+        for pictures in (self.base, self.detail, self.flags):
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=pictures, level="image")
+        plot.patches(
+            "along", "across", source=self.outlines, fill_color="colour", line_color="colour",
+            fill_alpha=0.2, line_width="width",
+        )  # fmt: skip
+        for colour, width in (("black", 4), ("white", 2)):
+            plot.line("along", "across", source=self.draft, line_color=colour, line_width=width)
+            plot.line("along", "across", source=self.spot, line_color=colour, line_width=width)
+        plot.scatter("along", "across", source=self.draft, size=7, fill_color="white", line_color="black")
+        handles = plot.scatter(
+            "along", "across", source=self.corners, size=10, fill_color="white", line_color="black"
+        )
+        box = BoxSelectTool(renderers=[], visible=False)
+        corners = PointDrawTool(renderers=[handles], add=False, empty_value=0, visible=False)
+        pan = PanTool(visible=False)
+        plot.add_tools(box, corners, pan)
+        self._tools = {"spectrum": box, "draw": pan, "edit": corners, "move": pan}
+        self.take_mode("spectrum")
+        _styled(plot, theme)
+        plot.grid.visible = False
+        watch = CustomJS(args={"plot": plot, "seen": self.seen}, code=_WATCH)
+        for name in ("start", "end"):
+            plot.x_range.js_on_change(name, watch)
+        plot.js_on_change("inner_width", watch)
+
+    def take_mode(self, mode: str) -> None:
+        """Let drags over the picture do what the mode says."""
+        self.plot.toolbar.active_drag = self._tools[mode]
+
+    def navigator(self) -> Any:
+        """Return a figure of the whole line with the part that is shown, to be dragged."""
+        from bokeh.models import Range1d, RangeTool
+        from bokeh.plotting import figure
+
+        plot = figure(
+            name="navigator", height=NAVIGATOR_HEIGHT, sizing_mode="stretch_width", tools="",
+            x_range=Range1d(-0.5, self._lines - 0.5), y_range=Range1d(*self._edges), toolbar_location=None,
+        )  # fmt: skip
+        plot.image_rgba("image", "x", "y", "dw", "dh", source=self.base, level="image")
+        plot.axis.visible = plot.grid.visible = False
+        plot.min_border = 0
+        tool = RangeTool(x_range=self.plot.x_range)
+        tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
+        plot.add_tools(tool)
+        plot.outline_line_color = plot.border_fill_color = plot.background_fill_color = None
+        return plot
+
+    def show_lines(self, first: float, last: float) -> None:
+        """Show some lines, in place of those that are shown."""
+        self.plot.x_range.update(start=first, end=last)
+
+    def mark(self, corners: Array) -> None:
+        """Mark what was clicked by its corners (vertex, 2), x across and y along the track."""
+        closed = np.vstack([corners, corners[:1]])
+        self.spot.data = {"along": closed[:, 1].tolist(), "across": closed[:, 0].tolist()}
+
+
+class SpectraFigure:
+    """Curves of reflectance, the spread of regions' pixels, and the uncertainty of one curve."""
+
+    def __init__(self, theme: str) -> None:
+        from bokeh.models import HoverTool, Span
+        from bokeh.plotting import figure
+
+        self.curves = source_of("nm", "reflectance", "name", "colour", "width", "dash")
+        self.spreads, self.uncertainty = (source_of("nm", "reflectance", "colour") for _ in range(2))
+        self.plot = plot = figure(
+            name="spectra", height=SPECTRA_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,reset",
+            x_axis_label="wavelength [nm]", y_axis_label="reflectance factor [1]",
+        )  # fmt: skip
+        for shades, alpha in ((self.spreads, 0.12), (self.uncertainty, 0.35)):
+            plot.patches(
+                "nm", "reflectance", source=shades, fill_color="colour", fill_alpha=alpha, line_alpha=0.0
+            )
+        curves = plot.multi_line(
+            "nm", "reflectance", source=self.curves, line_color="colour", line_width="width", line_dash="dash"
+        )
+        self._band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
+        plot.add_layout(self._band)
+        tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
+        plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
+        _styled(plot, theme)
+
+    def mark(self, wavelength: float | None) -> None:
+        """Mark the band of the picture [nm]."""
+        self._band.update(visible=wavelength is not None, location=wavelength or 0.0)
+
+
+def place(source: Any, picture: Picture | None) -> None:
+    """Show a picture in a source, or none."""
+    names = ("image", "x", "y", "dw", "dh")
+    if picture is None:
+        source.data = {name: [] for name in names}
+        return
+    columns, lines = picture.rgba.shape[0], picture.last - picture.first
+    values = (picture.rgba, picture.first - 0.5, -0.5, lines, columns)
+    source.data = {name: [value] for name, value in zip(names, values, strict=True)}
+
+
+def band_around(wavelength: Array, low: Array, high: Array) -> dict[str, Array]:
+    """Return the outline of what lies between two curves, where both are known."""
+    is_known = np.isfinite(low) & np.isfinite(high)
+    nm = wavelength[is_known]
+    outline = np.concatenate([low[is_known], high[is_known][::-1]])
+    return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
+
+
+def _styled(plot: Any, theme: str) -> None:
+    """Take what is not needed from a figure, and give it the colours of the page."""
+    plot.toolbar.logo = None
+    plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
+    colour = INK[theme]
+    plot.axis.axis_label_text_color = plot.axis.major_label_text_color = colour
+    plot.axis.axis_line_color = plot.axis.major_tick_line_color = plot.axis.minor_tick_line_color = colour
+    plot.grid.grid_line_color = NEAR_COLOUR
+    plot.grid.grid_line_alpha = 0.3

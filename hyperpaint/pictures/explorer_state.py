@@ -1,0 +1,459 @@
+"""What an explorer of a flight line shows: pictures, spectra, flags, regions and near paints; no widget."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import PaintError, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.paints.paint_search import search_library
+from hyperpaint.paints.signatures.extraction import EXCLUDED
+from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.pixel_reading import pixels
+from hyperpaint.radiometry.spectral_axis import bands_at
+from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
+from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
+from hyperpaint.regions.pixels_in_regions import renumbered
+
+from .orientation import map_dims, orientation_of
+from .plot import STRETCH, linear_srgb, percent, stored_picture
+from .plot_flags import FLAG_COLOURS, reduced_lines
+from .plot_spectra import good_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "INFRARED", "TRUE_COLOUR", "Explored", "NearPaint", "Picture", "Place", "Spectrum",
+    "Uncertainty", "corners_at", "spoken",
+]  # fmt: skip
+
+TRUE_COLOUR: tuple[float, ...] = ()
+"""Recipe of a picture: as the eye sees it. Others are the wavelengths of one or of three bands [nm]."""
+INFRARED = (860.0, 650.0, 550.0)
+
+DETAIL_LINES = 1536
+"""Lines that are read whole for a picture; of more, a line here and there."""
+_SPARSE_LINES = 48
+SPARSE_STEP = 64  # lines, from which on `pixels` reads single chunks
+_VISIBLE_BANDS = 24
+"""Of a true-colour picture in detail: the observer's curves are smooth."""
+MOST_PIXELS = 20_000
+"""Of a region's spectrum; of more, every n-th line is taken, and said."""
+_MOST_SURE_PIXELS = 4096
+"""Of a region whose uncertainty is computed while somebody waits."""
+_FLAG_OPACITY = 170
+
+
+T = TypeVar("T")
+Place = tuple[int, int] | Region
+"""A pixel, by its position along and across the track, or a region."""
+
+
+class Picture(NamedTuple):
+    """Pixels of lines ``first`` to ``last``, flown to the right."""
+
+    rgba: npt.NDArray[np.uint32]  #: (column, line)
+    first: int
+    last: int
+    text: str  #: Where not every line is shown, which are
+
+
+class Spectrum(NamedTuple):
+    """Reflectance of a pixel, or the median of a region's."""
+
+    wavelength: Floats  #: (band,) [nm]: of a pixel those of its own column
+    reflectance: Array  #: (band,) [1]: NaN in bands that are not good
+    spread: Floats | None  #: (2, band): 5 and 95 % of a region's pixels
+    text: str  #: Place or number of pixels, and their flags
+
+
+class Uncertainty(NamedTuple):
+    """How sure a spectrum is."""
+
+    u: Floats  #: (band,) [1]: standard uncertainty
+    text: str  #: How large it is, and what is in it
+
+
+class NearPaint(NamedTuple):
+    """A paint of the library that is like a spectrum."""
+
+    name: str
+    angle: float  #: Spectral angle [degree]
+    factor: float  #: By which the paint is multiplied to be as bright
+    wavelength: Floats
+    reflectance: Floats  #: Multiplied by the factor
+
+
+def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
+    """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
+
+    ``along`` and ``across`` are places as they were clicked, ``shape`` lines and columns. Returns (vertex,
+    2), x (cross_track) and y (along_track); None where the corners hold no area.
+
+    Examples
+    --------
+    >>> corners_at([1.2, 8.9, 5.0, 5.0], [-0.4, 0.4, 7.7, 7.8], (100, 50)).tolist()
+    [[0.0, 1.0], [0.0, 9.0], [8.0, 5.0]]
+    """
+    corners = np.column_stack([np.asarray(across, np.float64), np.asarray(along, np.float64)])
+    if not len(corners) or not np.isfinite(corners).all():
+        return None
+    corners = np.clip(np.floor(corners + 0.5), 0, [shape[1] - 1, shape[0] - 1])
+    # a double click leaves its corner twice
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    if len(corners) < 3:
+        return None
+    x, y = corners.T
+    return corners if x @ np.roll(y, -1) != y @ np.roll(x, -1) else None
+
+
+class Explored:
+    """A flight line that is looked at, and the regions drawn on it; places are positions on the picture.
+
+    Takes what `hyperpaint.pictures.explore` does.
+    """
+
+    def __init__(
+        self,
+        line: xr.Dataset,
+        regions: Any = None,
+        *,
+        library: xr.Dataset | None = None,
+        flightline: str = "",
+        exclude: Quality | int | None = None,
+    ) -> None:
+        # places on the picture are positions; what is given and drawn has the numbers of the line
+        self._numbered = schema.rename_to_roles(line)
+        if map_dims(self._numbered):
+            raise SchemaError("this is a map, expected a flight line", mend="explore the line that it is of")
+        if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
+            schema.require(self._numbered, ["reflectance"], "an explorer")
+        self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
+        self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
+        self.orientation = orientation_of(self._numbered)
+        axis = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
+        self.wavelength = np.asarray(axis.values, np.float64)
+        self.library = library
+        self.flightline = flightline
+        self._excluded = int(EXCLUDED if exclude is None else exclude)
+        self._regions = renumbered(_on_sensor(regions), self._numbered, back=True)
+        self._linear = functools.lru_cache(6)(self._read_linear)
+        self._spectra: dict[Any, Spectrum] = {}
+        self._uncertainties: dict[Any, Uncertainty] = {}
+
+    @property
+    def regions(self) -> Regions:
+        """What is drawn now, in sensor coordinates: x is cross_track, y along_track, whole pixels."""
+        return renumbered(self._regions, self._numbered)
+
+    @property
+    def drawn(self) -> Regions:
+        """The same in positions on the picture."""
+        return self._regions
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write what is drawn as GeoJSON; see `hyperpaint.write_regions`."""
+        return write_regions(self.regions, path, overwrite=overwrite)
+
+    # --- regions -------------------------------------------------------------------------------------------
+
+    def add(self, along: Sequence[float], across: Sequence[float]) -> str | None:
+        """Make a polygon a region; return its new name, None where it holds no area."""
+        corners = corners_at(along, across, self.shape)
+        if corners is None:
+            return None
+        number = 1
+        while (name := f"region {number}") in self._regions.names:
+            number += 1
+        self._regions = Regions((*self._regions, Region(name, corners, flightline=self.flightline)))
+        return name
+
+    def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
+        """Give a region other corners; return whether it took them: they must hold an area."""
+        corners = corners_at(along, across, self.shape)
+        if corners is not None:
+            self._replace(name, polygon=corners)
+        return corners is not None
+
+    def rename(self, name: str, new: str) -> str | None:
+        """Give a region another name; return why it cannot have it, None where it has."""
+        try:
+            self._replace(name, name=new.strip())
+        except PaintError as error:
+            return str(error)
+        return None
+
+    def drop(self, name: str) -> None:
+        """Remove a region."""
+        self._regions = Regions(tuple(region for region in self._regions if region.name != name))
+
+    def _replace(self, old: str, **changes: Any) -> None:
+        self._regions = Regions(
+            tuple(replace(region, **changes) if region.name == old else region for region in self._regions)
+        )
+
+    # --- spectra -------------------------------------------------------------------------------------------
+
+    def spectrum_of(self, place: Place) -> Spectrum | str:
+        """Return the spectrum of a pixel, or the median of a region's pixels, or why there is none.
+
+        That of a pixel has the bits of ``line.paint.pixels(along, across)``. Of a region pixels are left out
+        by their flags, as signatures do.
+        """
+        return _remembered(self._spectra, self._spectrum, place)
+
+    def uncertainty_of(self, place: Place) -> Uncertainty | str:
+        """Return the standard uncertainty of a pixel, or of a region's mean, or why it is not known."""
+        return _remembered(self._uncertainties, self._uncertainty, place)
+
+    def _spectrum(self, place: Place) -> Spectrum:
+        return self._median(place) if isinstance(place, Region) else self._of_pixel(*place)
+
+    def _of_pixel(self, along: int, across: int) -> Spectrum:
+        one = pixels(self.line, along, across)
+        shift = one["wavelength_shift"].values if "wavelength_shift" in one.coords else 0.0
+        values = np.where(good_of(self.line), one["reflectance"].values, np.float32(np.nan))
+        rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
+        text = f"line {rows[along]:g}, column {columns[across]:g}"
+        if "quality" in one:
+            text += f": {_flag_text(schema.flag_names(int(one['quality'])))}"
+        return Spectrum(self.wavelength + shift, values, None, text)
+
+    def _median(self, region: Region) -> Spectrum:
+        along, across, step = self._pixels_of(region)
+        lines = slice(int(along.min()), int(along.max()) + 1, step)
+        window = pixels(self.line, lines, slice(int(across.min()), int(across.max()) + 1))
+        places = (along - lines.start) // step, across - int(across.min())
+        values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[places]
+        flags = window["quality"].values[places] if "quality" in window else np.zeros(along.size, np.uint16)
+        is_used = (flags & excluded_of(region, self._excluded)) == 0
+        shares = schema.flag_shares(flags)
+        named = [f"{spoken(flag)} {percent(share)}" for flag, share in shares.items()]
+        if not is_used.any():
+            raise SchemaError(f"{region.name}: all {along.size} pixels are left out: {', '.join(named)}")
+        # of one band after another, all of a kind
+        quantiles = summarise(values[is_used], "median").quantiles
+        quantiles[:, ~good_of(self.line)] = np.nan
+        every = f" (every {step}. line)" if step > 1 else ""
+        text = f"median of {int(is_used.sum())} of {along.size} pixels{every}: {_flag_text(named)}"
+        return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
+
+    def _pixels_of(self, region: Region) -> tuple[Array, Array, int]:
+        """Return the pixels of a region, of every ``step``-th line where they are too many."""
+        along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
+        if not along.size:
+            raise SchemaError(f"{region.name} holds no pixel's centre; draw it larger")
+        step = -(-along.size // MOST_PIXELS)
+        is_taken = (along - along.min()) % step == 0
+        return along[is_taken], across[is_taken], step
+
+    def _uncertainty(self, place: Place) -> Uncertainty:
+        if isinstance(place, Region):
+            along, across, step = self._pixels_of(place)
+        else:
+            along, across, step = *np.array(place).reshape(2, 1), 1
+        if along.size > _MOST_SURE_PIXELS or step > 1:
+            raise SchemaError(
+                f"of {along.size} pixels, more than {_MOST_SURE_PIXELS}, line.paint.signatures says it"
+            )
+        lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
+        part = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
+        inside = np.zeros((part.sizes[ALONG_TRACK], part.sizes[CROSS_TRACK]), bool)
+        inside[along - lines.start, across - columns.start] = True
+        if isinstance(place, Region) and "quality" in part.variables:
+            inside &= (part["quality"].values & excluded_of(place, self._excluded)) == 0
+        is_used = part["reflectance"].isel({BAND: 0}, drop=True).copy(data=inside)
+        mean = mean_uncertainty(part.assign(reflectance=part["reflectance"].where(is_used)))
+        random, systematic = (mean[name].values for name in ("u_random", "u_systematic"))
+        is_known = bool(np.isfinite(systematic).any())
+        # what is not known of systematic errors is not to hide what is known of random ones
+        u = np.hypot(random, np.nan_to_num(systematic)) if is_known else random
+        what = "a pixel" if along.size == 1 else "the mean"
+        text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {what} in the median band"
+        return Uncertainty(u, text + ("" if is_known else "; systematic errors are not known"))
+
+    # --- paints --------------------------------------------------------------------------------------------
+
+    def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
+        """Return the paints of the library at the smallest spectral angles; none without five good bands."""
+        import xarray as xr
+
+        axis = (BAND, spectrum.wavelength, {"units": "nm"})
+        like = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": axis})
+        try:
+            near = None if self.library is None else search_library(self.library, like=like, limit=count)
+        except PaintError:
+            near = None
+        if near is None:
+            return []
+        at = np.asarray(near["wavelength"].values, np.float64)
+        order = np.argsort(spectrum.wavelength, kind="stable")
+        nm, values = (np.asarray(each, np.float64)[order] for each in (spectrum.wavelength, spectrum[1]))
+        there = np.isfinite(nm) & np.isfinite(values)
+        own = np.interp(at, nm[there], values[there], left=np.nan, right=np.nan)
+        paints = []
+        for number, angle in enumerate(near["spectral_angle"].values.tolist()):
+            paint = near["reflectance"].values[number].astype(np.float64)
+            both = np.isfinite(own) & np.isfinite(paint)
+            factor = float((own[both] @ paint[both]) / max(paint[both] @ paint[both], np.finfo(float).tiny))
+            name = str(near[schema.PAINT].values[number])
+            if np.isfinite(angle):
+                paints.append(NearPaint(name, float(np.degrees(angle)), factor, at, factor * paint))
+        return paints
+
+    # --- pictures ------------------------------------------------------------------------------------------
+
+    def picture(
+        self,
+        recipe: tuple[float, ...] = TRUE_COLOUR,
+        stretch: tuple[float, float] = STRETCH,
+        window: tuple[int, int] | None = None,
+    ) -> Picture:
+        """Return a picture of some lines, all by default.
+
+        Up to 1536 lines are read whole; of more, true colour is the store's overview where it has one, and
+        anything else is a line here and there. Black and white are percentiles (``stretch``) of brightness
+        over the whole line, whatever the window; without a value a pixel is transparent.
+        """
+        first, last = self._window(window)
+        is_sparse = last - first > DETAIL_LINES
+        if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
+            stored = stored_picture(self.line, None)
+            if stored is not None:
+                every = -(-self.shape[0] // stored.sizes[ALONG_TRACK])
+                rows = slice(first // every, -(-last // every))
+                shown = np.asarray(stored.isel({ALONG_TRACK: rows}).values)
+                ends = rows.start * every, min(rows.stop * every, self.shape[0])
+                return Picture(_rgba(shown), *ends, f"overview, every {every}. line")
+        step = max(SPARSE_STEP, -(-(last - first) // _SPARSE_LINES)) if is_sparse else 1
+        linear = self._linear(first, last, step, recipe)
+        low, high = self._levels(recipe, stretch)
+        shown = encode_srgb(((linear - low) / np.maximum(high - low, 1e-6)).clip(0.0, 1.0))
+        last = first + step * len(linear)
+        text = f"every {step}. line; zoom in for all" if is_sparse else ""
+        is_there = np.asarray(np.isfinite(linear).all(axis=-1))
+        return Picture(_rgba(shown, is_there), first, last, text)
+
+    def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
+        first, last = (0, self.shape[0]) if window is None else window
+        first = min(max(0, first), self.shape[0] - 1)
+        return first, max(first + 1, min(last, self.shape[0]))
+
+    def _read_linear(self, first: int, last: int, step: int, recipe: tuple[float, ...]) -> Array:
+        """Return linear red, green and blue (line, column, 3) of every ``step``-th line."""
+        lines = slice(first, last, step)
+        if recipe == TRUE_COLOUR:
+            visible = np.flatnonzero((self.wavelength > 380) & (self.wavelength < 780))
+            if visible.size < 3:
+                raise SchemaError("a true-colour picture needs three bands between 380 and 780 nm")
+            some = visible[:: max(1, visible.size // _VISIBLE_BANDS)]
+            some = some[np.argsort(self.wavelength[some], kind="stable")]
+            values = self._bands(lines, self.wavelength[some]).swapaxes(1, 2)
+            linear = linear_srgb(values, weights=srgb_weights(self.wavelength[some], None))
+            linear[np.isnan(values).all(axis=1)] = np.nan
+            return linear
+        values = self._bands(lines, recipe)
+        return np.broadcast_to(values, (*values.shape[:2], 3))
+
+    def _bands(self, lines: slice, wavelength: Any) -> Array:
+        """Return reflectance of some bands (line, column, band)."""
+        values = pixels(self.line, lines, wavelength=list(wavelength))["reflectance"]
+        return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
+
+    def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
+        """Return what becomes black and white, of each colour, from lines over the whole flight line."""
+        lines = self.shape[0]
+        step = max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
+        linear = self._linear(0, lines, step, recipe).reshape(-1, 3)
+        linear = linear[np.isfinite(linear).all(axis=1)]
+        if recipe == TRUE_COLOUR:
+            linear = np.repeat(linear.mean(axis=1, keepdims=True), 3, axis=1)
+        levels = np.percentile(linear if linear.size else np.zeros((1, 3)), stretch, axis=0)
+        return levels[0].astype(np.float32), levels[1].astype(np.float32)
+
+    def has_bands(self, recipe: tuple[float, ...]) -> bool:
+        """Tell whether there are bands for a recipe."""
+        try:
+            bands_at(self.line, list(recipe))
+        except SchemaError:
+            return False
+        return recipe != TRUE_COLOUR or int(((self.wavelength > 380) & (self.wavelength < 780)).sum()) > 2
+
+    # --- flags ---------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _quality(self) -> Array | None:
+        if "quality" not in self.line.variables:
+            return None
+        return np.asarray(self.line["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values)
+
+    @functools.cached_property
+    def flag_shares(self) -> dict[Quality, float]:
+        """Share of all pixels under every flag that occurs; none where the line holds no flags."""
+        return {} if self._quality is None else schema.flag_shares(self._quality)
+
+    def flag_picture(self, flags: Iterable[Quality], window: tuple[int, int] | None = None) -> Picture:
+        """Return flags of some lines in their colours, transparent elsewhere, the rarest on top."""
+        first, last = self._window(window)
+        step = -(-(last - first) // DETAIL_LINES)
+        last = min(first + step * -(-(last - first) // step), self.shape[0])
+        rows = -(-(last - first) // step)
+        drawn = np.zeros((self.shape[1], rows, 4), np.uint8)
+        if self._quality is not None:
+            bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
+            for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
+                colour = (*bytes.fromhex(FLAG_COLOURS[flag][1:]), _FLAG_OPACITY)
+                drawn[(bits.T & int(flag)) != 0] = colour
+        return Picture(drawn.view(np.uint32)[..., 0], first, first + rows * step, "")
+
+
+def _remembered(results: dict[Any, T], compute: Callable[[Place], T], place: Place) -> T | str:
+    key = place.polygon.tobytes() if isinstance(place, Region) else place
+    if key not in results:
+        try:
+            results[key] = compute(place)
+        except PaintError as error:
+            return str(error)
+    return results[key]
+
+
+def spoken(flag: Quality) -> str:
+    """Return the name of a flag for reading."""
+    return str(flag.name).lower().replace("_", " ")
+
+
+def _flag_text(names: Sequence[str]) -> str:
+    return ", ".join(names).replace("_", " ") or "no flag"
+
+
+def _on_sensor(regions: Any) -> Regions:
+    outlines = Regions(()) if regions is None else regions_from(regions)
+    if outlines.coordinates != "sensor":
+        raise SchemaError(
+            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
+        )
+    if holed := [region.name for region in outlines if region.holes]:
+        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
+    return outlines
+
+
+def _rgba(picture: Array, is_there: Array | None = None) -> npt.NDArray[np.uint32]:
+    """Return a picture (line, column, 3) as bokeh draws it, columns as rows and lines to the right."""
+    colours = np.full((*picture.shape[:2], 4), 255, np.uint8)
+    colours[..., :3] = (np.nan_to_num(picture).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    if is_there is not None:
+        colours[..., 3] = np.where(is_there, 255, 0)
+    return np.ascontiguousarray(colours.swapaxes(0, 1)).view(np.uint32)[..., 0]

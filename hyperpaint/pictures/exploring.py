@@ -1,0 +1,217 @@
+"""Exploring a flight line in a notebook, or a store in a browser (extra ``interactive``)."""
+
+from __future__ import annotations
+
+import functools
+import html
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import quote
+
+import numpy as np
+
+from hyperpaint.base.errors import StoreError, needs_extra
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.io.library import open_library
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.paints.starter_paints import starter_library
+
+from .explorer import WIDE, Explorer
+from .explorer_figures import INK
+from .explorer_state import Explored
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["explore", "serve_explorer"]
+
+
+def explore(
+    line: xr.Dataset,
+    regions: Any = None,
+    *,
+    library: xr.Dataset | str | os.PathLike[str] | None = None,
+    flightline: str = "",
+    exclude: Quality | int | None = None,
+    theme: Literal["light", "dark"] = "light",
+) -> Explorer:
+    """Look at a flight line with the mouse: pictures of bands, spectra, flags, regions, near paints.
+
+    Click on the picture for the spectrum of a pixel, drag for the median of a box. Draw polygons, which
+    become regions; name them, drag their corners, save them.
+
+    Parameters
+    ----------
+    line
+        A flight line with reflectance, or with what it follows from.
+    regions
+        To begin with, in sensor coordinates; see `hyperpaint.read_regions`. What
+        `hyperpaint.regions.propose_regions` returns serves as well.
+    library
+        A paint library, or its path, whose paints are compared with what is clicked; by default
+        `hyperpaint.paints.starter_library`, of synthetic paints.
+    flightline
+        Name of the flight line, which new regions get: needed where regions of several lines come together.
+    exclude
+        Flags of pixels that are left out of the spectra of regions; by default as
+        `hyperpaint.extract_signatures` does.
+    theme
+        Of the figures, ``"light"`` or ``"dark"``.
+
+    Returns
+    -------
+    Explorer
+        Show it as the last line of a cell; ``.regions`` holds what is drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        panel or bokeh is not installed.
+    SchemaError
+        There is no reflectance or no wavelength, or the regions are not in sensor coordinates.
+
+    Notes
+    -----
+    The spectrum of a pixel is `hyperpaint.radiometry.pixels`, bit for bit. That of a region is the median of
+    its pixels, without those that signatures leave out, with 5 to 95 % of them shaded. The band around the
+    curve that was clicked last is its standard uncertainty, k = 1, where the line knows its noise; see
+    `hyperpaint.radiometry.mean_uncertainty`.
+
+    A notebook loads the widget's scripts from the internet, as panel does by default; where there is none,
+    set ``PANEL_INLINE=True`` in the environment of the kernel, which puts them into the notebook.
+
+    Examples
+    --------
+    >>> from hyperpaint.regions import Region
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])
+    >>> explorer = explore(line, [grass])  # the last line of a cell shows it     # doctest: +SKIP
+    >>> line.paint.signatures(explorer.regions).sizes["paint"]                    # doctest: +SKIP
+    1
+    """
+    require_panel()
+    if library is None:
+        library = starter_library(members=0)
+    elif isinstance(library, str | os.PathLike):
+        library = open_library(library)
+    state = Explored(line, regions, library=library, flightline=flightline, exclude=exclude)
+    return Explorer(state, theme=theme)
+
+
+def require_panel() -> None:
+    """Raise `MissingExtraError` where the extra is not installed."""
+    for package in ("panel", "bokeh"):
+        with needs_extra(package, "interactive", "an explorer"):
+            __import__(package)
+
+
+def serve_explorer(
+    store: str | os.PathLike[str],
+    group: str | None = None,
+    *,
+    regions: str | os.PathLike[str] | None = None,
+    library: str | os.PathLike[str] | None = None,
+    port: int = 0,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve the explorer of a store's flight lines on this machine, until it is interrupted.
+
+    Parameters
+    ----------
+    store
+        A store with flight lines, or one line.
+    group
+        The flight line that is shown first; by default the first. The others are a click away.
+    regions
+        GeoJSON of regions to begin with, where what is drawn is saved too; by default nothing, and
+        ``LINE-regions.geojson`` in the current folder.
+    library
+        A paint library to compare with; by default the starter library.
+    port
+        0 takes any that is free.
+    announce
+        Called with the address once it is served.
+
+    Raises
+    ------
+    FormatError, StoreError
+        The store, the regions or the library cannot be read; or there is no such flight line.
+    MissingExtraError
+        panel or bokeh is not installed.
+    """
+    require_panel()
+    import panel
+
+    paints = starter_library(members=0) if library is None else open_library(library)
+    lines = _lines_of(store)
+    shown = next(iter(lines), "") if group is None else group.rpartition("/")[2]
+    if shown not in lines:
+        raise StoreError(
+            f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
+            expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
+        )
+
+    @functools.cache
+    def state_of(name: str) -> Explored:
+        # of all pages of a line: what is drawn outlives a page that is loaded anew
+        begun = regions if name == shown and regions is not None and Path(regions).exists() else None
+        return Explored(open_store(store, lines[name]), begun, library=paints, flightline=name)
+
+    def page() -> Any:
+        asked = panel.state.session_args
+        name, theme = (asked.get(word, [b""])[0].decode("utf-8", "replace") for word in ("line", "colours"))
+        name, theme = name if name in lines else shown, theme if theme in INK else "light"
+        # widgets and figures take it where they are made
+        panel.config.theme = "dark" if theme == "dark" else "default"
+        file = f"{name}-regions.geojson" if regions is None or name != shown else regions
+        explorer = Explorer(state_of(name), theme=theme, save_to=Path(file).absolute())
+        return panel.Column(_head(state_of(name), name, lines, theme), explorer.view, **WIDE)
+
+    state_of(shown)  # what cannot be read is said before there is a page
+    server = panel.serve(
+        {"/": page},
+        port=port,
+        address="127.0.0.1",
+        show=False,
+        start=False,
+        verbose=False,
+        title=f"hyperpaint {shown}",
+    )
+    server.start()
+    announce(f"http://localhost:{server.port}/")
+    server.io_loop.start()
+
+
+def _lines_of(store: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the groups of a store that are flight lines, by their names."""
+    groups = list_groups(store)
+    lines = [group for group in groups if group.startswith("flightlines/")]
+    lines += [group for group in groups if group not in lines and _is_line(open_store(store, group))]
+    return {group.rpartition("/")[2] or Path(store).stem: group for group in lines}
+
+
+def _is_line(group: xr.Dataset) -> bool:
+    line = rename_to_roles(group)
+    cubes = {"counts", "radiance", "reflectance"} & set(line.data_vars)
+    return {ALONG_TRACK, CROSS_TRACK} <= set(line.dims) and "wavelength" in line.variables and bool(cubes)
+
+
+def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
+    """Return the head of a page: what is shown, the other lines, the other theme."""
+    import panel
+
+    nm, (count, columns) = state.wavelength, state.shape
+    other = next(one for one in INK if one != theme)
+    links = [
+        f'<a style="color:inherit" href="?line={quote(one)}&colours={theme}">{html.escape(one)}</a>'
+        for one in lines
+        if one != name
+    ]
+    links.append(f'<a style="color:inherit" href="?line={quote(name)}&colours={other}">{other}</a>')
+    size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
+    size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm"
+    text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"
+    return panel.pane.HTML(text, **WIDE)

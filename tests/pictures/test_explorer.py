@@ -1,0 +1,379 @@
+"""The explorer: what clicks become. The browser itself is not needed, panel for the last tests."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings, strategies as st
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.pictures import explorer_state
+from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum, corners_at
+
+BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
+PLACES = st.floats(-5.0, 30.0)
+
+
+@pytest.fixture
+def state() -> Explored:
+    """What an explorer shows of a line of 24 x 6 pixels."""
+    return Explored(flight().line, BEGIN, library=hp.paints.starter_library(members=0), flightline="raw_0")
+
+
+# --- regions -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(PLACES, PLACES), max_size=8))
+def test_corners_are_whole_pixels_of_the_line(places: list[tuple[float, float]]) -> None:
+    made = corners_at([place[0] for place in places], [place[1] for place in places], (24, 6))
+    if made is None:
+        return
+    assert made.dtype == np.float64
+    assert (made == np.round(made)).all()
+    assert made.min() >= 0
+    assert (made.max(axis=0) <= [5, 23]).all()
+    assert (made != np.roll(made, 1, axis=0)).any(axis=1).all()
+    hp.Region("any", made)
+
+
+@pytest.mark.parametrize(
+    "places", [[], [(1, 1)], [(1, 1), (2, 2)], [(1, 1), (2, 2), (3, 3)], [(1, 1), (1.2, 1.1), (0.9, 1.0)]]
+)
+def test_without_area_there_is_no_polygon(places: list[tuple[float, float]]) -> None:
+    assert corners_at([place[0] for place in places], [place[1] for place in places], (24, 6)) is None
+    assert corners_at([1, 5, np.nan], [1, 1, 4], (24, 6)) is None
+
+
+def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> None:
+    assert state.regions == BEGIN
+    assert state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4]) == "region 1"
+    assert state.add([1, 2], [1, 2]) is None
+    assert state.add([0, 9, 9], [0, 0, 3]) == "region 2"
+    first = state.regions[1]
+    assert first.polygon.tolist() == [[0, 0], [0, 10], [3, 9]]
+    assert first.flightline == "raw_0"
+    state.drop("region 1")
+    assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
+    assert state.regions.names == ("roof", "region 2", "region 1")
+
+
+def test_corners_move_and_properties_stay(state: Explored) -> None:
+    assert state.move("roof", [2, 2, 12.2], [1, 4, 4])
+    assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
+    assert state.regions[0].properties == {"colour": "red"}
+    assert not state.move("roof", [2, 2, 2], [1, 4, 5])
+    assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
+
+
+def test_names_are_taken_or_refused_with_a_reason(state: Explored) -> None:
+    state.add([0, 9, 9], [0, 0, 3])
+    assert state.rename("region 1", " bonnet ") is None
+    assert state.regions.names == ("roof", "bonnet")
+    assert "occurs twice" in str(state.rename("bonnet", "roof"))
+    assert "is empty" in str(state.rename("bonnet", " "))
+    assert state.regions.names == ("roof", "bonnet")
+
+
+def test_what_is_drawn_is_saved_and_signatures_take_it(state: Explored, tmp_path: Path) -> None:
+    state.add([0, 0, 23, 23], [0, 5, 5, 0])
+    path = state.save(tmp_path / "r.geojson")
+    assert hp.read_regions(path) == state.regions
+    library = hp.extract_signatures(flight().line, path, min_pixels=1, members=0)
+    assert library["paint"].values.tolist() == ["roof", "region 1"]
+    spectrum = state.spectrum_of(state.drawn[1])
+    assert isinstance(spectrum, Spectrum)
+    middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[1]
+    np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
+
+
+def test_regions_to_begin_with_can_be_drawn() -> None:
+    with pytest.raises(SchemaError, match="map coordinates"):
+        Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
+    holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
+    with pytest.raises(SchemaError, match="holes cannot be drawn: ring"):
+        Explored(flight().line, holed)
+
+
+def test_a_line_without_reflectance_or_wavelength_is_refused() -> None:
+    line = flight().line
+    with pytest.raises(SchemaError, match="reflectance"):
+        Explored(line.drop_vars("counts"))
+    with pytest.raises(SchemaError, match="wavelength"):
+        Explored(line.drop_vars("wavelength"))
+
+
+def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
+    line = flight().line.assign_coords(along_track=np.arange(24) + 100, cross_track=np.arange(6) + 10)
+    begin = hp.Regions((hp.Region("roof", [(11, 102), (14, 102), (14, 109)]),))
+    state = Explored(line, begin)
+    assert state.regions.digest == begin.digest
+    # where it is on the picture, of which a click says the place
+    assert state.drawn[0].polygon.tolist() == [[1, 2], [4, 2], [4, 9]]
+    assert state.add([2, 9, 9], [1, 1, 4]) == "region 1"
+    assert state.regions[1].polygon.tolist() == [[11, 102], [11, 109], [14, 109]]
+    spectrum = state.spectrum_of(state.drawn[1])
+    assert isinstance(spectrum, Spectrum)
+    library = hp.extract_signatures(line, state.regions[1:2], members=0, min_pixels=1)
+    middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[0]
+    np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
+    assert "line 105, column 13" in state.spectrum_of((5, 3)).text  # type: ignore[union-attr]
+
+
+# --- spectra -----------------------------------------------------------------------------------------------
+
+
+def test_a_click_has_the_bits_of_the_pixel(state: Explored) -> None:
+    line = flight().line
+    whole = line.paint.reflectance()
+    for along, across in ((0, 0), (7, 3), (23, 5)):
+        spectrum = state.spectrum_of((along, across))
+        assert isinstance(spectrum, Spectrum)
+        assert spectrum.reflectance.dtype == np.float32
+        pixel = line.paint.pixels(along, across)
+        good = line["good"].values if "good" in line.variables else np.ones(pixel.sizes["band"], bool)
+        for other in (pixel.reflectance, whole.reflectance[along, :, across]):
+            expected = np.where(good, other.values, np.float32(np.nan))
+            assert spectrum.reflectance.tobytes() == expected.tobytes()
+        names = hp.base.schema.flag_names(int(pixel.quality))
+        assert all(name.replace("_", " ") in spectrum.text for name in names)
+
+
+def test_flags_of_a_region_are_named_and_left_out() -> None:
+    line = flight().line.paint.reflectance().compute()
+    quality = line["quality"].values.copy()
+    quality[:12] |= np.uint16(hp.Quality.GLINT)
+    line["quality"] = line["quality"].copy(data=quality)
+    state = Explored(line)
+    state.add([0, 0, 23, 23], [0, 5, 5, 0])
+    spectrum = state.spectrum_of(state.drawn[0])
+    assert isinstance(spectrum, Spectrum)
+    assert "glint 50 %" in spectrum.text
+    assert "72 of 144" in spectrum.text or int(spectrum.text.split()[2]) <= 72
+    state.add([0, 0, 9, 9], [0, 5, 5, 0])
+    assert "all 60 pixels are left out: glint 100 %" in str(state.spectrum_of(state.drawn[1]))
+
+
+def test_a_region_without_pixels_says_why(state: Explored) -> None:
+    # a sliver between the pixels' centres
+    sliver = hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)])
+    assert "sliver holds no pixel" in str(state.spectrum_of(sliver))
+
+
+def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
+    state.add([0, 0, 23, 23], [0, 5, 5, 0])
+    monkeypatch.setattr(explorer_state, "MOST_PIXELS", 60)
+    spectrum = state.spectrum_of(state.drawn[1])
+    assert isinstance(spectrum, Spectrum)
+    assert "of 48 pixels (every 3. line)" in spectrum.text
+    rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
+    used = (rows.quality.values & explorer_state.EXCLUDED) == 0
+    values = rows.reflectance.transpose("along_track", "cross_track", "band").values[used]
+    np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
+
+
+def test_the_uncertainty_is_that_of_the_mean() -> None:
+    noise = {"electrons_per_count": 20.0, "read_noise": 0.5}
+    line = flight().line.assign(
+        {name: hp.base.schema.label(xr.DataArray(np.float32(value)), name) for name, value in noise.items()}
+    )
+    state = Explored(line)
+    sure = state.uncertainty_of((7, 3))
+    assert not isinstance(sure, str), sure
+    assert "of a pixel" in sure.text
+    assert "systematic errors are not known" in sure.text
+    part = line.isel(along_track=slice(7, 8), cross_track=slice(3, 4)).paint.reflectance(uncertainty=True)
+    mean = hp.radiometry.mean_uncertainty(part)
+    expected = np.hypot(mean.u_random.values, np.nan_to_num(mean.u_systematic.values))
+    np.testing.assert_array_equal(sure.u, expected)
+    state.add([2, 2, 9, 9], [1, 4, 4, 1])
+    whole = state.uncertainty_of(state.drawn[0])
+    assert not isinstance(whole, str)
+    assert np.nanmedian(whole.u) < np.nanmedian(sure.u)
+
+
+def test_without_noise_the_uncertainty_says_what_is_missing() -> None:
+    state = Explored(flight().line.drop_vars("read_noise", errors="ignore"))
+    assert "read_noise" in str(state.uncertainty_of((0, 0)))
+
+
+def test_near_paints_are_those_of_the_search(state: Explored) -> None:
+    library = state.library
+    assert library is not None
+    paint = library["reflectance"].values[7]
+    spectrum = Spectrum(library["wavelength"].values, 0.5 * paint, None, "")
+    near = state.near_paints(spectrum)
+    assert near[0].name == str(library["paint"].values[7])
+    assert near[0].angle == pytest.approx(0.0, abs=1e-3)
+    assert near[0].factor == pytest.approx(0.5)
+    assert [one.angle for one in near] == sorted(one.angle for one in near)
+    assert state.near_paints(spectrum._replace(reflectance=np.full(paint.shape, np.nan))) == []
+
+
+# --- pictures ----------------------------------------------------------------------------------------------
+
+
+def test_a_picture_of_a_band_has_the_levels_of_the_band(state: Explored) -> None:
+    values = flight().line.paint.pixels(wavelength=650.0).reflectance.values
+    picture = state.picture((650.0,), (0.0, 100.0))
+    bytes_of = picture.rgba.view(np.uint8).reshape(6, 24, 4)
+    there = np.isfinite(values).T
+    assert (bytes_of[..., 3] == np.where(there, 255, 0)).all()
+    # brighter pixels are never darker in the picture
+    order = np.argsort(values.T[there])
+    assert (np.diff(bytes_of[..., 0][there][order].astype(int)) >= 0).all()
+    assert bytes_of[..., 0][there].min() == 0
+    assert bytes_of[..., 0][there].max() == 255
+
+
+def test_a_part_of_a_picture_has_the_colours_of_the_whole(
+    state: Explored, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for recipe in ((), INFRARED, (550.0,)):
+        if state.has_bands(recipe):
+            whole, part = state.picture(recipe), state.picture(recipe, window=(5, 12))
+            assert (part.first, part.last) == (5, 12)
+            np.testing.assert_array_equal(part.rgba, whole.rgba[:, 5:12])
+    monkeypatch.setattr(explorer_state, "DETAIL_LINES", 10)
+    monkeypatch.setattr(explorer_state, "SPARSE_STEP", 5)
+    sparse = Explored(flight().line).picture((550.0,))
+    assert sparse.rgba.shape == (6, 5)
+    assert (sparse.first, sparse.last) == (0, 25)
+    assert "every 5. line" in sparse.text
+
+
+def test_flags_are_drawn_in_their_colours() -> None:
+    line = flight().line.paint.reflectance().compute()
+    quality = np.zeros_like(line["quality"].values)
+    quality[3:5, 2] = hp.Quality.SHADOW
+    quality[4, 2] |= np.uint16(hp.Quality.GLINT)
+    line["quality"] = line["quality"].copy(data=quality)
+    state = Explored(line)
+    assert state.flag_shares == {hp.Quality.GLINT: 1 / 144, hp.Quality.SHADOW: 2 / 144}
+    drawn = state.flag_picture(state.flag_shares).rgba.view(np.uint8).reshape(6, 24, 4)
+    assert np.argwhere(drawn[..., 3]).tolist() == [[2, 3], [2, 4]]
+    # the rarest is on top
+    assert bytes(drawn[2, 4, :3]).hex() == "4de6cc"
+
+
+# --- the widget --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", ["panel", "bokeh"])
+def test_without_the_extra(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "panel", ModuleType("panel"))
+    monkeypatch.setitem(sys.modules, "bokeh", ModuleType("bokeh"))
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=rf"needs {package}; .*hyperpaint\[interactive\]"):
+        flight().line.paint.explore()
+
+
+@pytest.fixture
+def shown() -> Any:
+    """An explorer with its widget."""
+    pytest.importorskip("panel")
+    return flight().line.paint.explore(BEGIN)
+
+
+def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
+    shown.tap(7.2, 2.9)
+    curves = shown._spectra.curves.data
+    assert curves["name"] == ["roof", "clicked"]
+    pixel = flight().line.paint.pixels(7, 3)
+    np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
+    assert "line 7, column 3" in shown._text.object
+    assert len(shown._paints.options) == 5
+    shown.tap(40.0, 2.0)  # beside the picture
+    assert "line 7, column 3" in shown._text.object
+    shown.drag({"type": "rect", "x0": 9.4, "x1": 1.6, "y0": 0.7, "y1": 3.2})
+    assert "of 24 pixels" in shown._text.object
+    assert not shown._keep.disabled
+    shown._keep.clicks += 1
+    assert shown.regions[1].polygon.tolist() == [[1, 2], [3, 2], [3, 9], [1, 9]]
+    assert shown._chosen.value == "region 1"
+    assert "not saved" in shown._message.object
+
+
+def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
+    shown._mode.value = "draw"
+    for along, across in ((10, 0), (20, 0.3), (20.4, 3)):
+        shown.tap(along, across)
+    assert shown._picture.draft.data["along"] == [10, 20, 20.4]
+    shown._undo.clicks += 1
+    assert shown._picture.draft.data["along"] == [10, 20]
+    shown.tap(20.4, 3)
+    shown.close(20.3, 3.1)
+    assert shown._picture.draft.data == {"along": [], "across": []}
+    assert shown.regions[1].polygon.tolist() == [[0, 10], [0, 20], [3, 20]]
+    assert shown._chosen.options == [None, "roof", "region 1"]
+    assert shown._name.value == shown._chosen.value == "region 1"
+    assert shown._spectra.curves.data["name"] == ["roof", "region 1"]
+    shown.close(10, 0)
+    assert "no area" in shown._message.object
+    assert len(shown.regions) == 2
+
+
+def test_corners_are_dragged(shown: Any) -> None:
+    corners = shown._picture.corners
+    assert corners.data["along"] == []
+    shown._mode.value = "edit"
+    shown.tap(4.0, 3.5)
+    assert corners.data == {"along": [2, 2, 9], "across": [1, 4, 4]}
+    corners.data = {"along": [2, 2, 15.3], "across": [1, 4, 4]}
+    assert shown.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 15]]
+    assert corners.data["along"] == [2, 2, 15]
+    corners.data = {"along": [2, 2, 2], "across": [1, 4, 4]}
+    assert corners.data["along"] == [2, 2, 15]
+
+
+def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> None:
+    shown._name.value = "<b>bonnet"
+    assert shown.regions.names == ("<b>bonnet",)
+    assert "&lt;b&gt;bonnet" in shown._text.object
+    shown._name.value = ""
+    assert "&#x27;&#x27; is empty" in shown._message.object
+    assert shown._name.value == "<b>bonnet"
+    shown._file.value = str(tmp_path / "r.geojson")
+    shown._save.clicks += 1
+    assert hp.read_regions(tmp_path / "r.geojson") == shown.regions
+    shown._remove.clicks += 1
+    assert len(shown.regions) == 0
+    assert shown._chosen.value is None
+    shown._save.clicks += 1
+    assert "saved" in shown._message.object
+    shown._file.value = str(tmp_path / "other.geojson")
+    (tmp_path / "other.geojson").write_text("{}", encoding="utf-8")
+    shown._save.clicks += 1
+    assert "other.geojson" in shown._message.object
+    assert (tmp_path / "other.geojson").read_text(encoding="utf-8") == "{}"
+
+
+def test_bands_and_flags_are_chosen(shown: Any) -> None:
+    band = shown._band.options[-1]
+    shown.take_band(band + 40.0)
+    assert (shown._recipe.value, shown._band.value) == ("one band", band)
+    assert shown._spectra._band.location == band
+    assert f"{band:.1f} nm" in shown._level.object
+    shown._recipe.value = "true colour"
+    assert not shown._spectra._band.visible
+    shown._picture.seen.data = {"along": [-0.5, 47.5], "size": [800, 300]}
+    # pixels are square: 6 columns in 300 pixels of the screen, so 16 lines in 800
+    assert (shown._picture.plot.x_range.end - shown._picture.plot.x_range.start) == 16.0
+    assert shown._picture.detail.data["dw"] == [shown._window[1]]
+
+
+def test_the_picture_puts_pixel_centres_on_whole_numbers(shown: Any) -> None:
+    base = shown._picture.base.data
+    assert [base[name][0] for name in ("x", "y", "dw", "dh")] == [-0.5, -0.5, 24, 6]
+    assert base["image"][0].shape == (6, 24)
+    # the first column is on top
+    y_range = shown._picture.plot.y_range
+    assert y_range.start > y_range.end
