@@ -217,6 +217,7 @@ def run(
         for name in pending:
             dataset = traced
             if name != TRANSPORT:  # of the scene as it is stored
+                turn.settle()
                 stored = open_group(out, TRANSPORT)
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:

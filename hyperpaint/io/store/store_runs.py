@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .budget import thread_space
 from .disk import errors_of_the_system
 from .group_writing import Job
 from .groups import damaged_groups, groups_above, is_listed
@@ -35,17 +37,75 @@ class WholeRun:
     ) -> None:  # fmt: skip
         self._turn, self._location, self._members, self._overwrite = turn, location, members, overwrite
         self._codec, self._take_up = codec, take_up
+        self._placer = _Placer()
+        self._placing: dict[str, xr.Dataset] = {}
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
-        """Write a group; bars go to stderr, so that stdout holds results only."""
+        """Write a group; it gets its place while the next is written, see `settle`.
+
+        Bars go to stderr, so that stdout holds results only.
+        """
         assert self._turn is not None  # a run without pending groups writes none
         job = job_of(group, dataset, self._members[group], self._codec)
         shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
+        places = []
         with shown, errors_of_the_system(self._location, {group: dataset}):
             for each in refused_jobs([job], groups_above(group), self._location, overwrite=self._overwrite):
                 if self._take_up is not None and self._turn.stage is not None:
                     self._take_up(self._turn.stage, each)
-                self._turn.write(each, progress=progress)
+                places.append(self._turn.begin(each, progress=progress))
+        self.settle()
+        self._placing = {group: dataset}
+        with errors_of_the_system(self._location, self._placing):
+            for place in places:
+                self._placer.submit(place)
+
+    def settle(self) -> None:
+        """Wait until every group is in its place; what went wrong with one is raised."""
+        with errors_of_the_system(self._location, self._placing):
+            self._placer.settle()
+
+    def close(self) -> None:
+        """Let nothing go on that still writes, whatever ended the run."""
+        self._placer.close()
+
+
+class _Placer:
+    """Seals a group and puts it in its place while the next is written: in one thread, one at a time.
+
+    Each group goes the same way as alone, its seal after its last chunk, its place after its seal, and groups
+    share no file: a killed run leaves two groups at the most that are begun, each as if it were the only one.
+    The root's record is sealed, and the lock of the store released, after all that.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1, "hyperpaint-place")
+        self._running: Future[None] | None = None
+
+    def submit(self, place: Callable[[], None]) -> None:
+        """Place a group in the background; the one before must have been waited for."""
+        if thread_space():  # a thread would take the room of one that computes
+            place()
+        else:
+            self._running = self._pool.submit(place)
+
+    def settle(self) -> None:
+        """Wait for the group that is being placed; its error is raised here."""
+        if self._running is not None:
+            self._running.result()
+            self._running = None
+
+    def close(self) -> None:
+        """Wait for it, through interruptions too, and end the thread."""
+        interruption = None
+        while self._running is not None and not self._running.done():
+            try:
+                wait([self._running])
+            except BaseException as error:  # Ctrl-C: the lock must not be released under it
+                interruption = error
+        self._pool.shutdown()
+        if interruption is not None:
+            raise interruption
 
 
 @contextlib.contextmanager
@@ -75,7 +135,10 @@ def whole_run(
                 turn = stack.enter_context(
                     Turn.at(location, members, list(pending), above, command=command, overwrite=overwrite)
                 )
-        yield WholeRun(turn, location, members, overwrite=overwrite, codec=codec, take_up=take_up)
+        run = WholeRun(turn, location, members, overwrite=overwrite, codec=codec, take_up=take_up)
+        with contextlib.closing(run):
+            yield run
+            run.settle()
         if turn is not None:
             with errors_of_the_system(location, pending):
                 sealed = turn.finish({"": dict(attrs)})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import uuid
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -221,11 +221,18 @@ class Turn:
 
     def write(self, job: Job, *, progress: bool = False) -> None:
         """Write a group, and put it in its place."""
+        self.begin(job, progress=progress)()
+
+    def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
+        """Write a group's arrays; return what seals it and puts it in its place.
+
+        Another thread may do that while the next group begins, for one group at a time.
+        """
         with limited_threads(_check_room([job], self._location)):
             if self._stage is None:
                 self._write_in_place(job, progress=progress)
-            else:
-                self._write_beside(job, self._stage, progress=progress)
+                return lambda: None
+            return self._write_beside(job, self._stage, progress=progress)
 
     def _write_in_place(self, job: Job, *, progress: bool) -> None:
         location = self._location
@@ -238,23 +245,24 @@ class Turn:
         seal_group(job, place, write_arrays(job, place, [], progress=progress), self._record)
         make_groups_above(job.group, location)
 
-    def _write_beside(self, job: Job, stage: Staging, *, progress: bool) -> None:
+    def _write_beside(self, job: Job, stage: Staging, *, progress: bool) -> Callable[[], None]:
         stage.discard_others(job.group, job.content)
         leftovers = stage.leftovers(job.group, job.content)
         folder = stage.build(job.group, job.content)
-        try:
+        with _discarded_unless_mendable(folder, *leftovers):
             sums = write_arrays(job, Location.of(folder), leftovers, progress=progress)
-            folder = stage.close(folder, job.group, job.content)
-            seal_group(job, Location.of(folder), sums, self._record)
-            if job.group:
-                self.announce()
-            make_groups_above(job.group, self._location)
-            stage.publish(folder, job.group)
-        except BaseException as error:
-            if not is_mendable(error):
-                for built in (folder, *leftovers):
-                    discard(built)
-            raise
+
+        def place() -> None:
+            with _discarded_unless_mendable(folder):
+                closed = stage.close(folder, job.group, job.content)
+            with _discarded_unless_mendable(closed):
+                seal_group(job, Location.of(closed), sums, self._record)
+                if job.group:
+                    self.announce()
+                make_groups_above(job.group, self._location)
+                stage.publish(closed, job.group)
+
+        return place
 
     def finish(self, attrs: Mapping[str, dict[str, Any]]) -> bool:
         """Set the attributes of groups without arrays (by group), seal the root record unless groups lack.
@@ -264,6 +272,18 @@ class Turn:
         record = self._intended.sealed(self._location)
         finish_root(attrs, record.text if any(record.groups) else "", self._location)
         return record.finished
+
+
+@contextlib.contextmanager
+def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
+    """Remove what was built where the same run would end with the same error."""
+    try:
+        yield
+    except BaseException as error:
+        if not is_mendable(error):
+            for built in folders:
+                discard(built)
+        raise
 
 
 def _groups_without_arrays(jobs: list[Job], attrs: Iterable[str]) -> list[str]:
