@@ -28,10 +28,10 @@ __all__ = ["main"]
 
 COMMANDS = {
     **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
-    **{name: name for name in ("process", "render", "run", "simulate", "validate", "verify", "warm")},
+    **{name: name for name in ("process", "render", "run", "simulate", "site", "validate", "verify")},
     "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures", "check-library": "check_library", "virtual": "virtual",
-    "view": "view",
+    "view": "view", "warm": "warm",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
 
@@ -151,6 +151,7 @@ Step by step:
   hyperpaint paints --colour red                      red ones of the synthetic starter library
   hyperpaint report lot.zarr --out report.html        all of it on one page
   hyperpaint view lot.zarr                            look at it with the mouse
+  hyperpaint site lot.zarr --out page                 the same for any web server: click for spectra
   hyperpaint render --example > scene.toml            a synthetic scene to begin with
   hyperpaint render scene.toml                        its cubes, with what is true of every pixel
 

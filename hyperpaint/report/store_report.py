@@ -13,18 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
-from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.surroundings.flags import flag_line, is_flagged
-from hyperpaint.surroundings.scratch import compute_into, scratch_array, survey_planned
 
 from .pages import page_part
 from .report_sections import (
-    LAYERS as DRAWN,
     Part,
     calibration_section,
     card_parts,
@@ -33,6 +28,7 @@ from .report_sections import (
     map_section,
     regions_of,
 )  # fmt: skip
+from .shown_groups import flagged, groups_to_show, message_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,11 +37,6 @@ if TYPE_CHECKING:
     from hyperpaint.regions import Region
 
 __all__ = ["Written", "write_report"]
-
-MOST_LINES = 64
-"""Flight lines of one page at the most: each takes some megabytes."""
-
-_SOUGHT = "Glint, shadow and light of neighbours"
 
 
 @dataclass(frozen=True)
@@ -130,8 +121,6 @@ def write_report(
     >>> write_report(store, folder / "report.html").flightlines
     ('flightlines/raw_0',)
     """
-    from hyperpaint.io.store import list_groups
-
     new_figure("a report")  # before anything is read
     place = Path(out)
     check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
@@ -139,17 +128,11 @@ def write_report(
         raise SchemaError(f"lines={lines}, expected 1 or more")
     if cards < 0:
         raise SchemaError(f"cards={cards}, expected 0 or more")
-    opened, problems = _opened(store, list_groups(store))
-    shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
-    maps = {name or Path(store).name: group for name, group in opened.items() if _is_map(group)}
-    libraries = {name: group for name, group in opened.items() if _is_library(group)}
-    if signatures is not None:
-        libraries[Path(signatures).name] = _library(signatures)
-    if not shown and not libraries and not maps:
-        reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
-        raise StoreError(f"{store} has nothing to show, no flight line, map or signatures: {reason}")
+    groups = groups_to_show(store, flightlines, signatures)
+    shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     measured = _measured(shown, libraries, problems)
-    steps = len(shown) + len(libraries) + ("calibration" in opened)
+    calibration = groups.opened.get("calibration")
+    steps = len(shown) + len(libraries) + (calibration is not None)
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
@@ -157,14 +140,14 @@ def write_report(
         parts.append((name, section))
     parts += [(name, map_section(group, lines)) for name, group in maps.items()]
     parts += [(name, library_section(library)) for name, library in libraries.items()]
-    if "calibration" in opened:
-        parts.append(("calibration", calibration_section(opened["calibration"])))
+    if calibration is not None:
+        parts.append(("calibration", calibration_section(calibration)))
     sections = []
     for number, (name, draw) in enumerate(parts):
         if progress is not None:
             progress(1000 * number, 1000 * steps)
         sections.append((name, _drawn(name, draw, problems)))
-    head = _head(store, opened, problems)
+    head = _head(store, groups.opened, problems)
     page = page_part("page", title=Path(store).resolve().name, head=head, sections=sections)
     # no half page ever stands under its name
     publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
@@ -183,92 +166,12 @@ def _flagged_section(
     progress: Progress | None,
 ) -> Iterator[Part]:
     """Yield the parts of a flight line's section, flags looked for first where the line has none."""
-    note = ""
-    if flags and {"reflectance", "irradiance"} & set(line.variables):
-        try:
-            if not is_flagged(line):
-                line = _with_flags(line, sun_zenith, progress)
-                note = f"{_SOUGHT} were looked for here; the store has no such flags."
-        # a line that cannot be looked at is shown all the same; damage shows again where it is drawn
-        except Exception as error:
-            note = f"{_SOUGHT} could not be looked for: {_message_of(error)}"
+    line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
     yield from line_section(line, lines, [one.region for one in measured], note)
     yield from card_parts(line, [(one.library, one.paint) for one in measured], cards)
 
 
-def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
-    """Return a line with flags and layers in memory, found in one pass after a survey."""
-    seen = line if "reflectance" in line.variables else reflectance(line)
-    surveyed = part_of(progress, 0, 2)
-    with survey_planned(line, "the survey"):
-        flagged = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
-        names = ["quality", *DRAWN]
-        lazy = [flagged[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
-        found = [scratch_array(each.shape, each.dtype) for each in lazy]
-        compute_into(lazy, found)
-    return line.assign(
-        {
-            name: flagged[name].reset_coords(drop=True).copy(data=each)
-            for name, each in zip(names, found, strict=True)
-        }
-    )
-
-
-# --- what there is to show ---------------------------------------------------------------------------------
-
-
-def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
-    """Return the groups that can be read, and why others cannot."""
-    from hyperpaint.io.store import open_group
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.root_record import set_state
-
-    opened = {}
-    problems = list(set_state(Location.of(store), groups).problems)  # what is finished is shown all the same
-    for group in groups:
-        try:
-            opened[group] = open_group(store, group)
-        except StoreError as error:
-            problems.append(f"/{group}: {error}")
-    return opened, problems
-
-
-def _is_line(group: xr.Dataset) -> bool:
-    cubes = {"counts", "radiance", "reflectance", "quality"} & set(group.variables)
-    return {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and bool(cubes)
-
-
-def _is_map(group: xr.Dataset) -> bool:
-    return {"y", "x"} <= set(group.dims)
-
-
-def _is_library(group: xr.Dataset) -> bool:
-    return "reflectance" in group.variables and PAINT in group["reflectance"].dims
-
-
-def _chosen(
-    lines: dict[str, xr.Dataset], wanted: Sequence[str] | None, store: str | os.PathLike[str]
-) -> dict[str, xr.Dataset]:
-    if wanted is None:
-        return dict(list(lines.items())[:MOST_LINES])
-    matches = {
-        name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in wanted
-    }
-    if unknown := [name for name, key in matches.items() if key is None]:
-        held = ", ".join(lines) or "none"
-        raise SchemaError(f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}")
-    return {key: lines[key] for key in matches.values() if key is not None}
-
-
-def _library(path: str | os.PathLike[str]) -> xr.Dataset:
-    from hyperpaint.io.store import open_store
-
-    library = open_store(path, "")
-    if not _is_library(library):
-        raise SchemaError(
-            f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"
-        )
-    return library
+# --- paints on their lines ---------------------------------------------------------------------------------
 
 
 class _Measured(NamedTuple):
@@ -288,7 +191,7 @@ def _measured(
         try:
             paints += [(line, _Measured(library, paint, on)) for line, paint, on in regions_of(library)]
         except Exception as error:  # see _drawn
-            problems.append(f"/{name}, regions: {_message_of(error)}")
+            problems.append(f"/{name}, regions: {message_of(error)}")
     return {
         group: [paint for name, paint in paints if name in ("", group, group.rpartition("/")[2])]
         for group in lines
@@ -306,16 +209,11 @@ def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup
             drawn.append(draw())
         # a damaged chunk shows when it is read; and what a store of another hand holds, when it is drawn
         except Exception as error:
-            message = _message_of(error)
+            message = message_of(error)
             problems.append(f"/{name}, {what}: {message}")
             text = f"This could not be shown: {what}: {message}"
             drawn.append(page_part("paragraph", text=text, kind="problem"))
     return drawn
-
-
-def _message_of(error: Exception) -> str:
-    kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
-    return f"{kind}{error!s:.1000}"
 
 
 def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems: list[str]) -> Markup:

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
-
-from .store_inputs import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr

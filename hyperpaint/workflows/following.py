@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import CollectError, Findings, PaintError, Problems
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, IRRADIANCE_TIME, Quality
 from hyperpaint.io.files.toml_tables import load_tables
@@ -29,7 +30,6 @@ from hyperpaint.io.flightline.growing import GrowingLine, growing_cubes
 
 from .flown_slabs import PRODUCTS, digest_of, form_of, take_up
 from .pipeline import Outcome, local_folder, run
-from .store_inputs import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr

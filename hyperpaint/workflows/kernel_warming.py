@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Progress
+from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import PaintWarning, StoreError
-
-from .store_inputs import KEPT_BITS
 
 __all__ = ["Warmth", "warm_kernels"]
 

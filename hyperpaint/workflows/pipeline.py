@@ -12,14 +12,14 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
-from hyperpaint.base.constants import ALIGNMENTS, NUMERICS_VERSION, Alignment
+from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.io.store.record import SETTINGS
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
-from .store_inputs import KEPT_BITS, finishing_command, inputs_digest, refuse_to_write_over, settings_of
+from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32
+from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
-
-from .store_inputs import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr

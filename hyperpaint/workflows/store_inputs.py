@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.io.files.sampled_content import sampled_digest
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "KEPT_BITS", "finishing_command", "inputs_digest", "paths_in", "refuse_to_write_over", "settings_of",
+    "finishing_command", "inputs_digest", "paths_in", "refuse_to_write_over", "settings_of",
 ]  # fmt: skip
-
-KEPT_BITS = 12
-"""Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
 
 
 def paths_in(settings: Any) -> Iterator[Path]:

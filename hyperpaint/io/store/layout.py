@@ -3,7 +3,7 @@
 One rule for every group, so that what `xarray.open_zarr` shows a user is what one task computes on:
 
 * an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
-  looking at, `"explore"`, a cube into groups of bands as well;
+  looking at, `"explore"`, a cube into groups of bands as well; for pages, `"web"`, into small tiles;
 * a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
 * means of blocks of a line (`coarse_y`, ...), for looking at, are cut every 128 rows and in groups of bands;
 * anything else is one chunk, unless it is larger than 64 MiB.
@@ -36,11 +36,14 @@ SPLIT_CHUNK = 16 * 2**20
 #: Sentinel of small integers: no 12- or 14-bit camera counts to it, and as quality it sets every flag.
 _INTEGER_FILL = 65535
 
-Layout = Literal["cube", "explore"]
-"""Whether a chunk of a cube holds all bands, so that one task computes on one chunk, or an eighth of them, so
-that a picture of one band reads an eighth."""
+Layout = Literal["cube", "explore", "web"]
+"""Whether a chunk of a cube holds all bands, so that one task computes on one chunk; or an eighth of them, so
+that a picture of one band reads an eighth; or all bands of a few pixels, so that a spectrum reads little."""
 
 BAND_GROUPS = 8
+
+WEB_CUBE, WEB_PLANE = 16, 256
+"""Pixels along each side of a tile of the web: 280 kB of float32 at 272 bands; 130 kB of flags."""
 
 Codec = Literal["compact", "fast"]
 """How samples are shuffled before lz4: by bits, which takes least room, or by bytes, in half the time."""
@@ -60,11 +63,17 @@ def storage_chunks(
     (32, 272, 640)
     >>> storage_chunks(("along_track", "band", "cross_track"), (2000, 272, 640), 2, "explore")
     (32, 34, 640)
+    >>> storage_chunks(("along_track", "band", "cross_track"), (2000, 272, 640), 4, "web")
+    (16, 272, 16)
     >>> storage_chunks(("band", "cross_track"), (272, 640), 4)
     (272, 640)
     """
     chunks = [max(1, size) for size in shape]
-    if ALONG_TRACK in dims and len(dims) > 1:
+    if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= set(dims) or {"y", "x"} <= set(dims)):
+        side = WEB_CUBE if BAND in dims else WEB_PLANE
+        places = (ALONG_TRACK, CROSS_TRACK, "y", "x")
+        chunks = [min(c, side) if dim in places else c for dim, c in zip(dims, chunks, strict=True)]
+    elif ALONG_TRACK in dims and len(dims) > 1:
         axis = dims.index(ALONG_TRACK)
         chunks[axis] = min(chunks[axis], CHUNK_LINES)
         if layout == "explore" and {BAND, CROSS_TRACK} <= set(dims):

@@ -11,7 +11,7 @@ import warnings
 from typing import TYPE_CHECKING, Any, overload
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
-from hyperpaint.base.schema import BAND
+from hyperpaint.base.schema import BAND, CROSS_TRACK
 
 from .documents import check_node
 from .groups import groups_above
@@ -247,9 +247,9 @@ def _opened(
     # the root's consolidated metadata may be older than a group whose writer was killed just before the end
     options = {"consolidated": False, **kwargs}
     arrays = {} if record is None or "chunks" in options else record.arrays
-    grouped = {name for name, array in arrays.items() if len(array.grid) == 3 and array.grid[1] > 1}
-    if grouped:
-        options["chunks"] = {BAND: -1}  # one task a slab, also of cubes that are cut into bands
+    grouped = {name for name, array in arrays.items() if len(array.grid) == 3 and max(array.grid[1:]) > 1}
+    if grouped:  # one task a slab, also of cubes that are cut into bands or tiles
+        options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
     try:
         opened: xr.Dataset = xr.open_zarr(store, group=group or None, **options)
         if COARSE in grouped:  # of which a picture of one band reads its group alone

@@ -104,8 +104,9 @@ def to_store(
     layout
         ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
         eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the
-        files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). What is there
-        whole is not written again for another layout.
+        files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). ``"web"``: all
+        bands of 16 x 16 pixels, so that a spectrum reads some 100 kB, see `hyperpaint.report.write_site`.
+        What is there whole is not written again for another layout.
 
     Returns
     -------

@@ -1,0 +1,451 @@
+"""The page for web servers: what it copies, what it refuses, and in a browser the bits that Python reads."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import functools
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError, StoreError
+from hyperpaint.base.schema import Quality
+from hyperpaint.cli.program import main
+from hyperpaint.io.store.layout import encode_chunk
+from hyperpaint.report import write_site
+
+CHROMIUM = Path("/usr/bin/chromium")
+HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
+DIMS = ("along_track", "band", "cross_track")
+
+
+def cube(lines: int = 70, bands: int = 24, columns: int = 40, first: int = 5) -> xr.Dataset:
+    """A line of three tiles a side and more, with smile, flags, a bad band, samples without a value."""
+    rng = np.random.default_rng(1)
+    values = rng.uniform(-0.02, 1.4, (lines, bands, columns)).astype(np.float32)
+    values[3, :, 7] = np.nan
+    values[4, 20:, 2] = [np.nan, np.inf, 1e-42, -0.0]
+    flags = np.zeros((lines, columns), np.uint16)
+    flags[:10, 5:20] = Quality.GLINT
+    flags[5:30, 10:12] |= np.uint16(Quality.SHADOW)
+    good = np.arange(bands) != 3
+    return xr.Dataset(
+        {"reflectance": (DIMS, values, {"units": "1"}), "quality": (("along_track", "cross_track"), flags)},
+        {
+            "wavelength": ("band", np.linspace(400.0, 950.0, bands), {"units": "nm"}),
+            "wavelength_shift": ("cross_track", np.linspace(-0.5, 0.5, columns), {"units": "nm"}),
+            "good": ("band", good),
+            "along_track": np.arange(first, first + lines),
+            "cross_track": np.arange(columns),
+        },
+        {"collect": HOSTILE},
+    )
+
+
+def paints(line: xr.Dataset) -> xr.Dataset:
+    values = line["reflectance"].values[40:43, :, 0] * np.float32(0.5)
+    return xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), values, {"units": "1"}),
+            "reflectance_sd": (("paint", "band"), 0.1 * values, {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), values[:, None], {"units": "1"}),
+            "n": ("paint", np.array([4, 5, 6]), {"units": "1"}),
+        },
+        {
+            "paint": ["red hood", HOSTILE, "Lack, grün"],
+            "wavelength": line["wavelength"],
+            "good": line["good"],
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    store = tmp_path_factory.mktemp("site") / "lot.zarr"
+    hp.to_store(cube(), store, "flightlines/raw_0")
+    hp.to_store(cube(lines=20, first=0), store, "flightlines/raw #1 % <b>")
+    hp.to_store(paints(cube()), store, "signatures")
+    return store
+
+
+@pytest.fixture(scope="module")
+def page(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    done = write_site(lot, tmp_path_factory.mktemp("served") / "page", flags=False)
+    assert done.problems == ()
+    assert set(done.flightlines) == {"flightlines/raw_0", "flightlines/raw #1 % <b>"}
+    return done.path
+
+
+def test_the_copy_is_a_store_of_small_tiles_with_the_same_bits(lot: Path, page: Path) -> None:
+    copy = page / "store.zarr"
+    assert hp.verify(copy).ok
+    for group in ("flightlines/raw_0", "flightlines/raw #1 % <b>"):
+        mine, theirs = hp.open_store(lot, group), hp.open_store(copy, group)
+        for name in ("reflectance", "quality", "wavelength", "wavelength_shift", "good", "along_track"):
+            assert mine[name].values.tobytes() == theirs[name].values.tobytes()
+            assert mine[name].attrs == theirs[name].attrs
+    plain = xr.open_zarr(copy, group="flightlines/raw_0")
+    assert plain.reflectance.data.chunksize == (16, 24, 16)
+    assert plain.quality.data.chunksize == (70, 40)
+    assert hp.open_store(copy, "flightlines/raw_0").reflectance.data.numblocks == (5, 1, 1)
+    library = hp.open_store(copy, "signatures")
+    assert "member_reflectance" not in library
+    assert library.reflectance.values.tobytes() == paints(cube()).reflectance.values.tobytes()
+
+
+def test_the_folder_holds_all_and_names_nothing_outside(page: Path) -> None:
+    names = {file.name for file in page.iterdir()}
+    own = {"index.html", "site.css", "site.js", "chart.js", "codecs.js", "zarrita.min.js"}
+    assert names == own | {"site.json", "pictures", "store.zarr"}
+    html = (page / "index.html").read_text()
+    assert "default-src 'none'; script-src 'self'; style-src 'self';" in html
+    assert "unsafe" not in html
+    assert "%ORIGIN%" not in html
+    for file in own:
+        text = (page / file).read_text()
+        code = text.partition("*/")[2] if text.startswith("/*!") else text
+        assert not any(word in code for word in ("eval(", "new Function", "innerHTML", "document.write")), (
+            file
+        )
+        places = code.replace("http://www.w3.org/2000/svg", "")
+        assert "//cdn" not in places
+        assert "https://" not in places or file == "zarrita.min.js", file
+    assert "MIT License" in (page / "zarrita.min.js").read_text()
+    assert (page / "zarrita.min.js").stat().st_size < 150_000
+    index = json.loads((page / "site.json").read_text())
+    assert index["title"] == HOSTILE
+    assert [entry["first"] for entry in index["lines"]] == [[0, 0], [5, 0]]
+    assert all((page / entry["picture"]).read_bytes().startswith(b"\x89PNG") for entry in index["lines"])
+
+
+def test_reflectance_is_computed_where_the_store_has_counts_alone(tmp_path: Path) -> None:
+    line = flight(lines=40, position=True).line
+    hp.to_store(line, tmp_path / "raw.zarr", "flightlines/raw_0")
+    with pytest.warns(PaintWarning, match="contradicts every sky"):
+        done = write_site(tmp_path / "raw.zarr", tmp_path / "page")
+    expected = hp.open_store(tmp_path / "raw.zarr", "flightlines/raw_0").paint.reflectance(keep_bits=12)
+    copy = hp.open_store(done.path / "store.zarr", "flightlines/raw_0")
+    assert copy.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
+    assert "counts" not in copy
+    assert "flags_from" in copy.quality.attrs  # looked for on the way
+    with pytest.raises(StoreError, match="no reflectance for the page to read"):
+        write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr")
+
+
+def grid(line: xr.Dataset) -> xr.Dataset:
+    """Return a map with the values of a line."""
+    values = line.reflectance.values.transpose(0, 2, 1)
+    return xr.Dataset(
+        {"reflectance": (("y", "x", "band"), values, {"units": "1"})},
+        {"wavelength": line["wavelength"], "y": np.arange(70.0)[::-1], "x": np.arange(40.0)},
+    )
+
+
+def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
+    line = cube()
+    orthomap = grid(line)
+    hp.to_store(orthomap, tmp_path / "map.zarr")
+    hp.to_store(paints(line), tmp_path / "paints.zarr")
+    done = write_site(tmp_path / "map.zarr", tmp_path / "page", signatures=tmp_path / "paints.zarr")
+    assert done.problems == ()
+    assert (done.flightlines, done.maps) == ((), ("map.zarr",))
+    copy = xr.open_zarr(tmp_path / "page" / "store.zarr", group="map")
+    assert copy.reflectance.data.chunksize == (16, 16, 24)
+    assert copy.reflectance.values.tobytes() == orthomap.reflectance.values.tobytes()
+    index = json.loads((tmp_path / "page" / "site.json").read_text())
+    assert (index["lines"][0]["name"], index["lines"][0]["lies"]) == ("map.zarr", False)
+    assert index["libraries"][0]["group"] == "library"
+    with pytest.raises(SchemaError, match="what the store itself holds"):
+        write_site(tmp_path / "map.zarr", tmp_path / "b", signatures=tmp_path / "paints.zarr", link="../a")
+
+
+@pytest.mark.parametrize(
+    ("link", "origin"),
+    [("https://data.example.org:8443/a b.zarr", "https://data.example.org:8443"), ("../lot.zarr", "")],
+)
+def test_a_linked_store_is_not_copied(lot: Path, tmp_path: Path, link: str, origin: str) -> None:
+    write_site(lot, tmp_path / "page", link=link)
+    assert not (tmp_path / "page" / "store.zarr").exists()
+    assert f"connect-src 'self' {origin};" in (tmp_path / "page" / "index.html").read_text()
+    assert json.loads((tmp_path / "page" / "site.json").read_text())["store"] == link
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        "javascript:alert(1)",
+        "https://a.example;script-src *",
+        "file:///etc",
+        "",
+        "https://u:p@host/x",
+        "//h/x",
+    ],
+)
+def test_what_is_no_address_is_refused(lot: Path, tmp_path: Path, link: str) -> None:
+    with pytest.raises(SchemaError, match="expected an address such as"):
+        write_site(lot, tmp_path / "page", link=link)
+    assert not (tmp_path / "page").exists()
+
+
+def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) -> None:
+    def call(*arguments: object) -> Any:
+        options = ["--no-flags", "--line", "raw_0", "--quiet"]
+        return CliRunner().invoke(main, ["site", str(lot), *options, *map(str, arguments)])
+
+    first = call("--out", tmp_path / "page")
+    assert first.exit_code == 0, first.output
+    assert first.stdout.startswith(f"{tmp_path / 'page'}: raw_0, ")
+    again = call("--out", tmp_path / "page")
+    assert again.exit_code == 2
+    assert "pass --overwrite" in again.stderr
+    assert call("--out", tmp_path / "page", "--overwrite").exit_code == 0
+    assert call("--out", lot / "page").exit_code == 2
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "site.json").write_text("{}")
+    other = call("--out", tmp_path / "mine", "--overwrite")
+    assert "holds other files" in other.stderr
+    with pytest.raises(SchemaError, match="lines=0"):
+        write_site(lot, tmp_path / "new", lines=0)
+
+
+# --- in a browser ------------------------------------------------------------------------------------------
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}")
+    with api.sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@contextlib.contextmanager
+def serving(folder: Path) -> Iterator[str]:
+    """Serve a folder as `python -m http.server` does; yield its address."""
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.fixture(scope="module")
+def served(page: Path) -> Iterator[str]:
+    with serving(page) as address:
+        yield address
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Any]:
+    """A page of the browser, in which no script fails and nothing is refused by the policy."""
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    context.complaints = []
+    shown = context.new_page()
+    shown.on("console", lambda message: context.complaints.append(message.text))
+    shown.on("pageerror", lambda error: context.complaints.append(str(error)))
+    shown.on("dialog", lambda dialog: context.complaints.append(dialog.message))
+    yield shown
+    complaints = context.complaints
+    context.close()
+    assert complaints == []
+
+
+def visit(tab: Any, address: str) -> None:
+    tab.goto("about:blank")
+    tab.goto(address)
+    tab.wait_for_selector("#stage[data-ready]", state="attached")
+
+
+READ = """async ([name, x, y]) => {
+  const {spectrum} = await import("./site.js");
+  const {nm, values, good, quality} = await spectrum(name, x, y);
+  const bits = new Uint32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.byteLength));
+  return {kind: values.constructor.name, nm, bits: [...bits], good, quality};
+}"""
+
+
+@pytest.mark.slow
+def test_a_click_reads_what_python_reads_bit_for_bit(tab: Any, served: str, page: Path) -> None:
+    visit(tab, served)
+    rng = np.random.default_rng(2)
+    for name in ("raw_0", "raw #1 % <b>"):
+        line = hp.open_store(page / "store.zarr", f"flightlines/{name}").load()
+        places = [(3, 8), (2, 9)] if name == "raw_0" else []
+        xs, ys = rng.choice(line.cross_track, 12), rng.choice(line.along_track, 12)
+        for x, y in [*places, *zip(xs.tolist(), ys.tolist(), strict=True)]:
+            expected = line.sel(along_track=y, cross_track=x)
+            read = tab.evaluate(READ, [name, x, y])
+            assert read["kind"] == "Float32Array"
+            assert read["bits"] == expected.reflectance.values.view(np.uint32).tolist()
+            assert read["nm"] == (expected.wavelength + expected.wavelength_shift).values.tolist()
+            assert read["good"] == expected.good.values.astype(int).tolist()
+            assert read["quality"] == int(expected.quality)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("link", [None, "../map.zarr"])
+def test_a_map_copied_or_where_it_is(tab: Any, tmp_path: Path, link: str | None) -> None:
+    hp.to_store(grid(cube()), tmp_path / "map.zarr")
+    write_site(tmp_path / "map.zarr", tmp_path / "page", link=link)
+    with serving(tmp_path) as address:
+        visit(tab, f"{address}page/#x=33&y=66")
+        assert tab.inner_text("#place") == "column 33, row 66"
+        box = tab.locator("#stage").bounding_box()  # north up: columns run along x
+        tab.mouse.click(box["x"] + 8.5 / 40 * box["width"], box["y"] + 2.5 / 70 * box["height"])
+        assert tab.inner_text("#place") == "column 8, row 2"
+        read = tab.evaluate(READ, ["map.zarr", 8, 2])
+        assert read["bits"] == cube().reflectance.values[2, :, 8].view(np.uint32).tolist()
+        assert tab.inner_text("#flagged") == "There are no flags here."
+
+
+@pytest.mark.slow
+def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None:
+    visit(tab, served + "#line=raw_0")
+    assert tab.title() == HOSTILE
+    assert tab.inner_text("#flagged") == "No pixel is chosen yet."
+    box = tab.locator("#stage").bounding_box()
+    column, line = 12, 8  # flown to the right: lines run along x
+    scale = box["width"] / 70
+    tab.mouse.click(box["x"] + (line - 5 + 0.5) * scale, box["y"] + (column + 0.5) * scale)
+    tab.wait_for_selector("#chart svg")
+    assert tab.inner_text("#place") == "column 12, line 8"
+    assert tab.inner_text("#flagged") == "Flags: glint"
+    assert "kB read in" in tab.inner_text("#status")
+    assert "x=12&y=8" in tab.url
+    tab.focus("#stage")
+    for key in ("ArrowRight", "ArrowRight", "Shift+ArrowDown", "ArrowUp"):
+        tab.keyboard.press(key)
+    assert tab.inner_text("#place") == "column 21, line 10"
+    tab.click("#keep")
+    tab.keyboard.press("ArrowLeft")
+    tab.check("#flags")
+    tab.wait_for_selector("#legend li")
+    assert sorted(tab.locator("#legend li").all_inner_texts()) == [" glint, 5.4 %", " shadow, 1.8 %"]
+    counted = """() => {
+      const layer = document.getElementById("layer");
+      const context = layer.getContext("2d", {willReadFrequently: true});
+      const {data} = context.getImageData(0, 0, layer.width, layer.height);
+      return data.filter((_, k) => k % 4 === 3 && data[k]).length;
+    }"""
+    assert tab.evaluate(counted) == 150 + 50 - 10
+    tab.get_by_text("shadow").click()
+    assert tab.evaluate(counted) == 150
+    # what the address says is shown again
+    address = tab.url
+    visit(tab, address)
+    assert tab.is_checked("#flags")
+    assert tab.locator("#curves li").count() == 2
+    assert tab.inner_text("#place") == "column 21, line 10"
+    # a spectrum as a table has every digit
+    with tab.expect_download() as download:
+        tab.click("#csv")
+    rows = Path(download.value.path()).read_text(encoding="utf-8").splitlines()
+    values = [float(row.split(",")[1]) for row in rows[1:]]
+    line_ = hp.open_store(page / "store.zarr", "flightlines/raw_0")
+    np.testing.assert_array_equal(values, line_.reflectance.sel(along_track=10, cross_track=21).values)
+
+
+@pytest.mark.slow
+def test_names_stay_texts_and_paints_stand_beside(tab: Any, served: str) -> None:
+    visit(tab, served + "#line=raw%20%231%20%25%20%3Cb%3E&x=3&y=2&paint=red%20hood")
+    assert tab.locator("#curves li").all_inner_texts() == ["raw #1 % <b>, column 3, line 2", "red hood"]
+    assert tab.locator("#paints .name").all_inner_texts() == ["red hood", HOSTILE, "Lack, grün"]
+    tab.get_by_text(HOSTILE).last.click()
+    tab.wait_for_function("document.querySelectorAll('#curves li').length === 3")
+    assert tab.locator("#chart .spread").count() == 2
+    assert tab.locator("img").count() == 1
+    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    for address in (
+        "#line=<img src=x onerror=alert(1)>&x=1e9&y=%00&keep=1,2,x&paint=no&zoom=-4",
+        "#x=999&y=2&line=raw_0",
+    ):
+        visit(tab, served + address)
+    assert "has no pixel 999, 2" in tab.inner_text("#status")
+    tab.set_viewport_size({"width": 400, "height": 800})
+    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.slow
+def test_damage_and_gaps_are_said_and_never_shown_as_values(
+    tab: Any, served: str, page: Path, request: pytest.FixtureRequest
+) -> None:
+    chunk = page / "store.zarr/flightlines/raw_0/reflectance/c/2/0/1"
+    whole = chunk.read_bytes()
+    request.addfinalizer(lambda: chunk.write_bytes(whole))
+    visit(tab, served + "#line=raw_0")
+    damaged = bytearray(whole)
+    damaged[-9] ^= 4
+    for content, said in ((bytes(damaged), "checksum"), (whole[:-7], "checksum"), (None, "is missing")):
+        chunk.unlink() if content is None else chunk.write_bytes(content)
+        visit(tab, served + "#line=raw_0&x=20&y=45")
+        assert said in tab.inner_text("#status")
+        assert tab.locator("#chart svg").count() == 0
+    complaints = tab.context.complaints
+    assert all("404" in text for text in complaints)
+    complaints.clear()
+
+
+@pytest.mark.slow
+def test_frames_of_our_stores_are_decoded(tab: Any, served: str) -> None:
+    visit(tab, served)
+    rng = np.random.default_rng(3)
+    smooth = np.cumsum(rng.normal(size=70_000)).astype(np.float32)
+    cases = [
+        smooth,
+        np.round(smooth, 1),
+        np.frombuffer(rng.bytes(40_000), np.uint8),
+        np.zeros(9, np.uint8),
+        np.arange(1001, dtype=np.int64),
+        rng.integers(0, 4000, 5003).astype(np.uint16),
+        rng.uniform(size=777) > 0.5,
+        np.float64([1.5]),
+        np.repeat(rng.integers(0, 9, 300), 1000).astype(np.int32),
+        np.array([], np.float32),
+    ]
+    decode = """async (frame) => {
+      const {unblosc, checked} = await import("./codecs.js");
+      const bytes = unblosc(checked(Uint8Array.from(atob(frame), (sign) => sign.charCodeAt(0))));
+      return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+    }"""
+    for values in cases:
+        for codec in ("compact", "fast"):
+            frame = b"".join(encode_chunk(values, values.shape, None, codec))
+            decoded = base64.b64decode(tab.evaluate(decode, base64.b64encode(frame).decode()))
+            assert decoded == values.tobytes(), (values.dtype, codec)
+    # whatever a frame says, it is decoded or refused
+    tried = """async (frames) => {
+      const {unblosc} = await import("./codecs.js");
+      return frames.map((frame) => {
+        const bytes = Uint8Array.from(atob(frame), (sign) => sign.charCodeAt(0));
+        try { return unblosc(bytes).length; } catch { return -1; }
+      });
+    }"""
+    frame = encode_chunk(smooth[:4000], (4000,), None, "compact")[0]
+    spoiled = [bytearray(frame) for _ in range(300)]
+    for each in spoiled:
+        each[int(rng.integers(0, len(each) if rng.uniform() < 0.5 else 60))] = int(rng.integers(256))
+    sizes = tab.evaluate(tried, [base64.b64encode(each).decode() for each in spoiled])
+    assert max(sizes) < 2**30
+    assert -1 in sizes
+    assert 16_000 in sizes
