@@ -34,8 +34,8 @@ __all__ = [
 
 SURVEYED_BYTES = 30
 """Memory of a survey for every pixel, beside the channels in their file: what 12,000 lines took."""
-MOST_IN_MEMORY_BYTES = 32 * 2**20
-"""Size up to which an array is in memory as any other: channels of some 500 lines."""
+MOST_IN_MEMORY_BYTES = 8 * 2**20
+"""Size up to which an array is in memory as any other: a layer of some 3,000 lines."""
 
 _TOGETHER = 8
 """Chunks that are computed at a time: enough for the threads of a laptop, little enough for its memory."""
@@ -115,6 +115,9 @@ def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Prog
     """Compute arrays that are chunked alike along their lines into others, some chunks at a time."""
     import dask
 
+    from hyperpaint.io.store.budget import share_one_heap
+
+    share_one_heap()
     edges = [0, *np.cumsum(lazy[0].chunks[0]).tolist()]
     for first in range(0, len(edges) - 1, _TOGETHER):
         part = slice(edges[first], edges[min(first + _TOGETHER, len(edges) - 1)])
