@@ -7,6 +7,8 @@ python -m sphinx -b html -D nb_execution_mode=off docs docs/_build         witho
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -25,8 +27,8 @@ from public_names import write_reference  # noqa: E402  (beside this file)
 project, author, release = "hyperpaint", "the hyperpaint developers", hyperpaint.__version__
 copyright = f"2026, {author}"
 extensions = [
-    "myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.intersphinx",
-    "sphinx.ext.mathjax", "sphinx.ext.viewcode", "sphinx_autosummary_accessors", "sphinx_copybutton",
+    "mathml", "myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.intersphinx",
+    "sphinx.ext.viewcode", "sphinx_autosummary_accessors", "sphinx_copybutton",
     "sphinx_design",
 ]  # fmt: skip
 templates_path = [sphinx_autosummary_accessors.templates_path]
@@ -39,6 +41,8 @@ suppress_warnings = ["config.cache"]
 
 # the gallery is run when the site is built, so that no output is older than its code
 nb_execution_mode = "force"
+# where the notebook of real files finds them: beside the clone, as the tests do
+os.environ.setdefault("HYPERPAINT_REAL_DATA", str(HERE.parents[1] / "shared" / "data"))
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
@@ -51,6 +55,7 @@ numpydoc_xref_param_type = False
 # off by default: a page is built without the network, and links into other projects are text then
 intersphinx_mapping: dict[str, Any] = {}
 
+html_math_renderer = "mathml"  # of mathml.py beside this file: no equation waits for a server
 html_theme = "pydata_sphinx_theme"
 html_title = "hyperpaint"
 html_static_path = ["_static"]
@@ -80,7 +85,18 @@ def _copy_notebooks(target: Path) -> None:
             shutil.copyfile(notebook, copy)
 
 
+#: A link from a source back to the page of a name: file, the dotted name, the last of it, what is inside.
+_BACK = re.compile(r"(generated/(hyperpaint\.(?:\w+\.)*(\w+))\.html)#hyperpaint\.(?:\w+\.)*?\3((?:\.\w+)*)\"")
+
+
+def _mend_source_links(app: Any, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    """Give links back from sources the anchors of their pages: viewcode knows one room of a file."""
+    if page.startswith("_modules/"):
+        context["body"] = _BACK.sub(r'\1#\2\4"', context["body"])
+
+
 def setup(app: Any) -> None:
     """Write what is made of other files before Sphinx reads its own."""
+    app.connect("html-page-context", _mend_source_links)
     _copy_notebooks(HERE / "gallery")
     write_reference(HERE / "reference")

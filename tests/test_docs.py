@@ -71,9 +71,9 @@ def test_the_readme_is_short():
 
 
 @functools.cache
-def site() -> ModuleType:
-    """Return docs/public_names.py, which lies in no package."""
-    spec = importlib.util.spec_from_file_location("public_names", ROOT / "docs" / "public_names.py")
+def of_docs(name: str) -> ModuleType:
+    """Return a module of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -88,8 +88,14 @@ WITH_EXTRAS = {"hyperpaint.pictures.pick_regions": "panel", "Dataset.paint.quant
 
 
 def public_values() -> dict[str, Any]:
-    names = {name: functools.reduce(getattr, name.split(".")[1:], hp) for name in site().public_names()}
-    methods = {f"Dataset.paint.{name}": getattr(PaintAccessor, name) for name in site().accessor_methods()}
+    names = {
+        name: functools.reduce(getattr, name.split(".")[1:], hp)
+        for name in of_docs("public_names").public_names()
+    }
+    methods = {
+        f"Dataset.paint.{name}": getattr(PaintAccessor, name)
+        for name in of_docs("public_names").accessor_methods()
+    }
     return {**names, **methods}
 
 
@@ -113,3 +119,18 @@ def test_examples_that_need_an_extra_or_stand_in_the_accessor(name):
         one.options.pop(doctest.SKIP, None)
     run = doctest.DocTest(wanted, inspect.getmodule(value).__dict__.copy(), name, None, 0, None)
     assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(run).failed == 0
+
+
+def test_links_of_a_built_site_that_lead_nowhere_are_named(tmp_path):
+    (tmp_path / "other.html").write_text('<h1 id="there">A</h1>')
+    right = ["other.html", "other.html#there", "#here", "https://doi.org/10.1016/j.rse.2006.03.002"]
+    wrong = {
+        "other.html#gone": "no such anchor", "none.html": "no such file", "http://xarray.dev": "https",
+        "https://nowhere": "https", "https://doi.org/j.rse": "no DOI",
+    }  # fmt: skip
+    links = "".join(f'<a href="{link}">x</a>' for link in [*right, *wrong])
+    (tmp_path / "index.html").write_text(f'<p id="here">{links}</p>')
+    count, faults = of_docs("check_links").faults(tmp_path)
+    assert count == len(right) + len(wrong)
+    assert [fault.split(": ")[1] for fault in faults] == list(wrong)
+    assert all(text in fault for text, fault in zip(wrong.values(), faults, strict=True))

@@ -154,8 +154,8 @@ _LINE_TABLE = (
     Variable("panel_scale_u", _LINE, "1", "float32", "Relative standard uncertainty of the level that panels give reflectance"),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),
-    Variable(ALONG_TRACK, _LINE, "", "int64", "Line, counted from the first of the cube; crops keep their numbers", coordinate=True),
-    Variable(CROSS_TRACK, (CROSS_TRACK,), "", "int64", "Column, counted from the first of the cube; crops keep their numbers", coordinate=True),
+    Variable(ALONG_TRACK, _LINE, "", "int64", "Line of the cube", coordinate=True),
+    Variable(CROSS_TRACK, (CROSS_TRACK,), "", "int64", "Column of the cube", coordinate=True),
     Variable("frame", _LINE, "1", "int64", "Frame number of the instrument", coordinate=True),
     Variable("wavelength", (BAND,), "nm", "float64", "Centre wavelength at the centre column", standard_name="radiation_wavelength", coordinate=True),
     Variable("fwhm", (BAND,), "nm", "float64", "Full width at half maximum of the line shape", coordinate=True),

@@ -317,10 +317,18 @@ def flags_of(dataset: xr.Dataset) -> Array:
 
 
 def percent(share: float) -> str:
-    """Return a share for reading; what is there never reads as nothing."""
-    if 0 < share < 5e-6:
+    """Return a share for reading; what is there never reads as nothing, and what is not all never as all.
+
+    Examples
+    --------
+    >>> percent(0.30756), percent(0.00065), percent(2e-6), percent(0.9999), percent(1.0)
+    ('31 %', '0.065 %', '< 0.001 %', '> 99 %', '100 %')
+    """
+    if 0 < share < 1e-5:
         return "< 0.001 %"
-    return f"{100 * share:.3f}".rstrip("0").rstrip(".") + " %"
+    if 0.995 <= share < 1.0:
+        return "> 99 %"
+    return f"{float(f'{100 * share:.2g}'):g} %"
 
 
 def _draw_flags(axes: Any, quality: Array) -> None:

@@ -297,8 +297,10 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     axes.semilogy(wavelength, common, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics")
     axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lines")
     _shade_untrusted(axes, values)
+    from matplotlib.ticker import LogFormatter
+
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # else labels lie on each other
     low, high = axes.get_ylim()
     axes.set_ylim(low, 2.0 * high)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")

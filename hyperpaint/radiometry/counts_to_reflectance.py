@@ -264,7 +264,7 @@ def panel_closure(
 
     Notes
     -----
-    .. math:: F = \frac{1}{\rho} \left< \frac{\pi L}{E} \right>
+    .. math:: F = \frac{1}{\rho} \left\langle \frac{\pi L}{E} \right\rangle
 
     Computing warns of what is noticed: saturated pixels, pixels that are shaded or show something else, a
     mean that is not good to 1 %, the spectrum of a panel that leans, and a factor beyond twice its

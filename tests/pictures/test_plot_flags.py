@@ -82,7 +82,7 @@ def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:
     for lines in (1000, 7):
         made = flag_overlay(line, axes=axes(), lines=lines)
         texts = [text.get_text() for text in made.get_legend().get_texts()]
-        assert texts == ["saturated  0.417 %", "glint  0.833 %", "shadow  4.167 %"]
+        assert texts == ["saturated  0.42 %", "glint  0.83 %", "shadow  4.2 %"]
 
 
 def test_chosen_flags_alone(line: xr.Dataset) -> None:
