@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+import hyperpaint as hp
 from hyperpaint.base.schema import LIBRARY_VARIABLES, quality_attrs
 
 NAMES = ["red, matt", "Grün", "Grün", 'a/b "x" | c {d}', ""]
@@ -51,3 +52,38 @@ def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
     made["reflectance"].attrs["mirror_reflection"] = "excluded"
     made.attrs = {"title": "Paint signatures", "flightlines": ["raw_0", "raw_1"], "n": 3, "share": 0.1}
     return made
+
+
+def declared_library(bands: int = 24) -> xr.Dataset:
+    """Return three paints that say all that the specification of a library asks for."""
+    rng = np.random.default_rng(3)
+    spectra = rng.uniform(0.1, 0.6, (3, bands)).astype(np.float32)
+    one = {"units": "1"}
+    paints = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), spectra, one),
+            "reflectance_sd": (("paint", "band"), 0.02 * spectra, one),
+            "reflectance_u_random": (("paint", "band"), 0.01 * spectra, one),
+            "reflectance_quantiles": (
+                ("paint", "quantile", "band"), np.stack([0.9 * spectra, spectra, 1.1 * spectra], 1), one,
+            ),
+            "member_reflectance": (("paint", "member", "band"), np.stack([spectra, spectra], 1), one),
+            "n": ("paint", np.array([50, 60, 70]), one),
+            "n_eff": ("paint", np.array([5.0, 6.0, 7.0]), one),
+            "sun_zenith": ("paint", np.array([30.0, 31.0, 32.0]), {"units": "degree"}),
+            "diffuse_fraction": (("paint", "band"), np.full_like(spectra, 0.2), one),
+        },
+        coords={
+            "paint": ["red", "blue", "black"],
+            "wavelength": ("band", np.linspace(400.0, 1000.0, bands), {"units": "nm"}),
+            "fwhm": ("band", np.full(bands, 6.0), {"units": "nm"}),
+            "good": ("band", np.ones(bands, bool)),
+            "quantile": [0.05, 0.5, 0.95],
+            "finish": ("paint", ["solid", "metallic", "unknown"]),
+            "time": ("paint", np.array(["2021-07-20T17:00"] * 3, "datetime64[ns]")),
+        },
+    )  # fmt: skip
+    return hp.io.declare_library(
+        paints, quantity="HCRF", specular_component="included", provenance="measured", licence="CC-BY-4.0",
+        title="Three paints", measurement_geometry="sun and view of each paint",
+    )  # fmt: skip
