@@ -24,6 +24,7 @@ MODULES = (
     "io",
     "kernels",
     "library",
+    "memory",
     "orthorectification",
     "pipeline",
     "render",
@@ -48,7 +49,7 @@ def _benchmarks() -> Iterator[Any]:
 @pytest.mark.parametrize("kind", list(_benchmarks()))
 @pytest.mark.slow
 def test_benchmark_runs_at_its_smallest_size(kind: Any) -> None:
-    methods = [name for name in dir(kind) if name.startswith(("time_", "track_", "timeraw_"))]
+    methods = [name for name in dir(kind) if name.startswith(("time_", "track_", "timeraw_", "peakmem_"))]
     assert methods
     for arguments in itertools.product(*(values[:1] for values in getattr(kind, "params", ()))):
         case = kind()
