@@ -195,7 +195,9 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
     log = np.log(np.where(usable, responsivity, 1.0))
     distance = (wavelength - wavelength[:, None]) / width[:, None]
     near = usable & (np.abs(distance) <= 1.0)
-    terms = [near * distance**power for power in range(5)]
+    terms = [np.zeros(near.shape) for _ in range(5)]
+    for power, term in enumerate(terms):
+        term[near] = distance[near] ** power  # few are near: powers of all take longer than the matching
     sums = [term.sum(axis=1) for term in terms]
     normal = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
     right = np.stack([term @ log for term in terms[:3]], axis=-1)
