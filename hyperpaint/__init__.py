@@ -13,7 +13,7 @@ import lazy_loader
 
 from . import accessor as _accessor  # noqa: F401  (registers Dataset.paint)
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

@@ -84,7 +84,7 @@ def examples(value: Any) -> list[doctest.Example]:
 
 
 #: Whose examples need an extra that the tests do without; run below where it is there.
-WITH_EXTRAS = {"hyperpaint.pictures.pick_regions": "panel", "Dataset.paint.quantify": "pint_xarray"}
+WITH_EXTRAS = {"Dataset.paint.quantify": "pint_xarray"}
 
 
 def public_values() -> dict[str, Any]:
