@@ -12,14 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
+from hyperpaint.surroundings.scratch import release
 
 from .pages import page_part
 from .report_sections import (
+    LAYERS,
     Part,
     calibration_section,
     card_parts,
@@ -167,7 +171,15 @@ def _flagged_section(
 ) -> Iterator[Part]:
     """Yield the parts of a flight line's section, flags looked for first where the line has none."""
     line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    yield from line_section(line, lines, [one.region for one in measured], note)
+    for part in line_section(line, lines, [one.region for one in measured], note):
+        yield part
+        for name in (
+            "quality",
+            *LAYERS,
+        ):  # those that were looked for lie in files; a picture reads them whole
+            values = line.variables[name]._data if name in line.variables else None
+            if isinstance(values, np.ndarray):
+                release(values)
     yield from card_parts(line, [(one.library, one.paint) for one in measured], cards)
 
 
