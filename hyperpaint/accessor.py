@@ -41,6 +41,7 @@ METHODS = {
     "orthorectify": "geometry",
     "propose_regions": "regions",
     "signatures": "paints:extract_signatures",
+    "detect": "paints",
     "rgb": "pictures",
     "quicklook": "pictures",
     "spectrum": "pictures",

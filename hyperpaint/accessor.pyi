@@ -242,6 +242,21 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Make a paint library: one signature a region, with spread, uncertainty and provenance."""
+    def detect(
+        self,
+        library: xr.Dataset,
+        *,
+        method: str = "ace",
+        false_alarm_rate: float = 0.001,
+        unknown_rate: float | None = None,
+        others: xr.Dataset | None = None,
+        background: Any = None,
+        exclude: Quality | int | None = None,
+        sky: Any = "auto",
+        shrinkage: float = 0.0,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Look for the paints of a library in a flight line, at a stated rate of false alarms."""
     def rgb(
         self,
         *,

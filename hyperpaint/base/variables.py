@@ -233,6 +233,16 @@ _LINE_TABLE = (
     Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
     Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none"),
     Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky beyond that of the rest of the body"),
+    # --- paints looked for
+    Variable("detection_score", _PIXEL, "1", "float32", "Score of the paint that a pixel shows most likely"),
+    Variable("best_paint", _PIXEL, "", "int16", "Number of the paint that a pixel shows most likely; -1 where it has not all values"),
+    Variable("paint_distance", _PIXEL, "1", "float32", "What a paint at some level and the mirrored sky leave of a pixel, relative to the paint"),
+    Variable("paint_level", _PIXEL, "1", "float32", "Level at which the paint explains a pixel"),
+    Variable("detected", _PIXEL, "", "bool", "Whether a pixel shows a paint that was looked for"),
+    Variable("score_threshold", (PAINT,), "1", "float64", "Score from which a pixel may show a paint"),
+    Variable("distance_limit", (PAINT,), "1", "float64", "Distance up to which a pixel may show a paint; 0 where others are too near"),
+    Variable("checked_rate", (), "1", "float64", "Share of the background above thresholds from other parts of the line"),
+    Variable("checked_rate_u", (), "1", "float64", "Half of the 95 % interval of checked_rate"),
     # --- where a cell of a map lies in its flight line
     Variable("glt_line", _CELL, "1", "float64", "Line that shows a cell, with the part of the way to the next"),
     Variable("glt_sample", _CELL, "1", "float64", "Column that shows a cell, with the part of the way to the next"),

@@ -3,6 +3,10 @@ from .band_ratios import (
     covariance as covariance,
 )
 from .colours import paint_colours as paint_colours
+from .detection import (
+    detect as detect,
+    detected_regions as detected_regions,
+)
 from .mixing import (
     mix_paints as mix_paints,
     sample_paints as sample_paints,

@@ -19,7 +19,7 @@ from .colours import ciede2000, lab_of, paint_colours, parse_colour
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["search_library"]
+__all__ = ["interpolated", "search_library"]
 
 
 _FEWEST_BANDS = 5
@@ -246,10 +246,10 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     axis = spectrum["wavelength"]
     # what has no units is in nanometres, as the table has it
     axis = convert(axis, "nm") if "units" in axis.attrs else axis
-    return _interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
+    return interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
 
 
-def _interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
+def interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
     """Return values at other wavelengths; NaN beyond their ends, and where they have a hole."""
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]

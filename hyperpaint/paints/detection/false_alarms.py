@@ -1,0 +1,266 @@
+"""What a detector knows of the background: its statistics, and thresholds of a stated false-alarm rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.base.errors import SchemaError
+
+from .detectors import Projection, distances, projection, scores
+
+__all__ = [
+    "DETECTION", "BackgroundPart", "Detector", "DetectorSettings", "background_part", "joined_parts",
+    "make_detector",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DetectionRules:
+    """Thresholds of detection."""
+
+    #: Most memory of the pixels from which thresholds are drawn [byte]: 123,000 pixels of 272 bands.
+    sample_bytes: int = 2**27
+    #: Least and most level at which a pixel is still a paint [1]: a panel turned from a high sun, or towards
+    #: a low one; beyond, black passes for dark glass, and what is merely proportional for the paint.
+    min_level: float = 0.25
+    max_level: float = 2.5
+    #: Distance that a pixel's noise alone makes [1], at a signal-to-noise ratio of 100.
+    min_distance: float = 0.01
+    #: Pixels within the distance at which so many times the rate of other paints would be accepted are taken
+    #: for the paint itself, not for background: half of a car's pixels lie beyond the limit.
+    target_rate_ratio: float = 10.0
+    #: Parts of the line that check one another's thresholds.
+    folds: int = 8
+    #: Pixels of the sample that a threshold leaves above it at the least: fewer say nothing of a rate.
+    min_alarms: float = 5.0
+
+
+DETECTION = DetectionRules()
+
+_TOGETHER = 4096
+"""Pixels of the sample that are looked at together."""
+
+
+class BackgroundPart(NamedTuple):
+    """Sums over some blocks of lines, and a sample of their pixels."""
+
+    pixels: int
+    total: Floats  #: (band,)
+    products: Floats  #: (band, band)
+    sample: Array  #: (pixel, band) float32
+    block: Ints  #: (pixel,): number of the block that a pixel of the sample is in
+
+
+def background_part(cube: Array, is_valid: Bools, number: int, size: int) -> BackgroundPart:
+    """Return the sums of a block (line, band, column) over its valid pixels (line, column).
+
+    ``size`` pixels are drawn as the sample, by the block's number alone, and of them the valid ones kept.
+    """
+    lines, bands, columns = cube.shape
+    total, products = np.zeros(bands), np.zeros((bands, bands))
+    for line, valid in zip(cube, is_valid, strict=True):
+        # zeros add nothing, and every product has the same shape: the same bits
+        spectra = np.where(valid, line, 0.0).astype(np.float64)
+        total += spectra.sum(axis=1)
+        products += spectra @ spectra.T
+    rng = np.random.default_rng([number, 20])
+    drawn = np.sort(rng.permutation(lines * columns)[:size])
+    at = drawn[is_valid.ravel()[drawn]]
+    sample = np.ascontiguousarray(cube[at // columns, :, at % columns], np.float32)
+    return BackgroundPart(int(is_valid.sum()), total, products, sample, np.full(at.size, number, np.int64))
+
+
+def joined_parts(parts: Sequence[BackgroundPart]) -> BackgroundPart:
+    """Return the sums of several parts, in their order."""
+    pixels, total, products = 0, np.zeros_like(parts[0].total), np.zeros_like(parts[0].products)
+    for part in parts:
+        pixels += part.pixels
+        total += part.total
+        products += part.products
+    sample, block = (np.concatenate(arrays) for arrays in zip(*(part[3:] for part in parts), strict=True))
+    return BackgroundPart(pixels, total, products, sample, block)
+
+
+class DetectorSettings(NamedTuple):
+    """What a detector is asked for."""
+
+    method: str
+    rate: float
+    unknown_rate: float
+    shrinkage: float
+    has_targets: bool  #: Whether the paints may be among the pixels it is drawn from
+
+
+class Detector(NamedTuple):
+    """All that a block needs to be searched."""
+
+    method: str
+    bands: Ints  #: Of the cube, those that are compared
+    paints: Floats  #: (paint, band)
+    sky: Floats | None
+    project: Projection
+    usual: Floats  #: (paint,): median score of the background
+    threshold: Floats  #: (paint,)
+    distance_limit: Floats  #: (paint,)
+    checked_rate: float  #: Share above the thresholds of pixels that these were not drawn from
+    checked_rate_u: float  #: Half of its 95 % interval
+
+    def is_near(self, distance: Array, level: Array) -> Bools:
+        """Return which spectra each paint explains (spectrum, paint)."""
+        return _is_near(distance, level, self.distance_limit)
+
+
+def _is_near(distance: Array, level: Array, limit: Floats) -> Bools:
+    in_range = (level >= DETECTION.min_level) & (level <= DETECTION.max_level)
+    return np.asarray((distance <= limit) & in_range)
+
+
+def make_detector(
+    part: BackgroundPart,
+    bands: Ints,
+    paints: Floats,
+    sky: Floats | None,
+    others: Floats,
+    settings: DetectorSettings,
+) -> Detector:
+    """Return the detector of an image, from the sums over all of it.
+
+    Takes ``bands`` of the cube that are compared, and in these ``paints`` (paint, band), ``sky`` (band,) and
+    ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few pixels.
+    """
+    if not part.pixels:
+        raise SchemaError(
+            f"the line has no pixel that is free of flags and has a value in all {bands.size} bands",
+            expected="a background to be searched",
+            mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
+            option="give --keep with flags",
+        )
+    if part.pixels <= bands.size:
+        raise SchemaError(
+            f"{part.pixels} valid pixels for the covariance of {bands.size} bands",
+            expected="more pixels than bands",
+            mend="take a longer line, fewer bands, or exclude= with fewer flags",
+        )
+    mean = part.total / part.pixels
+    covariance = (part.products - part.pixels * np.outer(mean, mean)) / (part.pixels - 1)
+    shrunk = (1.0 - settings.shrinkage) * covariance + settings.shrinkage * np.diag(np.diag(covariance))
+    try:
+        if settings.method == "spectral_angle":
+            project = projection(paints, sky)
+        else:
+            project = projection(paints, sky, mean, shrunk)
+    except np.linalg.LinAlgError as error:
+        raise SchemaError(
+            "the covariance of the background is singular: some bands follow from others",
+            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in bands that were interpolated",
+            option="give --shrinkage 0.001",
+        ) from error
+    of_others = distances(others, paints, sky)
+    limit = _distance_limits(of_others, settings.unknown_rate)
+    if settings.has_targets and settings.unknown_rate < 1.0:
+        # pixels that a paint explains may be the very paint: they are no background
+        reach = _distance_limits(of_others, min(DETECTION.target_rate_ratio * settings.unknown_rate, 0.5))
+    else:
+        reach = np.full(len(paints), -1.0)
+    is_background, values = np.ones(len(part.sample), bool), np.empty((len(part.sample), len(paints)))
+    for first in range(0, len(values), _TOGETHER):
+        here = slice(first, first + _TOGETHER)
+        spectra = part.sample[here].astype(np.float64)
+        is_background[here] = ~_is_near(*distances(spectra, paints, sky), reach).any(axis=1)
+        values[here] = scores(spectra, project, settings.method)
+    values = values[is_background]
+    threshold = _score_thresholds(values, settings.rate)
+    checked, half = _checked_rate(values, part.block[is_background], settings.rate)
+    return Detector(
+        settings.method, bands, paints, sky, project, np.median(values, axis=0), threshold, limit, checked,
+        half,
+    )  # fmt: skip
+
+
+def _joint_rank(ranks: Ints, allowed: float) -> int:
+    """Return the largest rank at which no more rows than allowed are ranked so or better for any paint.
+
+    Ranks (row, paint) begin at 1; that of a row is the best it has for any paint (Westfall and Young's
+    minP), so that the rate is one of all paints together.
+    """
+    best = np.sort(ranks.min(axis=1))
+    count = int(np.floor(allowed + 1e-9))
+    if count >= best.size:
+        return int(best[-1])
+    # rows of the rank that is cut through are all left out
+    return int(best[count]) - 1
+
+
+def _ranks(values: Floats) -> Ints:
+    """Return the place of every value in its column, 1 for the smallest."""
+    order = np.argsort(values, axis=0, kind="stable")
+    ranks = np.empty(values.shape, np.int64)
+    np.put_along_axis(ranks, order, np.arange(1, len(values) + 1)[:, None], axis=0)
+    return ranks
+
+
+def _score_thresholds(values: Floats, rate: float) -> Floats:
+    """Return the score of each paint that, for any of them, a share ``rate`` of the background reaches."""
+    allowed = rate * (len(values) + 1)
+    if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
+        need = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
+        raise SchemaError(
+            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} pixels of background",
+            expected=f"at least {need}",
+            mend="ask for a higher rate, search a longer line or look for fewer paints",
+            option="give --rate",
+        )
+    rank = _joint_rank(_ranks(-values), allowed)
+    return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])
+
+
+def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
+    """Return the distance from each paint within which, for any of them, a share ``rate`` of others is.
+
+    0 of a paint that has others so near that its own pixels would not be told from them: it takes no part of
+    the rate. Closer than the nearest of the others the share is taken to grow in proportion to the distance:
+    it grows faster wherever paints differ in more than one way, so that fewer come within than is stated.
+    """
+    distance = np.where(others[1] > 0.0, others[0], np.inf)
+    if rate >= 1.0:
+        return np.full(distance.shape[1], np.inf)
+    allowed = rate * (len(distance) + 1)
+    ordered = np.sort(distance, axis=0)
+    alone = ordered[max(int(allowed), 1) - 1] * min(allowed, 1.0)
+    apart = alone >= DETECTION.min_distance
+    limit = np.zeros(distance.shape[1])
+    if apart.any():
+        ranks = _ranks(distance[:, apart])
+        rank = _joint_rank(ranks, allowed)
+        nearest = int((ranks.min(axis=1) == 1).sum())
+        limit[apart] = ordered[rank - 1, apart] if rank else ordered[0, apart] * (allowed / nearest)
+    return limit
+
+
+def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, float]:
+    """Return the share of pixels above thresholds drawn from other parts of the line, and its half interval.
+
+    The 95 % interval is Student's over the parts: neighbouring pixels are alike, parts are not.
+    """
+    from scipy.stats import t
+
+    numbers, part_of = np.unique(block, return_inverse=True)
+    folds = min(DETECTION.folds, numbers.size)
+    if folds < 2:
+        return float("nan"), float("nan")
+    fold = part_of * folds // numbers.size
+    shares = []
+    for number in range(folds):
+        held = fold == number
+        try:
+            threshold = _score_thresholds(values[~held], rate)
+        except SchemaError:
+            return float("nan"), float("nan")
+        shares.append((values[held] >= threshold).any(axis=1).mean())
+    half = t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds)
+    return float(np.mean(shares)), float(half)

@@ -1,0 +1,95 @@
+"""Which regions, such as cars, show a paint that was looked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Bools, Floats, Ints
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import PAINT
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["detected_regions"]
+
+_COLUMNS = ("pixels", "detected_share", "paint", "p_value", "placements")
+
+
+def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
+    r"""Tell which regions, such as cars, show a paint that was looked for.
+
+    Eager. Pixels of one thing are alike, so that they are not counted as so many witnesses: the share that is
+    detected is compared with that of the region's own outline laid on the rest of the line, side by side.
+
+    Parameters
+    ----------
+    detections
+        From `detect`.
+    regions
+        Regions, or a file of them, see `hyperpaint.read_regions`; pixels of the sensor.
+
+    Returns
+    -------
+    Dataset
+        (region): ``pixels`` that it has; ``detected_share`` [1] of its most frequent paint, which is
+        ``paint``, empty where none is detected; ``p_value``, the chance of so large a share where the paint
+        is not, of ``placements`` outlines: it is 1 / (placements + 1) at the least.
+
+    Raises
+    ------
+    FormatError, SchemaError
+        The regions cannot be read or hold no pixel, or these are no detections.
+    """
+    import xarray as xr
+
+    from hyperpaint.regions import pixels_of
+    from hyperpaint.regions.geojson import regions_from
+
+    detections = schema.rename_to_roles(detections)
+    variables = schema.require(detections, ["detected", "best_paint"], "detected regions")
+    detected, best = variables["detected"].values, variables["best_paint"].values
+    region_list = regions_from(regions)
+    places = pixels_of(region_list, detections)
+    problems = Problems("these regions cannot be searched", SchemaError)
+    for name, (along, _) in zip(region_list.names, places, strict=True):
+        if not along.size:
+            problems.add(f"region {name!r} holds no pixel of the line")
+    problems.raise_if_any()
+    taken = np.zeros(detected.shape, bool)
+    for place in places:
+        taken[place] = True
+    names = [str(name) for name in detections[PAINT].values]
+    rows = []
+    for along, across in places:
+        counts = np.bincount(best[along, across][detected[along, across]], minlength=len(names))
+        paint = int(counts.argmax())
+        share = counts[paint] / along.size
+        elsewhere = _shares_elsewhere(detected & (best == paint), taken, along, across)
+        p = (1 + int((elsewhere >= share).sum())) / (1 + elsewhere.size)
+        rows.append((along.size, share, names[paint] if counts[paint] else "", p, elsewhere.size))
+    columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
+    return xr.Dataset(
+        {
+            name: ("region", np.array(values), {} if name == "paint" else {"units": "1"})
+            for name, values in columns.items()
+        },
+        {"region": ("region", list(region_list.names))},
+        detections.attrs,
+    )
+
+
+def _shares_elsewhere(detected: Bools, taken: Bools, along: Ints, across: Ints) -> Floats:
+    """Return the share of detected pixels in an outline, wherever it fits beside itself off all regions."""
+    along, across = along - along.min(), across - across.min()
+    high, wide = along.max() + 1, across.max() + 1
+    shares = [
+        detected[along + top, across + left].mean()
+        for top in range(0, detected.shape[0] - high + 1, high)
+        for left in range(0, detected.shape[1] - wide + 1, wide)
+        if not taken[along + top, across + left].any()
+    ]
+    return np.array(shares, np.float64)

@@ -1,0 +1,312 @@
+"""Paints looked for in an image: scores against plain numpy and SPy, rates, refusals, the same bits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.paints.detection import false_alarms
+from hyperpaint.paints.detection.detectors import distances, projection, scores
+
+NM = np.linspace(405.0, 995.0, 30)
+RED, GREEN = "Synthetic Signal Red", "Synthetic Alpine Green"
+CUBE = ("along_track", "band", "cross_track")
+
+
+@pytest.fixture(scope="module")
+def paints() -> xr.Dataset:
+    return hp.paints.starter_library(members=4, wavelength=NM)
+
+
+@pytest.fixture(scope="module")
+def red(paints: xr.Dataset) -> xr.Dataset:
+    return paints.isel(paint=[list(paints["paint"].values).index(RED)])
+
+
+def make_line(
+    library: xr.Dataset | None = None, *, lines: int = 96, columns: int = 40, seed: int = 3
+) -> xr.Dataset:
+    """Return asphalt and grass with noise; of a library, each paint on 6 x 6 pixels under mirrored sky."""
+    rng = np.random.default_rng(seed)
+    asphalt, grass = 0.08 + 5e-5 * (NM - 400.0), 0.05 + 0.4 / (1.0 + np.exp((715.0 - NM) / 12.0))
+    share = rng.beta(0.5, 2.0, (lines, 1, columns))
+    seen = (asphalt[:, None] * (1.0 - share) + grass[:, None] * share) * rng.normal(
+        1.0, 0.2, (lines, 1, columns)
+    )
+    for number, spectrum in enumerate(() if library is None else library["reflectance"].values):
+        level = rng.uniform(0.7, 1.1, (6, 1, 6))
+        sky = 0.02 * (NM / 550.0) ** -3
+        row = 10 + 20 * number
+        seen[row : row + 6, :, 8:14] = level * spectrum[:, None] + sky[:, None]
+    seen *= rng.normal(1.0, 0.01, seen.shape)
+    quality = np.zeros((lines, columns), np.uint16)
+    return xr.Dataset(
+        {
+            "reflectance": (CUBE, seen.astype(np.float32), {"units": "1"}),
+            "quality": (CUBE[::2], quality),
+        },
+        {"wavelength": ("band", NM, {"units": "nm"})},
+    )
+
+
+def spectra_of(line: xr.Dataset) -> np.ndarray:
+    return np.moveaxis(line["reflectance"].values.astype(float), 1, 2).reshape(-1, NM.size)
+
+
+# --- scores ------------------------------------------------------------------------------------------------
+
+
+def some_spectra(seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    spectra = rng.random((200, 9)) @ rng.random((9, 9)) + 0.1
+    return spectra, rng.random((3, 9)), spectra.mean(axis=0), np.cov(spectra.T)
+
+
+def test_scores_are_those_of_plain_numpy() -> None:
+    spectra, paints, mean, covariance = some_spectra()
+    inverse = np.linalg.inv(covariance)
+    project = projection(paints, None, mean, covariance)
+    ace, matched = (scores(spectra, project, method) for method in ("ace", "matched_filter"))
+    angle = scores(spectra, projection(paints, None), "spectral_angle")
+    for n, pixel in enumerate(spectra):
+        for k, paint in enumerate(paints):
+            x, t = pixel - mean, paint - mean
+            product = t @ inverse @ x
+            expected = product**2 / ((t @ inverse @ t) * (x @ inverse @ x)) * np.sign(product)
+            assert ace[n, k] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+            assert matched[n, k] == pytest.approx(product / (t @ inverse @ t), rel=1e-9, abs=1e-12)
+            cosine = pixel @ paint / np.sqrt((pixel @ pixel) * (paint @ paint))
+            assert angle[n, k] == pytest.approx(cosine, rel=1e-12)
+
+
+def test_scores_are_those_of_spy() -> None:
+    spectral = pytest.importorskip("spectral")
+    spectra, paints, mean, covariance = some_spectra()
+    background = spectral.GaussianStats(mean=mean, cov=covariance, nsamples=len(spectra))
+    project = projection(paints, None, mean, covariance)
+    image = spectra.reshape(20, 10, -1)
+    for number, paint in enumerate(paints):
+        ace = spectral.ace(image, paint, background=background).ravel()
+        matched = spectral.matched_filter(image, paint, background=background).ravel()
+        np.testing.assert_allclose(np.abs(scores(spectra, project, "ace"))[:, number], ace, atol=1e-9)
+        np.testing.assert_allclose(scores(spectra, project, "matched_filter")[:, number], matched, rtol=1e-7)
+
+
+def test_ace_knows_no_scale_and_no_affine_change_of_bands() -> None:
+    spectra, paints, mean, covariance = some_spectra()
+    plain = scores(spectra, projection(paints, None, mean, covariance), "ace")
+    longer = scores(mean + 3.7 * (spectra - mean), projection(paints, None, mean, covariance), "ace")
+    np.testing.assert_allclose(longer, plain, rtol=1e-9)
+    rng = np.random.default_rng(8)
+    change, shift = rng.random((9, 9)) + np.eye(9), rng.random(9)
+    moved = projection(paints @ change + shift, None, mean @ change + shift, change.T @ covariance @ change)
+    np.testing.assert_allclose(scores(spectra @ change + shift, moved, "ace"), plain, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["ace", "matched_filter", "spectral_angle"])
+def test_mirrored_sky_changes_no_product_with_a_paint(method: str) -> None:
+    spectra, paints, mean, covariance = some_spectra()
+    sky = np.linspace(1.0, 0.2, 9)
+    known = () if method == "spectral_angle" else (mean, covariance)
+    project = projection(paints, sky, *known)
+    more = scores(spectra + 0.3 * sky, project, method)
+    np.testing.assert_allclose(more, scores(spectra, project, method), atol=1e-9)
+
+
+def test_distances_are_those_of_least_squares() -> None:
+    spectra, paints, *_ = some_spectra()
+    sky = np.linspace(1.0, 0.2, 9)
+    distance, level = distances(spectra, paints, sky)
+    for n in range(0, 200, 20):
+        for k, paint in enumerate(paints):
+            amounts, *_ = np.linalg.lstsq(np.stack([paint, sky], axis=1), spectra[n], rcond=None)
+            rest = spectra[n] - amounts[0] * paint - amounts[1] * sky
+            assert level[n, k] == pytest.approx(amounts[0])
+            expected = np.linalg.norm(rest) / np.linalg.norm(amounts[0] * paint) if amounts[0] > 0 else np.inf
+            assert distance[n, k] == pytest.approx(expected, rel=1e-6)
+
+
+# --- detections --------------------------------------------------------------------------------------------
+
+
+def test_paints_are_detected_where_they_are(paints: xr.Dataset, red: xr.Dataset) -> None:
+    line = make_line(red)
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3).compute()
+    detected = found["detected"].values
+    assert detected[10:16, 8:14].mean() > 0.9
+    detected[10:16, 8:14] = False
+    assert not detected.any()
+    assert found["best_paint"].attrs["flag_meanings"] == "none Synthetic_Signal_Red"
+    level = found["paint_level"].values[10:16, 8:14]
+    assert level.min() > 0.65
+    assert level.max() < 1.2
+
+
+def test_paints_that_are_not_looked_for_are_rejected(paints: xr.Dataset, red: xr.Dataset) -> None:
+    other = paints.isel(paint=[number for number in range(40) if paints["paint"].values[number] != RED][::9])
+    line = make_line(other, lines=160)
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3).compute()
+    assert not found["detected"].any()
+    freely = hp.paints.detect(line, red, false_alarm_rate=1e-2, unknown_rate=1.0, sky=(NM / 550.0) ** -3)
+    assert freely["detected"].values.any()
+
+
+@pytest.mark.parametrize("method", ["ace", "matched_filter", "spectral_angle"])
+@pytest.mark.parametrize("rate", [1e-2, 1e-3])
+def test_rate_is_that_of_the_background(paints: xr.Dataset, method: str, rate: float) -> None:
+    some = paints.isel(paint=[5, 15, 25])
+    line = make_line(lines=320, columns=64)
+    found = hp.paints.detect(
+        line, some, method=method, false_alarm_rate=rate, unknown_rate=1.0, sky=None
+    ).compute()
+    # without targets and rejection, what is detected is what is above a threshold and at a level
+    claimed = rate * line["quality"].size
+    x = spectra_of(line)
+    known = () if method == "spectral_angle" else (x.mean(axis=0), np.cov(x.T))
+    values = scores(x, projection(some["reflectance"].values.astype(float), None, *known), method)
+    above = (values >= found["score_threshold"].values * (1.0 - 1e-9)).any(axis=1).sum()
+    assert 0.8 * claimed - 3 <= above <= claimed + 1
+    assert found["detected"].sum() <= above
+    assert abs(found["checked_rate"].item() - rate) < 3 * found["checked_rate_u"].item()
+
+
+def test_rate_of_others_is_that_of_the_limits(paints: xr.Dataset) -> None:
+    rng = np.random.default_rng(11)
+    looked_for = paints["reflectance"].values[[3, 8, 30]].astype(float)
+    others = looked_for[rng.integers(0, 3, 4000)] * rng.normal(1.0, 0.3, (4000, NM.size))
+    apart = distances(others, looked_for, None)
+    for rate in (1e-1, 1e-2):
+        limit = false_alarms._distance_limits(apart, rate)
+        share = (apart[0] <= limit).any(axis=1).mean()
+        assert 0.9 * rate <= share <= rate * 4001 / 4000
+
+
+def test_a_paint_like_all_others_is_not_detected(paints: xr.Dataset, red: xr.Dataset) -> None:
+    twin = red.assign_coords(paint=["twin"])
+    line = make_line(red)
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, others=twin).compute()
+    assert found["distance_limit"].item() == 0.0
+    assert not found["detected"].any()
+
+
+def test_flagged_pixels_are_no_background_and_not_detected(red: xr.Dataset) -> None:
+    line = make_line(red)
+    line["reflectance"].values[:20, :, 30:] = 5.0
+    line["quality"].values[:20, 30:] = int(hp.Quality.SATURATED)
+    line["quality"].values[10:16, 8:11] = int(hp.Quality.GLINT)
+    options = {"false_alarm_rate": 1e-2, "sky": (NM / 550.0) ** -3}
+    found = hp.paints.detect(line, red, **options).compute()
+    assert not found["detected"].values[10:16, 8:11].any()
+    assert found["detected"].values[10:16, 11:14].mean() > 0.9
+    line["reflectance"].values[:20, :, 30:] = np.nan
+    again = hp.paints.detect(line, red, **options).compute()
+    assert again["score_threshold"].item() == found["score_threshold"].item()
+    assert (again["best_paint"].values[:20, 30:] == -1).all()
+    keeping = hp.paints.detect(line, red, exclude=hp.Quality.SATURATED, **options).compute()
+    assert keeping["detected"].values[10:16, 8:11].any()
+
+
+def test_background_that_is_given(red: xr.Dataset) -> None:
+    line = make_line(red)
+    clear = np.ones((96, 40), bool)
+    clear[10:16, 8:14] = False
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, background=clear, sky=None).compute()
+    assert found["detected"].values[10:16, 8:14].any()
+    with pytest.raises(SchemaError, match="background= is"):
+        hp.paints.detect(line, red, background=clear[:-1])
+
+
+def test_same_bits_whatever_the_chunks(red: xr.Dataset) -> None:
+    line = make_line(red)
+    whole = line.paint.detect(red, false_alarm_rate=1e-2).compute(scheduler="sync")
+    for chunks in (
+        {"along_track": 1}, {"along_track": 7, "band": 4}, {"along_track": 50, "cross_track": 9},
+        {"along_track": 96}, {"along_track": 33},
+    ):  # fmt: skip
+        chunked = line.chunk(chunks).paint.detect(red, false_alarm_rate=1e-2).compute(scheduler="threads")
+        xr.testing.assert_identical(whole, chunked)
+
+
+def test_nothing_is_computed_before_it_is_asked_for(red: xr.Dataset) -> None:
+    def refused(*_: Any, **__: Any) -> None:
+        raise AssertionError("something was computed")
+
+    line = make_line(red)
+    line["reflectance"] = line["reflectance"].chunk(along_track=16)  # wavelengths are read
+    with dask.config.set(scheduler=refused):
+        found = hp.paints.detect(line, red)
+    for name, dtype, units in (
+        ("detection_score", "float32", "1"), ("best_paint", "int16", None), ("detected", "bool", None),
+        ("paint_distance", "float32", "1"), ("score_threshold", "float64", "1"),
+    ):  # fmt: skip
+        assert found[name].chunks is not None or found[name].ndim == 0
+        assert found[name].dtype == dtype
+        assert found[name].attrs.get("units") == units
+        assert found[name].attrs["long_name"]
+
+
+def test_dims_of_other_programs(red: xr.Dataset) -> None:
+    line = make_line(red)
+    theirs = line.rename(along_track="downtrack", cross_track="crosstrack", band="bands")
+    found = theirs.paint.detect(red, false_alarm_rate=1e-2)
+    ours = line.paint.detect(red, false_alarm_rate=1e-2)
+    np.testing.assert_array_equal(found["detected"].values, ours["detected"].values)
+
+
+# --- refusals ----------------------------------------------------------------------------------------------
+
+
+def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
+    line = make_line(red)
+    with pytest.raises(SchemaError, match="method='x'") as raised:
+        hp.paints.detect(line, red, method="x", false_alarm_rate=0.0, unknown_rate=2.0, shrinkage=-1.0)
+    for option in ("false_alarm_rate", "unknown_rate", "shrinkage"):
+        assert option in str(raised.value)
+    far = red.assign_coords(wavelength=red["wavelength"] + 2000.0)
+    with pytest.raises(SchemaError, match="values in 0 of the line's 30 good bands"):
+        hp.paints.detect(line, far)
+    with pytest.raises(SchemaError, match="no paint of others="):
+        hp.paints.detect(line, red, others=red)
+    with pytest.raises(SchemaError, match="sky= has shape"):
+        hp.paints.detect(line, red, sky=np.ones(3))
+    with pytest.raises(SchemaError, match="covariance of 30 bands"):
+        hp.paints.detect(line.isel(along_track=[0], cross_track=slice(20)), red).compute()
+    with pytest.raises(SchemaError, match="no pixel that is free of flags"):
+        hp.paints.detect(line.assign(quality=line["quality"] | 1), red).compute()
+    with pytest.raises(SchemaError, match="false_alarm_rate=1e-05 of 1 paints"):
+        hp.paints.detect(line, red, false_alarm_rate=1e-5).compute()
+    flat = line.assign(reflectance=line["reflectance"].isel(band=[0]).isel(band=[0] * 30))
+    with pytest.raises(SchemaError, match="singular"):
+        hp.paints.detect(flat, red, false_alarm_rate=1e-2).compute()
+
+
+# --- regions -----------------------------------------------------------------------------------------------
+
+
+def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
+    from hyperpaint.regions import Region, Regions
+
+    line = make_line(red)
+    found = line.paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
+    outlines = {"car": (8, 10), "road": (22, 40)}
+    regions = Regions(
+        tuple(
+            Region(name, [(x, y), (x + 5, y), (x + 5, y + 5), (x, y + 5)])
+            for name, (x, y) in outlines.items()
+        )
+    )
+    cars = hp.paints.detected_regions(found, regions)
+    assert cars["paint"].values.tolist() == [RED, ""]
+    assert cars["pixels"].values.tolist() == [36, 36]
+    placements = cars["placements"].values
+    assert placements[0] > 60
+    assert cars["p_value"].values[0] == pytest.approx(1 / (placements[0] + 1))
+    assert cars["p_value"].values[1] == 1.0
+    with pytest.raises(SchemaError, match="'off' holds no pixel"):
+        hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
