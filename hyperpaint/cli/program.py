@@ -29,8 +29,9 @@ __all__ = ["main"]
 COMMANDS = {
     **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
     **{name: name for name in ("process", "render", "run", "simulate", "site", "validate", "verify")},
-    "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
-    "signatures": "make_signatures", "check-library": "check_library", "virtual": "virtual",
+    "detect": "detect_paints", "mosaic": "make_mosaic", "orthorectify": "make_map",
+    "paints": "list_paints", "report": "make_report", "signatures": "make_signatures",
+    "check-library": "check_library", "virtual": "virtual",
     "view": "view", "warm": "warm",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
@@ -149,6 +150,7 @@ Step by step:
   hyperpaint validate paints.zarr --reference 'svc/*.sig'
   hyperpaint export paints.zarr --format dirsig --out dirsig
   hyperpaint paints --colour red                      red ones of the synthetic starter library
+  hyperpaint detect lot.zarr --library wanted.zarr    which pixels show these paints?
   hyperpaint report lot.zarr --out report.html        all of it on one page
   hyperpaint view lot.zarr                            look at it with the mouse
   hyperpaint site lot.zarr --out page                 the same for any web server: click for spectra

@@ -9,6 +9,7 @@ from .plot_chain import (
     straightening as straightening,
     triptych as triptych,
 )
+from .plot_detections import detection_curve as detection_curve
 from .plot_flags import (
     adjacency_figure as adjacency_figure,
     flag_overlay as flag_overlay,

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LOCATION",
+    "line_of_store",
     "location_of",
     "map_of_store",
     "map_planned",
@@ -38,7 +39,7 @@ def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
     Raises `SchemaError`: the store has no such line, or several and none is named; options are given for a
     line that is located; or as `location_of`.
     """
-    flightline = _line_of(store, line)
+    flightline = line_of_store(store, line)
     names = LOCATION & set(options)
     location = location_of(flightline, **{name: options.pop(name) for name in names})
     return orthorectify(flightline, **options, **location)
@@ -197,7 +198,8 @@ def _write_map(
     return ", ".join(notes)
 
 
-def _line_of(store: Path, line: str | None) -> xr.Dataset:
+def line_of_store(store: Path, line: str | None) -> xr.Dataset:
+    """Return a flight line of a store by its name, the only one by default, or a map."""
     from hyperpaint.io.store import list_groups, open_store
 
     prefix = "flightlines/"

@@ -310,3 +310,53 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
     assert cars["p_value"].values[1] == 1.0
     with pytest.raises(SchemaError, match="'off' holds no pixel"):
         hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
+
+
+# --- pictures and the command ------------------------------------------------------------------------------
+
+
+def test_curve_of_detections(red: xr.Dataset, tmp_path: Any) -> None:
+    pytest.importorskip("matplotlib")
+    line = make_line(red)
+    truth = np.zeros((96, 40), bool)
+    truth[10:16, 8:14] = True
+    named = {
+        method: line.paint.detect(red, method=method, false_alarm_rate=1e-2)
+        for method in ("ace", "spectral_angle")
+    }
+    figure = hp.pictures.detection_curve(named, truth, tmp_path / "roc.png")
+    assert (tmp_path / "roc.png").stat().st_size > 1000
+    alarms, hits = figure.axes[0].lines[0].get_data()
+    assert (np.diff(alarms) >= 0).all()
+    assert (np.diff(hits) >= 0).all()
+    assert hits[-1] == alarms[-1] == 1.0
+    score = named["ace"]["detection_score"].values
+    better = (score[truth][:, None] > score[~truth]).mean()
+    assert np.trapezoid(hits, alarms) == pytest.approx(better, abs=0.01)
+    with pytest.raises(SchemaError, match="truth is False everywhere"):
+        hp.pictures.detection_curve(named, np.zeros((96, 40), bool))
+
+
+def test_command(red: xr.Dataset, tmp_path: Any) -> None:
+    from click.testing import CliRunner
+
+    from hyperpaint.cli.program import main
+    from hyperpaint.regions import Region, Regions
+
+    hp.to_store(make_line(red), tmp_path / "line.zarr")
+    hp.write_library(red, tmp_path / "red.zarr")
+    hp.write_regions(
+        Regions((Region("car", [(8, 10), (13, 10), (13, 15), (8, 15)]),)), tmp_path / "cars.geojson"
+    )
+    told = CliRunner().invoke(
+        main,
+        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"), "--rate", "0.01",
+         "--regions", str(tmp_path / "cars.geojson"), "--out", str(tmp_path / "found.zarr"), "--quiet"],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.output
+    assert f"{RED}  " in told.output
+    assert "car" in told.output
+    found = xr.open_zarr(tmp_path / "found.zarr")
+    assert found["detected"].values[10:16, 8:14].any()
+    ours = make_line(red).paint.detect(red, false_alarm_rate=0.01)
+    np.testing.assert_array_equal(found["detected"].values, ours["detected"].values)

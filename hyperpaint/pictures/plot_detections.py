@@ -1,0 +1,99 @@
+"""How often paints are detected against how often falsely: receiver operating characteristics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+
+from .figures import ink_of, legend_below, new_figure, save_figure
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["detection_curve"]
+
+_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
+
+
+def detection_curve(
+    detections: xr.Dataset | Mapping[str, xr.Dataset],
+    truth: Any,
+    path: str | Path | None = None,
+    *,
+    width: float = 6.0,
+) -> Any:
+    """Draw the share of a paint's pixels that score above a threshold against that of all other pixels (ROC).
+
+    Eager.
+
+    Parameters
+    ----------
+    detections
+        From `hyperpaint.paints.detect`, or several by their names, such as those of the methods.
+    truth
+        Which pixels show a paint that was looked for, (along_track, cross_track) bool.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    width
+        Of the figure [inch].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A curve for each, along which one amount is added to all thresholds. A dot is what is detected, after
+        unknown paints were rejected; the upright line is the rate that was asked for.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        These are no detections, or truth has another shape, or no pixel of either kind.
+
+    Examples
+    --------
+    >>> figure = detection_curve({"ACE": ace, "angle": angle}, truth, "roc.png")      # doctest: +SKIP
+    """
+    named: Any = {"": detections} if "detected" in detections else detections
+    is_target = np.asarray(getattr(truth, "values", truth), bool)
+    figure = new_figure("a detection curve", figsize=(width, 0.8 * width), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (name, each) in enumerate(dict[str, Any](named).items()):
+        alarms, hits, dot = _curve(each, is_target)
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.plot(alarms, hits, color=colour, label=name or str(each.attrs.get("method", "")))
+        axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
+        rate = each.attrs.get("false_alarm_rate")
+        if rate is not None:
+            axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
+    axes.set(xlabel="false alarms, share of other pixels [1]", ylabel="detections, share of its pixels [1]",
+             xscale="log", ylim=(0.0, 1.02))  # fmt: skip
+    legend_below(axes)
+    save_figure(figure, path)
+    return figure
+
+
+def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
+    """Return shares of false alarms and of hits along all thresholds, and those of what is detected."""
+    names = ("detection_score", "best_paint", "score_threshold", "detected")
+    arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
+    score, paint, threshold, detected = (arrays[name].values for name in names)
+    if is_target.shape != score.shape:
+        raise SchemaError(f"truth has shape {is_target.shape}", expected=f"{score.shape}, as the detections")
+    scored = paint >= 0
+    above = (score - threshold[paint])[scored]
+    true = is_target[scored]
+    if not true.any() or true.all():
+        raise SchemaError(
+            f"truth is {bool(true.any())} everywhere", expected="pixels with a paint, and others"
+        )
+    order = np.argsort(-above, kind="stable")
+    hits, alarms = np.cumsum(true[order]) / true.sum(), np.cumsum(~true[order]) / (~true).sum()
+    dot = detected[scored & ~is_target].mean(), detected[scored & is_target].mean()
+    return np.maximum(alarms, 0.5 / (~true).sum()), hits, dot
