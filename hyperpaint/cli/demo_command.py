@@ -58,8 +58,9 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
         click.echo(f"  and look at {folder / PICTURE}; or in Python:")
     else:
         click.echo("  or in Python:")
-    click.echo("    import xarray as xr, hyperpaint")
-    click.echo(f'    line = xr.open_zarr("{folder / STORE}", group="flightlines/raw_0")')
-    click.echo("    line.paint.reflectance().reflectance")
+    click.echo("    import xarray as xr, hyperpaint as hp")
+    click.echo(f'    line = xr.open_zarr("{folder / STORE}", group="flightlines/raw_0").paint.reflectance()')
+    click.echo(f'    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))')
+    click.echo("    print(paints.reflectance.isel(paint=0).to_series())")
     if not comparison.ok:
         ctx.exit(FAILED_CHECK)

@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning
 from hyperpaint.base.schema import FORMAT_VERSION
 
@@ -25,14 +26,15 @@ def _problems(path: Path) -> str:
 
 
 def test_a_store_of_every_format_is_kept() -> None:
-    kept = {path.name for path in RELEASED.iterdir()}
+    kept = {path.name for path in RELEASED.glob("format_*")}
     assert kept == {f"format_{number}.zip" for number in range(1, FORMAT_VERSION + 1)}
 
 
-def _unpacked(number: int, folder: Path) -> Path:
-    with zipfile.ZipFile(RELEASED / f"format_{number}.zip") as archive:
+def _unpacked(name: str | int, folder: Path) -> Path:
+    stem = f"format_{name}" if isinstance(name, int) else name
+    with zipfile.ZipFile(RELEASED / f"{stem}.zip") as archive:
         archive.extractall(folder)
-    return folder / f"format_{number}.zarr"
+    return folder / f"{stem}.zarr"
 
 
 def _has_its_counts(tree: xr.DataTree) -> None:
@@ -83,3 +85,16 @@ def test_a_store_of_format_2_is_whole(tmp_path: Path) -> None:
         _has_its_counts(hp.open_store(path))
     shutil.rmtree(path / "flightlines/raw_1")
     assert "/flightlines/raw_1: deleted" in _problems(path)
+
+
+@pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")  # of later numerics
+def test_a_store_of_release_0_2_is_whole_and_gives_its_reflectance(tmp_path: Path) -> None:
+    """A simulated line as `process` of 0.2.0 stored it, with its collect and calibration."""
+    path = _unpacked("release_0_2", tmp_path)
+    report = hp.verify(path)
+    assert report.ok, str(report)
+    line = hp.open_store(path, "flightlines/raw_0")
+    assert line.attrs["hyperpaint_version"] == "0.2.0"
+    again = line.drop_vars(["reflectance", "quality"]).paint.reflectance()
+    np.testing.assert_allclose(again.reflectance, line.reflectance, rtol=2.0**-KEPT_BITS)
+    np.testing.assert_array_equal(again.quality, line.quality)
