@@ -91,6 +91,10 @@ def write_reference(folder: Path) -> None:
     for room in sorted(rooms()):
         inside = [name for name in names if name.startswith(f"hyperpaint.{room}.")]
         pages[room] = (f"hp.{room}", f"{_ABOUT[room].capitalize()}.", _table(inside))
+    public = {*names, *(f"xarray.{method}" for method in methods)}
+    for page in (folder / "generated").glob("*.rst"):  # of a name that is public no longer
+        if page.stem not in public:
+            page.unlink()
     index = _FRONT + "```{toctree}\n:maxdepth: 1\n\n" + "\n".join([*pages, "command_line"]) + "\n```\n"
     texts = {name: f"# {title}\n\n{about}\n\n{table}" for name, (title, about, table) in pages.items()}
     for name, text in {**texts, "index": index, "command_line": _command_line()}.items():
