@@ -43,6 +43,21 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     ------
     FormatError, SchemaError
         The regions cannot be read or hold no pixel, or these are no detections.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> from hyperpaint.regions import Region
+    >>> shown = np.zeros((24, 24), bool)
+    >>> shown[4:8, 4:10] = True  # as `detect` returns it
+    >>> pixels = ("along_track", "cross_track")
+    >>> detections = xr.Dataset(
+    ...     {"detected": (pixels, shown), "best_paint": (pixels, np.zeros((24, 24), np.int16))},
+    ...     {"paint": ["red"]})
+    >>> car = Region("car", [(3.5, 3.5), (9.5, 3.5), (9.5, 7.5), (3.5, 7.5)])
+    >>> cars = detected_regions(detections, [car])
+    >>> cars["paint"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
+    ('red', 1.0, 0.04)
     """
     import xarray as xr
 
