@@ -62,10 +62,11 @@ def make_report(
 ) -> None:
     """Show what a store holds on one page of HTML that needs nothing else.
 
-    Of every flight line: true colour, flags, irradiance over time, how reflectance is spread, provenance, and
-    a card of every paint measured on it: place, pixels used and left out, signature; then paint signatures
-    and the calibration, where there are any. What cannot be read is named on the page and here, with exit
-    status 1.
+    Of every flight line: true colour, flags, irradiance over time, panels, how reflectance is spread, the
+    steps from counts to it, the map, alignment, provenance, and a card of every paint measured on it: place,
+    pixels used and left out, signature; then paint signatures with their uncertainty and agreement with
+    references, and the calibration, where there are any. What cannot be read is named on the page
+    and here, with exit status 1.
     """
     from hyperpaint.report.store_report import write_report
 

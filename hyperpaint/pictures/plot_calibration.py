@@ -18,7 +18,7 @@ from .figures import check_picture, columns_for, ink_of, legend_below, new_figur
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["calibration_report"]
+__all__ = ["calibration_report", "draw_gain"]
 
 Values = dict[str, Any]
 
@@ -313,3 +313,29 @@ def _over_columns(values: Array) -> Array:
     middle = np.full(len(values), np.nan)
     middle[has_value] = np.nanmedian(values[has_value], axis=1)
     return middle
+
+
+def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
+    """Draw gain and width over wavelength, and smile over columns, as a calibration states them."""
+    names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
+    values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
+    nm, gain = values["wavelength"].values, values["radiance_gain"].values
+    panels = figure.subplots(1, 3)
+    low, middle, high = (np.full(len(gain), np.nan) for _ in range(3))
+    seen = np.isfinite(gain).any(axis=1)
+    low[seen], middle[seen], high[seen] = np.nanpercentile(gain[seen], (5, 50, 95), axis=1)
+    panels[0].fill_between(nm, low, high, color=_BLUE, alpha=0.25, lw=0)
+    panels[0].semilogy(nm, middle, color=_BLUE, lw=1.6)
+    panels[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
+    panels[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
+    if "fwhm" in values:
+        panels[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
+    panels[1].set(ylabel="FWHM [nm]")
+    panels[1].set_title("width of the bands", fontsize="medium")
+    shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
+    rows = np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)]
+    panels[2].plot(rows.T, lw=1.3)
+    panels[2].set(xlabel="column", ylabel="shift of wavelength [nm]")
+    panels[2].set_title("smile", fontsize="medium")
+    for axes in panels[:2]:
+        axes.set_xlabel("wavelength [nm]")

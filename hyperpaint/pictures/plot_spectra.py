@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "MOST_CURVES", "MOST_PAINTS", "draw_curve", "find_usable", "good_of", "library_overview", "pixel_colours",
-    "pixel_label", "spectrum", "styles_of",
+    "MOST_CURVES", "MOST_PAINTS", "draw_curve", "draw_uncertainties", "find_usable", "good_of",
+    "library_overview", "pixel_colours", "pixel_label", "spectrum", "styles_of",
 ]  # fmt: skip
 
 
@@ -393,3 +393,23 @@ def _draw_paint(
         )  # fmt: skip
         axes.add_patch(swatch)
     axes.tick_params(labelsize="small")
+
+
+def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
+    """Draw how sure the mean of each paint is, and its random part; of at most `MOST_CURVES` paints."""
+    names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
+    held = [name for name in names if name in paints.variables]
+    few = paints.isel({schema.PAINT: slice(MOST_CURVES)})
+    values = schema.require(few, [*held, "wavelength"], "uncertainties", schema.LIBRARY_VARIABLES)
+    is_good, nm = good_of(few), values["wavelength"].values
+    parts = [np.where(is_good, values[name].values, np.nan).astype(np.float64) for name in held]
+    total = np.sqrt(sum(np.nan_to_num(part) ** 2 for part in parts))
+    total[np.isnan(parts).all(axis=0)] = np.nan
+    for number, style in enumerate(styles_of(paint_colours(few))):
+        label = label_for(few[schema.PAINT].values[number])
+        draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
+        if len(held) > 1:
+            axes.plot(nm, parts[0][number], ls="--", lw=0.9, color=style["color"])
+    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]")
+    axes.set_ylim(bottom=0)
+    legend_below(axes)

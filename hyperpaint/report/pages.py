@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-__all__ = ["page_part", "plain_text"]
+__all__ = ["Part", "page_part", "plain_text"]
+
+Part: TypeAlias = "tuple[str, Callable[[], Markup]]"
+"""What a part shows, and what draws it."""
 
 LONGEST_TEXT = 2000
 """Characters of one text; what is longer is cut."""

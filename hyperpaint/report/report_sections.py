@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,18 +19,19 @@ from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
+from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
 from hyperpaint.pictures.orientation import laid_down, orientation_of
 from hyperpaint.pictures.paint_cards import paint_card
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
-from hyperpaint.pictures.plot_calibration import calibration_report
+from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_panels import draw_panels
-from hyperpaint.pictures.plot_spectra import find_usable, library_overview
+from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 
-from .pages import page_part
+from .chain_sections import figure_part, picture_bytes, trust_parts
+from .pages import Part, page_part
 from .summaries import facts_of_bands, facts_of_line, facts_of_map
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 __all__ = [
-    "Part", "calibration_section", "card_parts", "library_section", "line_section", "map_section",
-    "regions_of",
+    "calibration_section", "card_parts", "library_section", "line_section",
+    "map_section", "regions_of",
 ]  # fmt: skip
 
 MOST_ROWS = 500
@@ -47,12 +48,6 @@ MOST_ROWS = 500
 
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency")
 """Continuous layers that are drawn where the store holds them."""
-
-_DPI = 100
-
-
-Part: TypeAlias = "tuple[str, Callable[[], Markup]]"
-"""What a part shows, and what draws it."""
 
 
 def line_section(
@@ -73,6 +68,7 @@ def line_section(
         yield "panels", partial(_panels, line)
     if "reflectance" in line.variables or "irradiance" in line.variables:
         yield "reflectance", partial(_reflectance, line)
+    yield from trust_parts(line, regions)
     yield "provenance", lambda: _provenance(line.attrs)
 
 
@@ -90,7 +86,7 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
 
 def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Markup:
     caption = f"{paint}: its region, the pixels that were used, and its signature."
-    return _figure(paint_card(line, library, paint), caption, heading)
+    return figure_part(paint_card(line, library, paint), caption, heading)
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
@@ -99,10 +95,8 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
     named = rename_to_roles(orthomap)
 
     def picture() -> Markup:
-        shown = np.asarray(
-            rgb(named.isel({ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}))
-        )
-        bytes_ = np.ascontiguousarray((np.nan_to_num(shown).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+        steps = {ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}
+        bytes_ = picture_bytes(rgb(named.isel(steps)))
         caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
         return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
 
@@ -153,39 +147,39 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
     axes = _new_axes(7.5)  # lines are flown upwards
     draw_outlines(flag_overlay(line, lines=lines, axes=axes), regions)
-    return _figure(axes.figure, "Pixels with a flag; where several are set, the rarest is shown.", heading)
+    return figure_part(axes.figure, "Pixels with a flag; of several flags the rarest is shown.", heading)
 
 
 def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
     axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0))
-    return _figure(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
+    return figure_part(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
 
 
 def _irradiance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.2)
+    axes = _new_axes(3.2, _CHART)
     draw_irradiance(axes, line)
     caption = "Downwelling irradiance around the line, and when the line was flown."
-    return _figure(axes.figure, caption, "Irradiance over time")
+    return figure_part(axes.figure, caption, "Irradiance over time", kind="chart")
 
 
 def _panels(line: xr.Dataset) -> Markup:
-    axes = _new_axes(4.0)
+    axes = _new_axes(4.0, _CHART)
     draw_panels(axes, line)
     caption = (
         "What panels of known reflectance measure over what irradiance lets expect, with twice the combined "
         "standard uncertainty: shades that miss 1 say that calibration, irradiance or panel are off."
     )
-    return _figure(axes.figure, caption, "Panels")
+    return figure_part(axes.figure, caption, "Panels", kind="chart")
 
 
 def _reflectance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.6)
+    axes = _new_axes(3.6, _CHART)
     few = max(1, line.sizes[ALONG_TRACK] // 50)
     some = line.isel({ALONG_TRACK: slice(None, None, few)})
     draw_reflectance(axes, some if "reflectance" in some else reflectance(some))
     every = "all lines" if few == 1 else f"one line in {few}"
     caption = f"How reflectance is spread over the pixels of {every}, band by band."
-    return _figure(axes.figure, caption, "Reflectance")
+    return figure_part(axes.figure, caption, "Reflectance", kind="chart")
 
 
 def _table_of_flags(quality: Array, heading: str) -> Markup:
@@ -210,7 +204,9 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     for problem in wrong:
         yield "variables", partial(_refuse, problem)
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
-    yield "spectra", lambda: _figure(library_overview(usable), caption)
+    yield "spectra", lambda: figure_part(library_overview(usable), caption)
+    if "reflectance_u_random" in usable.variables:
+        yield "uncertainty", partial(_uncertainty, usable)
     yield "paints", lambda: _table_of_paints(usable)
     if refused := library.attrs.get("refused"):
         pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
@@ -271,16 +267,32 @@ def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
     # a calibration that was given as files has no lines of a sweep to show
     if "line_centre" in calibration.variables:
         caption = "Lines of the lab sweep and what they came to."
-        yield "lab sweep", lambda: _figure(calibration_report(calibration), caption)
+        yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)
+    elif "radiance_gain" in calibration.variables:
+        yield "gain and smile", partial(_gain, calibration)
     yield "provenance", lambda: _provenance(calibration.attrs)
 
 
-def _new_axes(height: float) -> Any:
-    return new_figure("a report", figsize=(10, height), layout="constrained").add_subplot()
+_CHART = 7.4
+"""Width of a chart [inch]: its text is still read on a telephone."""
 
 
-def _figure(figure: Any, caption: str, heading: str = "") -> Markup:
-    return page_part("picture", src=data_uri(png_of(figure, dpi=_DPI)), caption=caption, heading=heading)
+def _new_axes(height: float, width: float = 10.0) -> Any:
+    return new_figure("a report", figsize=(width, height), layout="constrained").add_subplot()
+
+
+def _gain(calibration: xr.Dataset) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
+    draw_gain(figure, calibration)
+    caption = "Gain and width of every band, and how far wavelengths bend over the columns."
+    return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
+
+
+def _uncertainty(library: xr.Dataset) -> Markup:
+    axes = _new_axes(3.8)
+    draw_uncertainties(axes, library)
+    caption = "Standard uncertainty of the mean reflectance; dashed what random errors have of it."
+    return figure_part(axes.figure, caption, "Uncertainty")
 
 
 def _provenance(attrs: Mapping[Any, Any]) -> Markup:

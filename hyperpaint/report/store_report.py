@@ -21,10 +21,10 @@ from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.surroundings.scratch import release
 
-from .pages import page_part
+from .chain_sections import validation_section
+from .pages import Part, page_part
 from .report_sections import (
     LAYERS,
-    Part,
     calibration_section,
     card_parts,
     library_section,
@@ -68,9 +68,11 @@ def write_report(
 ) -> Written:
     """Write what a store holds as one HTML page that needs nothing else.
 
-    For every flight line and map: true colour, flags on it and their shares, irradiance over time, how
-    reflectance is spread, provenance; then paint signatures and the calibration, where there are any. What
-    cannot be read is named on the page, and does not keep the rest from it.
+    For every flight line and map: true colour, flags on it and their shares, irradiance over time, panels,
+    how reflectance is spread, the steps from counts to reflectance, where it lies on the ground, alignment of
+    camera and record, provenance; then paint signatures with their uncertainty, their agreement with the
+    references in the store, and the calibration, where there are any. What cannot be read is named on the
+    page, and does not keep the rest from it.
 
     Parameters
     ----------
@@ -136,7 +138,9 @@ def write_report(
     shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     measured = _measured(shown, libraries, problems)
     calibration = groups.opened.get("calibration")
-    steps = len(shown) + len(libraries) + (calibration is not None)
+    references = [group for name, group in groups.opened.items() if name.startswith("references/")]
+    validated = bool(libraries and references)
+    steps = len(shown) + len(libraries) + validated + (calibration is not None)
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
@@ -144,6 +148,8 @@ def write_report(
         parts.append((name, section))
     parts += [(name, map_section(group, lines)) for name, group in maps.items()]
     parts += [(name, library_section(library)) for name, library in libraries.items()]
+    if validated:
+        parts.append(("validation", validation_section(libraries, references)))
     if calibration is not None:
         parts.append(("calibration", calibration_section(calibration)))
     sections = []

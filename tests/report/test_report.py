@@ -30,7 +30,7 @@ VOID = {"meta", "img"}
 KNOWN = {
     "html", "head", "body", "meta", "title", "style", "main", "nav", "section", "h1", "h2", "h3", "p", "a",
     "table", "tr", "th", "td", "figure", "figcaption", "img", "div", "strong", "ul", "li", "span", "details",
-    "summary",
+    "summary", "pre",
 }  # fmt: skip
 ATTRIBUTES = {
     "lang", "charset", "http-equiv", "content", "name", "id", "class", "href", "src", "alt", "scope", "style",
@@ -166,8 +166,39 @@ def test_a_page_of_everything(whole: Path) -> None:
     assert "Ours & Co" in shown
     assert "Paint by paint" in shown
     assert "Looked at, and refused raw_0, line 7, column 3 it is a window: <b>" in re.sub(r"\s+", " ", shown)
-    # true colour, flags, irradiance and reflectance of two lines; the layer and two cards of one; the paints
-    assert len(page.pictures) == 12
+    # true colour, flags, irradiance, reflectance and its steps of two lines; the layer and two cards of one;
+    # the paints and their uncertainty
+    assert len(page.pictures) == 15
+
+
+def test_how_far_figures_can_be_trusted(tmp_path: Path) -> None:
+    line = flight(lines=40).line.paint.reflectance().compute()
+    compared = {"alignment_state": "applied", "alignment_shift": 0.125, "alignment_shift_u": 0.003}
+    hp.to_store(line.assign_attrs(compared), tmp_path / "lot.zarr", "flightlines/raw_0")
+    calibration = flight().line[["radiance_gain"]]
+    hp.to_store(calibration, tmp_path / "lot.zarr", "calibration")
+    library = paints(line)
+    nm = np.arange(450.0, 751.0)
+    dense = np.interp(nm, line.wavelength, library.reflectance[0])
+    field = xr.Dataset(
+        {"reflectance": (("spectrum", "wavelength"), dense[None], {"units": "1"})},
+        {"spectrum": ["red hood"], "wavelength": ("wavelength", nm, {"units": "nm"})},
+        {"instrument": HOSTILE},
+    )
+    hp.to_store(field, tmp_path / "lot.zarr", "references/field")
+    hp.to_store(library, tmp_path / "paints.zarr")
+    done = hp.report.write_report(
+        tmp_path / "lot.zarr", tmp_path / "r.html", signatures=tmp_path / "paints.zarr", cards=0
+    )
+    assert done.problems == ()
+    shown = words(tmp_path / "r.html")
+    assert "camera minus record, at 600 nm [nm] 0.125 \u00b1 0.003" in re.sub(r"\s+", " ", shown)
+    assert "1 of 1 pair within tolerance" in shown
+    assert "<script" not in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "without a reference: <b onload=alert(1)>$x" in shown
+    for heading in ("Uncertainty", "Gain, width and smile", "From counts to reflectance", "validation"):
+        assert heading in shown, heading
+    assert "There is no map" not in shown
 
 
 def test_texts_of_a_store_stay_texts(whole: Path) -> None:
