@@ -57,7 +57,9 @@ class Explorer:
         self._is_showing = False
         self._window: tuple[int, int] | None = None
         self._picture, self._spectra = PictureFigure(state, theme), SpectraFigure(theme)
-        self._current: Place | str | None = None  # what was clicked last, or the name of the chosen region
+        # what was clicked last, or the name of the chosen region: something is there to be seen
+        lines, columns = state.shape
+        self._current: Place | str | None = (min(lines, columns) // 2, columns // 2)
         self._digest = state.regions.digest  # of what is saved
         self._written: set[Path] = set() if save_to is None else {save_to}
         self._make_widgets()
@@ -167,14 +169,25 @@ class Explorer:
         )
         for widget, name, call in calls:
             widget.param.watch(self._unless_showing(call), name)
-        self._keep.on_click(lambda _: self._keep_box())
-        self._undo.on_click(lambda _: self._draw_draft(-1))
-        self._remove.on_click(lambda _: self._drop())
-        self._save.on_click(lambda _: self._write())
+        clicks = (
+            (self._keep, self._keep_box),
+            (self._undo, lambda: self._draw_draft(-1)),
+            (self._remove, self._drop),
+            (self._save, self._write),
+        )
+        for button, press in clicks:
+            button.on_click(self._unless_showing(lambda _, press=press: press()))
 
     def _unless_showing(self, call: Any) -> Any:
         """Return a call that is left out where a widget changes because of what is shown."""
-        return lambda event: None if self._is_showing else call(event)
+        import panel
+
+        def run(event: Any) -> None:
+            if not self._is_showing:
+                # figures may be changed once their document is locked
+                panel.state.execute(lambda: call(event), schedule=True)
+
+        return run
 
     # --- what the mouse did --------------------------------------------------------------------------------
 
@@ -211,8 +224,9 @@ class Explorer:
         if self._mode.value == "draw":
             self.tap(along, across)
             draft = self._picture.draft.data
-            self._clear_draft()
-            self._add(draft["along"], draft["across"])
+            # two corners that were clicked in haste are no end
+            if self._add(draft["along"], draft["across"]):
+                self._clear_draft()
 
     def take_band(self, wavelength: float) -> None:
         """Show the band nearest to a wavelength [nm]."""
@@ -231,11 +245,12 @@ class Explorer:
             across, along = self._current.polygon.T.tolist()
             self._add(along, across)
 
-    def _add(self, along: list[float], across: list[float]) -> None:
+    def _add(self, along: list[float], across: list[float]) -> bool:
         name = self._state.add(along, across)
         self._show(name or self._chosen.value)
         if name is None:
             self._say("these corners hold no area: a region needs three that are not in a row")
+        return name is not None
 
     def _draw_draft(self, stop: int | None, *more: tuple[float, float]) -> None:
         draft = self._picture.draft.data

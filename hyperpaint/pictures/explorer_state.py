@@ -20,10 +20,12 @@ from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.paints.paint_search import search_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
+from hyperpaint.radiometry.coarse_lines import coarse
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.pixel_reading import pixels
-from hyperpaint.radiometry.spectral_axis import bands_at
+from hyperpaint.radiometry.spectral_axis import at, bands_at
 from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
+from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 
@@ -60,6 +62,10 @@ _FLAG_OPACITY = 170
 T = TypeVar("T")
 Place = tuple[int, int] | Region
 """A pixel, by its position along and across the track, or a region."""
+
+
+Lines = tuple[int, int, int]
+"""First, end and step, as of a slice."""
 
 
 class Picture(NamedTuple):
@@ -271,6 +277,9 @@ class Explored:
             )
         lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
         part = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
+        # at once: each for itself reads the same counts again
+        names = {"reflectance", *UNCERTAINTIES, "quality"} & set(part.data_vars)
+        part = part.assign(dict(part[list(names)].compute().data_vars))
         inside = np.zeros((part.sizes[ALONG_TRACK], part.sizes[CROSS_TRACK]), bool)
         inside[along - lines.start, across - columns.start] = True
         if isinstance(place, Region) and "quality" in part.variables:
@@ -299,11 +308,11 @@ class Explored:
             near = None
         if near is None:
             return []
-        at = np.asarray(near["wavelength"].values, np.float64)
+        own_nm = np.asarray(near["wavelength"].values, np.float64)
         order = np.argsort(spectrum.wavelength, kind="stable")
         nm, values = (np.asarray(each, np.float64)[order] for each in (spectrum.wavelength, spectrum[1]))
         there = np.isfinite(nm) & np.isfinite(values)
-        own = np.interp(at, nm[there], values[there], left=np.nan, right=np.nan)
+        own = np.interp(own_nm, nm[there], values[there], left=np.nan, right=np.nan)
         paints = []
         for number, angle in enumerate(near["spectral_angle"].values.tolist()):
             paint = near["reflectance"].values[number].astype(np.float64)
@@ -311,7 +320,7 @@ class Explored:
             factor = float((own[both] @ paint[both]) / max(paint[both] @ paint[both], np.finfo(float).tiny))
             name = str(near[schema.PAINT].values[number])
             if np.isfinite(angle):
-                paints.append(NearPaint(name, float(np.degrees(angle)), factor, at, factor * paint))
+                paints.append(NearPaint(name, float(np.degrees(angle)), factor, own_nm, factor * paint))
         return paints
 
     # --- pictures ------------------------------------------------------------------------------------------
@@ -325,8 +334,9 @@ class Explored:
         """Return a picture of some lines, all by default.
 
         Up to 1536 lines are read whole; of more, true colour is the store's overview where it has one, and
-        anything else is a line here and there. Black and white are percentiles (``stretch``) of brightness
-        over the whole line, whatever the window; without a value a pixel is transparent.
+        anything else its means of blocks of pixels, or a line here and there where it has none. Black and
+        white are percentiles (``stretch``) of brightness over the whole line, whatever the window; without a
+        value a pixel is transparent.
         """
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
@@ -338,12 +348,18 @@ class Explored:
                 shown = np.asarray(stored.isel({ALONG_TRACK: rows}).values)
                 ends = rows.start * every, min(rows.stop * every, self.shape[0])
                 return Picture(_rgba(shown), *ends, f"overview, every {every}. line")
-        step = max(SPARSE_STEP, -(-(last - first) // _SPARSE_LINES)) if is_sparse else 1
-        linear = self._linear(first, last, step, recipe)
+        if is_sparse and self._means is not None:
+            side = int(self._means["reflectance"].attrs["block_side"])
+            rows = slice(first // side, -(-last // side))
+            linear = np.repeat(self._linear(None, recipe)[rows], side, axis=1)[:, : self.shape[1]]
+            first, step, text = rows.start * side, side, f"means of {side} x {side} pixels"
+        else:
+            step = self._step_of(last - first)
+            linear = self._linear((first, last, step), recipe)
+            text = f"every {step}. line; zoom in for all" if is_sparse else ""
         low, high = self._levels(recipe, stretch)
         shown = encode_srgb(((linear - low) / np.maximum(high - low, 1e-6)).clip(0.0, 1.0))
         last = first + step * len(linear)
-        text = f"every {step}. line; zoom in for all" if is_sparse else ""
         is_there = np.asarray(np.isfinite(linear).all(axis=-1))
         return Picture(_rgba(shown, is_there), first, last, text)
 
@@ -352,32 +368,47 @@ class Explored:
         first = min(max(0, first), self.shape[0] - 1)
         return first, max(first + 1, min(last, self.shape[0]))
 
-    def _read_linear(self, first: int, last: int, step: int, recipe: tuple[float, ...]) -> Array:
-        """Return linear red, green and blue (line, column, 3) of every ``step``-th line."""
-        lines = slice(first, last, step)
-        if recipe == TRUE_COLOUR:
-            visible = np.flatnonzero((self.wavelength > 380) & (self.wavelength < 780))
-            if visible.size < 3:
-                raise SchemaError("a true-colour picture needs three bands between 380 and 780 nm")
-            some = visible[:: max(1, visible.size // _VISIBLE_BANDS)]
-            some = some[np.argsort(self.wavelength[some], kind="stable")]
-            values = self._bands(lines, self.wavelength[some]).swapaxes(1, 2)
-            linear = linear_srgb(values, weights=srgb_weights(self.wavelength[some], None))
-            linear[np.isnan(values).all(axis=1)] = np.nan
-            return linear
-        values = self._bands(lines, recipe)
-        return np.broadcast_to(values, (*values.shape[:2], 3))
+    @staticmethod
+    def _step_of(lines: int) -> int:
+        return max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
 
-    def _bands(self, lines: slice, wavelength: Any) -> Array:
+    @functools.cached_property
+    def _means(self) -> xr.Dataset | None:
+        """The line at the size of a screen, where the store holds it."""
+        if "coarse_reflectance" not in self.line.variables:
+            return None
+        means = coarse(self.line)
+        return means if means["reflectance"].attrs["level"] == "stored" else None
+
+    def _read_linear(self, lines: Lines | None, recipe: tuple[float, ...]) -> Array:
+        """Return linear red, green and blue (line, column, 3) of some lines, or of the stored means."""
+        if recipe != TRUE_COLOUR:
+            values = self._bands(lines, recipe)
+            return np.broadcast_to(values, (*values.shape[:2], 3))
+        visible = np.flatnonzero((self.wavelength > 380) & (self.wavelength < 780))
+        if visible.size < 3:
+            raise SchemaError("a true-colour picture needs three bands between 380 and 780 nm")
+        some = visible[:: max(1, visible.size // _VISIBLE_BANDS)]
+        nm = np.sort(self.wavelength[some])
+        values = self._bands(lines, nm).swapaxes(1, 2)
+        linear = linear_srgb(values, weights=srgb_weights(nm, None))
+        linear[np.isnan(values).all(axis=1)] = np.nan
+        return linear
+
+    def _bands(self, lines: Lines | None, wavelength: Any) -> Array:
         """Return reflectance of some bands (line, column, band)."""
-        values = pixels(self.line, lines, wavelength=list(wavelength))["reflectance"]
+        nm = list(wavelength)
+        if lines is None and self._means is not None:
+            values = at(self._means, nm)["reflectance"]
+        else:
+            values = pixels(self.line, slice(*(lines or (None,))), wavelength=nm)["reflectance"]
         return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
 
     def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
         """Return what becomes black and white, of each colour, from lines over the whole flight line."""
-        lines = self.shape[0]
-        step = max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
-        linear = self._linear(0, lines, step, recipe).reshape(-1, 3)
+        step = self._step_of(self.shape[0])
+        lines = (0, self.shape[0], step) if step == 1 or self._means is None else None
+        linear = self._linear(lines, recipe).reshape(-1, 3)
         linear = linear[np.isfinite(linear).all(axis=1)]
         if recipe == TRUE_COLOUR:
             linear = np.repeat(linear.mean(axis=1, keepdims=True), 3, axis=1)

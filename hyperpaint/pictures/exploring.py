@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import html
 import os
+import signal
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -126,8 +127,8 @@ def serve_explorer(
     group
         The flight line that is shown first; by default the first. The others are a click away.
     regions
-        GeoJSON of regions to begin with, where what is drawn is saved too; by default nothing, and
-        ``LINE-regions.geojson`` in the current folder.
+        GeoJSON of regions to begin with, if it is there, where what is drawn is saved; by default, and of
+        other lines, ``LINE-regions.geojson`` in the current folder.
     library
         A paint library to compare with; by default the starter library.
     port
@@ -154,10 +155,13 @@ def serve_explorer(
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
         )
 
+    def file_of(name: str) -> Path:
+        return Path(regions if regions is not None and name == shown else f"{name}-regions.geojson")
+
     @functools.cache
     def state_of(name: str) -> Explored:
         # of all pages of a line: what is drawn outlives a page that is loaded anew
-        begun = regions if name == shown and regions is not None and Path(regions).exists() else None
+        begun = file_of(name) if file_of(name).exists() else None  # what is saved there takes its place
         return Explored(open_store(store, lines[name]), begun, library=paints, flightline=name)
 
     def page() -> Any:
@@ -166,11 +170,11 @@ def serve_explorer(
         name, theme = name if name in lines else shown, theme if theme in INK else "light"
         # widgets and figures take it where they are made
         panel.config.theme = "dark" if theme == "dark" else "default"
-        file = f"{name}-regions.geojson" if regions is None or name != shown else regions
-        explorer = Explorer(state_of(name), theme=theme, save_to=Path(file).absolute())
+        explorer = Explorer(state_of(name), theme=theme, save_to=file_of(name))
         return panel.Column(_head(state_of(name), name, lines, theme), explorer.view, **WIDE)
 
     state_of(shown)  # what cannot be read is said before there is a page
+    interrupted = signal.getsignal(signal.SIGINT)
     server = panel.serve(
         {"/": page},
         port=port,
@@ -180,6 +184,7 @@ def serve_explorer(
         verbose=False,
         title=f"hyperpaint {shown}",
     )
+    signal.signal(signal.SIGINT, interrupted)  # panel took it, to end without a word
     server.start()
     announce(f"http://localhost:{server.port}/")
     server.io_loop.start()

@@ -319,6 +319,10 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
     shown.close(10, 0)
     assert "no area" in shown._message.object
     assert len(shown.regions) == 2
+    # clicks in haste end nothing
+    shown.tap(12, 0)
+    shown.close(12, 4)
+    assert shown.regions[2].polygon.tolist() == [[0, 10], [0, 12], [4, 12]]
 
 
 def test_corners_are_dragged(shown: Any) -> None:

@@ -1,0 +1,206 @@
+"""``hyperpaint view`` in Chromium: click, drag, slide, draw, mend, save."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+
+pytestmark = pytest.mark.slow
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+PLACE_OF = """([along, across]) => {
+  const plot = Bokeh.documents[0].get_model_by_name("picture");
+  const view = Bokeh.index.find_one_by_id(plot.id);
+  const {left, top} = view.el.getBoundingClientRect();
+  return [left + view.frame.x_scale.compute(along), top + view.frame.y_scale.compute(across)];
+}"""
+CURVES = """() => {
+  const plot = Bokeh.documents[0].get_model_by_name("spectra");
+  const {data} = plot.renderers.find(one => one.glyph.type == "MultiLine").data_source;
+  return data.name.map((name, place) => [name, Array.from(data.reflectance[place])]);
+}"""
+
+
+class Served(NamedTuple):
+    """A page that is served."""
+
+    address: str
+    folder: Path
+    process: subprocess.Popen[str]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A store of two lines of 24 x 6 pixels, with some shadow, served from its folder."""
+    pytest.importorskip("panel")
+    folder = tmp_path_factory.mktemp("served")
+    line = flight().line.paint.reflectance()[["counts", *flight().line.data_vars, "quality"]].compute()
+    quality = line["quality"].values.copy()
+    quality[10:, :2] |= np.uint16(hp.Quality.SHADOW)
+    line["quality"] = line["quality"].copy(data=quality)
+    for name in ("raw_0", "raw_1"):
+        hp.to_store(line, folder / "lot.zarr", f"flightlines/{name}")
+    command = [sys.executable, "-m", "hyperpaint", "view", "lot.zarr", "--no-browser"]
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    address = re.match(r"(http://localhost:\d+/) shows lot\.zarr; Ctrl-C ends it", first)
+    assert address, first + process.communicate()[0]
+    with process:
+        yield Served(address[1], folder, process)
+        if process.poll() is None:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a window."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium to drive")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+def opened(browser: Any, served: Served, width: int = 1400, query: str = "") -> Any:
+    """Return a page once its picture is there, of which errors fail the test."""
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.problems = []
+    page.on("pageerror", lambda error: page.problems.append(str(error)))
+    page.goto(served.address + query)
+    # pixels are square, once the size of the figure is known there
+    page.get_by_text(re.compile(r"true colour, lines 0 to (5|6|1\d)")).wait_for(timeout=60_000)
+    return page
+
+
+def move_to(page: Any, along: float, across: float) -> tuple[float, float]:
+    x, y = page.evaluate(PLACE_OF, [along, across])
+    page.mouse.move(x, y, steps=3)
+    return x, y
+
+
+def click(page: Any, along: float, across: float, *, is_double: bool = False) -> None:
+    place = move_to(page, along, across)
+    (page.mouse.dblclick if is_double else page.mouse.click)(*place)
+    page.wait_for_timeout(500)  # the next click is none of a double click
+
+
+def drag(page: Any, start: tuple[float, float], stop: tuple[float, float]) -> None:
+    move_to(page, *start)
+    page.mouse.down()
+    move_to(page, *stop)
+    page.mouse.up()
+
+
+def test_a_line_is_explored_in_a_browser(browser: Any, served: Served) -> None:
+    page = opened(browser, served)
+    line = hp.open_store(served.folder / "lot.zarr", "flightlines/raw_0")
+    # a click has the bits of the pixel
+    click(page, 7, 3)
+    page.get_by_text("line 7, column 3").wait_for()
+    ((name, values),) = page.evaluate(CURVES)
+    assert name == "clicked"
+    expected = line.paint.pixels(7, 3).reflectance.values
+    np.testing.assert_array_equal(np.array(values, np.float32), expected)
+    click(page, 11, 1)
+    page.get_by_text("line 11, column 1: shadow").wait_for()
+    # a box becomes a region, with a name
+    drag(page, (1.6, 0.7), (9.4, 4.3))
+    page.get_by_text(re.compile(r"median of \d+ of 32 pixels")).wait_for()
+    page.get_by_role("button", name="Box to region").click()
+    page.get_by_text("1 region, not saved").wait_for()
+    page.get_by_label("Name").fill("red roof")
+    page.get_by_label("Name").press("Enter")
+    page.get_by_text("red roof: median").wait_for()
+    # another is drawn, and one of its corners is dragged
+    page.get_by_role("button", name="Draw").click()
+    page.get_by_text("Click the corners of a region").wait_for()
+    click(page, 10, 0)
+    click(page, 12, 0)
+    click(page, 12, 4, is_double=True)
+    page.get_by_text("2 regions, not saved").wait_for()
+    page.get_by_role("button", name="Edit").click()
+    page.get_by_text("drag its corners").wait_for()
+    drag(page, (12, 4), (11, 5))
+    page.wait_for_function(
+        """() => Bokeh.documents[0].get_model_by_name("picture").renderers
+        .find(one => one.glyph.type == "Patches").data_source.data.along[1].includes(11)"""
+    )
+    page.get_by_role("button", name="Save regions").click()
+    page.get_by_text("2 regions saved").wait_for()
+    regions = hp.read_regions(served.folder / "raw_0-regions.geojson")
+    assert regions.names == ("red roof", "region 1")
+    assert regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 9], [1, 9]]
+    assert regions[1].polygon.tolist() == [[0, 10], [0, 12], [5, 11]]
+    assert regions[0].flightline == "raw_0"
+    library = line.paint.signatures(regions, min_pixels=1, members=0)
+    assert library["paint"].values.tolist() == ["red roof", "region 1"]
+    # the slider is moved by its keys, and flags are shown
+    page.locator(".noUi-handle").first.press("ArrowRight")
+    page.get_by_text(re.compile(r"\d nm, lines 0 to")).wait_for()
+    page.get_by_label(re.compile("^shadow")).check()
+    page.wait_for_function(
+        """() => Bokeh.documents[0].get_model_by_name("picture").renderers
+        .filter(one => one.glyph.type == "ImageRGBA" && one.data_source.data.image.length).length == 3"""
+    )
+    assert page.problems == []
+    # what was drawn outlives the page
+    page.reload()
+    page.get_by_text("2 regions").wait_for()
+    page.close()
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_pages_fit_the_screen(browser: Any, served: Served, width: int, colours: str) -> None:
+    page = opened(browser, served, width, f"?line=raw_1&colours={colours}")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    heading = page.get_by_role("heading", name="raw_1")
+    ink = heading.evaluate("one => getComputedStyle(one).color")
+    assert (int(re.findall(r"\d+", ink)[0]) > 128) == (colours == "dark")
+    assert page.problems == []
+    page.close()
+
+
+def test_a_line_that_is_not_there_is_the_first(browser: Any, served: Served) -> None:
+    page = opened(browser, served, query="?line=%3Cscript%3E&colours=pink")
+    assert page.get_by_role("heading", name="raw_0").is_visible()
+    page.close()
+
+
+def test_ctrl_c_ends_it_with_one_line(served: Served) -> None:
+    served.process.send_signal(signal.SIGINT)
+    text, _ = served.process.communicate(timeout=30)
+    assert text.strip() == "stopped by SIGINT"
+    assert served.process.returncode == 130
+
+
+def test_what_cannot_be_viewed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = CliRunner().invoke
+    hp.to_store(flight().line, tmp_path / "line.zarr")
+    absent = run(main, ["view", str(tmp_path / "line.zarr"), "--group", "raw_7"])
+    assert absent.exit_code == 2
+    assert "no flight line 'raw_7', expected line" in absent.output
+    monkeypatch.setitem(sys.modules, "panel", None)
+    bare = run(main, ["view", str(tmp_path / "line.zarr")])
+    assert bare.exit_code == 2
+    assert "python -m pip install 'hyperpaint[interactive]'" in bare.output
