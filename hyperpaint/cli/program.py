@@ -27,8 +27,8 @@ from .console import SIGNALLED, WRONG_INPUT, is_watched
 __all__ = ["main"]
 
 COMMANDS = {
-    **{name: name for name in ("calibrate", "check", "demo", "export", "follow", "info", "init")},
-    **{name: name for name in ("process", "render", "run", "simulate", "site", "validate", "verify")},
+    **{name: name for name in ("calibrate", "check", "croissant", "demo", "export", "follow", "info")},
+    **{name: name for name in ("init", "process", "render", "run", "simulate", "site", "validate", "verify")},
     "detect": "detect_paints", "mosaic": "make_mosaic", "orthorectify": "make_map",
     "paints": "list_paints", "report": "make_report", "signatures": "make_signatures",
     "check-library": "check_library", "virtual": "virtual",
@@ -156,6 +156,7 @@ Step by step:
   hyperpaint site lot.zarr --out page                 the same for any web server: click for spectra
   hyperpaint render --example > scene.toml            a synthetic scene to begin with
   hyperpaint render scene.toml                        its cubes, with what is true of every pixel
+  hyperpaint croissant scene.zarr --licence CC0-1.0   the metadata that machine-learning tools read
 
 \b
 Then, in Python:
