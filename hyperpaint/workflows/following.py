@@ -131,7 +131,9 @@ class Following:
         from hyperpaint.radiometry.counts_to_reflectance import reflectance
         from hyperpaint.radiometry.example_pixel import worked_example
 
-        reflectance(worked_example(), keep_bits=KEPT_BITS)["quality"].compute(scheduler="sync")
+        example = worked_example()
+        example["counts"] = example["counts"].astype(np.uint16)  # as cubes hold them
+        reflectance(example, keep_bits=KEPT_BITS)["quality"].compute(scheduler="sync")
         tables = load_tables(self._path, "a collect.toml")
         # any file serves as the cube: calibration and dark are read, which are the same for every line
         tables |= {"flightlines": [{"cube": str(self._path.absolute())}], "panels": [], "references": []}
