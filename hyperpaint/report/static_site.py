@@ -43,6 +43,7 @@ _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
 FORMAT = "hyperpaint site 1"
 _INDEX = "site.json"
+_WEB = resources.files("hyperpaint") / "report" / "web"
 _MOST_INDEX_BYTES = 16 * 2**20
 _ORIGIN = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?")
 
@@ -211,7 +212,7 @@ class _Site(NamedTuple):
         (folder / "pictures").mkdir()
         for file, picture in self.pictures.items():
             (folder / file).write_bytes(encode_png(picture))
-        for source in (resources.files("hyperpaint") / "report" / "web").iterdir():
+        for source in _WEB.iterdir():
             text = source.read_text(encoding="utf-8").replace("%ORIGIN%", origin)
             (folder / source.name).write_text(text, encoding="utf-8", newline="\n")
         (folder / _INDEX).write_text(json.dumps(index, allow_nan=False), encoding="utf-8")
@@ -280,4 +281,8 @@ def _foreign(folder: Path) -> str:
         index = json.loads(read_limited(folder / _INDEX, _MOST_INDEX_BYTES, "a site"))
     except (FormatError, OSError, ValueError, RecursionError):
         index = None
-    return "" if isinstance(index, dict) and index.get("format") == FORMAT else "other files"
+    if not isinstance(index, dict) or index.get("format") != FORMAT:
+        return "other files"
+    own = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
+    strange = sorted(path.name for path in folder.iterdir() if path.name not in own)
+    return f"{strange[0]}, which no site has" if strange else ""

@@ -484,6 +484,7 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:
+        budget.share_one_heap()
         resident = budget.resident_memory()
         return budget.fit(
             loads, lines=lines, threads=budget.thread_count(),
@@ -494,7 +495,5 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:
         limit = int(budget.USABLE * min(limits))
-    threads = max((worker["nthreads"] for worker in workers), default=1)
-    return budget.fit(
-        loads, lines=lines, threads=threads, fixed=budget.WORKER, limit=limit, least_threads=threads
-    )
+    each = max((worker["nthreads"] for worker in workers), default=1)
+    return budget.fit(loads, lines=lines, threads=each, fixed=budget.WORKER, limit=limit, least_threads=each)

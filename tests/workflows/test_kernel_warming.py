@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing 
 
 FIRST_VALUE = """
 from hyperpaint.simulation.collect import simulate_line
-line = simulate_line(lines=3, bands=9, columns=7, smile_nm=0.5)
+line = simulate_line(lines=3, bands=13, columns=7, smile_nm=0.5)
 line.paint.reflectance(uncertainty=True).compute()
 line.paint.reflectance().paint.smooth().compute()
 """

@@ -52,6 +52,11 @@ MARKER = "paints.json"
 """Name of the file by which an export is known for one."""
 
 FORMAT = "hyperpaint DIRSIG export"
+_OWN = re.compile(
+    r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
+)
+"""What lies in exports of paints and of scenes."""
+
 _MOST_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
@@ -82,8 +87,10 @@ def _foreign(folder: Path) -> str:
         document = json.loads(read_limited(folder / MARKER, _MOST_BYTES, "an export"))
     except (FormatError, ValueError, RecursionError):
         document = None
-    ours = isinstance(document, dict) and document.get("format") == FORMAT
-    return "" if ours else "other files"
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        return "other files"
+    strange = sorted(path.name for path in folder.iterdir() if not _OWN.fullmatch(path.name))
+    return f"{strange[0]}, which no export has" if strange else ""
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")

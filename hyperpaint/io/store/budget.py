@@ -170,7 +170,6 @@ def fit(
     >>> fit({"raw_0": load}, lines=256, threads=4, fixed=270 * 10**6, limit=600 * 10**6)
     Demand(lines=32, threads=2, needed=530416268)
     """
-    share_one_heap()
 
     def demand(lines: int, threads: int) -> Demand:
         peaks = [load.peak(lines=lines, threads=threads, fixed=fixed) for load in loads.values()]
@@ -380,10 +379,12 @@ def share_one_heap() -> None:
     """Let threads that are still to come allocate from one heap, where the allocator is that of glibc.
 
     By itself it gives each thread a heap of its own, which grows to the most that the thread ever held, holes
-    included: two threads that read slabs of 33 MB so took 150 MB more. No time was lost by sharing.
+    included. That holds for the whole process from then on; who has set ``MALLOC_ARENA_MAX`` or
+    ``GLIBC_TUNABLES`` has decided.
     """
-    with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+    if not {"MALLOC_ARENA_MAX", "GLIBC_TUNABLES"} & set(os.environ):
+        with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
+            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 # --- threads -----------------------------------------------------------------------------------------------

@@ -46,6 +46,8 @@ class WholeRun:
         Bars go to stderr, so that stdout holds results only.
         """
         assert self._turn is not None  # a run without pending groups writes none
+        if self._placer.is_idle:  # what went wrong there is said before this one takes its time
+            self.settle()
         job = job_of(group, dataset, self._members[group], self._codec)
         shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         places = []
@@ -89,6 +91,11 @@ class _Placer:
         else:
             self._running = self._pool.submit(place)
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no group is being placed."""
+        return self._running is None or self._running.done()
+
     def settle(self) -> None:
         """Wait for the group that is being placed; its error is raised here."""
         if self._running is not None:
@@ -96,14 +103,17 @@ class _Placer:
             self._running = None
 
     def close(self) -> None:
-        """Wait for it, through interruptions too, and end the thread."""
-        interruption = None
+        """Wait for it, through interruptions too, and end the thread; its error is noted in one under way."""
+        ending, interruption = sys.exc_info()[1], None
         while self._running is not None and not self._running.done():
             try:
                 wait([self._running])
             except BaseException as error:  # Ctrl-C: the lock must not be released under it
                 interruption = error
         self._pool.shutdown()
+        failure = None if self._running is None else self._running.exception()
+        if failure is not None and ending is not None and failure is not ending:
+            ending.add_note(f"before that, a group could not be put in its place: {failure}")
         if interruption is not None:
             raise interruption
 

@@ -99,6 +99,15 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+def test_an_export_with_files_of_others_is_never_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    hp.write_dirsig(library(), out)
+    (out / "thesis.txt").write_text("precious")
+    with pytest.raises(StoreError, match=r"thesis\.txt, which no export has"):
+        hp.write_dirsig(library(), out, overwrite=True)
+    assert (out / "thesis.txt").read_text() == "precious"
+
+
 def test_a_folder_of_others_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene/scene.mat").write_text("precious")

@@ -140,3 +140,21 @@ def test_groups_follow_one_another_where_a_thread_would_take_room(
     run(tmp_path / "lot.zarr")
     assert threads == {threading.current_thread().name}
     assert hp.verify(tmp_path / "lot.zarr").ok
+
+
+def test_what_failed_before_is_a_note_of_the_error(tmp_path: Path, publish: list[Any]) -> None:
+    refused = threading.Event()
+
+    def refuse(group: str) -> None:
+        if group == LINES[0]:
+            refused.set()
+            raise StoreError("the disk is gone")
+
+    def end() -> None:
+        refused.wait(WAIT_S)
+        raise ValueError("no light")
+
+    publish.append(refuse)
+    with pytest.raises(ValueError, match="no light") as caught:
+        run(tmp_path / "lot.zarr", end)
+    assert any("the disk is gone" in note for note in caught.value.__notes__)
