@@ -243,6 +243,7 @@ _LINE_TABLE = (
     Variable("distance_limit", (PAINT,), "1", "float64", "Distance up to which a pixel may show a paint; 0 where others are too near"),
     Variable("checked_rate", (), "1", "float64", "Share of the background above thresholds from other parts of the line"),
     Variable("checked_rate_u", (), "1", "float64", "Half of the 95 % interval of checked_rate"),
+    Variable("explained_share", (), "1", "float64", "Share of the valid pixels that a paint explains, left out of the background"),
     # --- where a cell of a map lies in its flight line
     Variable("glt_line", _CELL, "1", "float64", "Line that shows a cell, with the part of the way to the next"),
     Variable("glt_sample", _CELL, "1", "float64", "Column that shows a cell, with the part of the way to the next"),

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.paints.detection import false_alarms
 from hyperpaint.paints.detection.detectors import distances, projection, scores
 
@@ -222,6 +222,48 @@ def test_background_that_is_given(red: xr.Dataset) -> None:
         hp.paints.detect(line, red, background=clear[:-1])
 
 
+def test_background_in_other_dims(red: xr.Dataset) -> None:
+    line = make_line(red)
+    clear = xr.DataArray(np.ones((96, 40), bool), dims=("lines", "samples"))
+    clear[10:16, 8:14] = False
+    options = {"false_alarm_rate": 1e-2, "sky": None}
+    whole = hp.paints.detect(line, red, background=clear.values, **options).compute()
+    turned = hp.paints.detect(line, red, background=clear.T, **options).compute()
+    xr.testing.assert_identical(whole, turned)
+    with pytest.raises(SchemaError, match="background= has dims"):
+        hp.paints.detect(line, red, background=clear.rename(lines="paint"))
+
+
+def test_rate_says_nothing_of_what_is_like_a_paint(red: xr.Dataset) -> None:
+    line = make_line(lines=160, columns=64)
+    spectrum = red["reflectance"].values[0].astype(float)
+    ripple = np.sin(NM / 60.0)
+    ripple -= spectrum * (ripple @ spectrum) / (spectrum @ spectrum)
+    like = spectrum + ripple / np.linalg.norm(ripple) * 0.04 * np.linalg.norm(spectrum)  # never the paint
+    rng = np.random.default_rng(5)
+    noise = rng.normal(1.0, 0.005, (30, NM.size, 64))
+    line["reflectance"].values[:30] = like[:, None] * rng.uniform(0.7, 1.1, (30, 1, 64)) * noise
+    options = {"method": "spectral_angle", "false_alarm_rate": 1e-3, "sky": None}
+    with pytest.warns(PaintWarning, match=r"19 % of the pixels are so like the paints"):
+        alarms = hp.paints.detect(line, red, **options).compute()
+    assert alarms["explained_share"].item() == pytest.approx(30 / 160, abs=0.01)
+    assert alarms["detected"].values[:30].mean() > 0.5  # what the warning is for
+    assert alarms["checked_rate"].item() < 2e-3
+    judged = hp.paints.detect(line, red, background=np.ones((160, 64), bool), **options).compute()
+    assert judged["explained_share"].item() == 0.0
+    assert judged["detected"].values.mean() <= 1e-3
+
+
+@pytest.mark.parametrize("method", ["ace", "spectral_angle"])
+def test_a_pixel_of_zeros(red: xr.Dataset, method: str) -> None:
+    line = make_line(red)
+    line["reflectance"].values[50, :, 20] = 0.0
+    detections = hp.paints.detect(line, red, method=method, false_alarm_rate=1e-2, sky=None).compute()
+    assert np.isfinite(detections["detection_score"]).all()
+    assert detections["detected"].values[10:16, 8:14].any()
+    assert not detections["detected"].values[50, 20]
+
+
 def test_same_bits_whatever_the_chunks(red: xr.Dataset) -> None:
     line = make_line(red)
     whole = line.paint.detect(red, false_alarm_rate=1e-2).compute(scheduler="sync")
@@ -312,6 +354,36 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
         hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
 
 
+def test_p_values_know_that_the_paint_was_chosen() -> None:
+    from hyperpaint.regions import Region
+
+    p_values = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        shown = np.full((66, 66), -1)
+        for top, left in rng.integers(0, 63, (120, 2)):  # blobs of any of 20 paints, none of which is there
+            shown[top : top + 4, left : left + 4] = rng.integers(20)
+        pixels = ("along_track", "cross_track")
+        detections = xr.Dataset(
+            {"detected": (pixels, shown >= 0), "best_paint": (pixels, np.maximum(shown, 0).astype(np.int16))},
+            {"paint": [f"paint {number}" for number in range(20)]},
+        )
+        car = Region("car", [(29.5, 29.5), (35.5, 29.5), (35.5, 35.5), (29.5, 35.5)])
+        p_values.append(hp.paints.detected_regions(detections, [car])["p_value"].item())
+    assert np.mean(np.array(p_values) <= 0.05) < 0.08
+
+
+def test_regions_of_another_line_are_refused(red: xr.Dataset) -> None:
+    from hyperpaint.regions import Region
+
+    detections = hp.paints.detect(make_line(red).assign_attrs(name="raw_0"), red, false_alarm_rate=1e-2)
+    corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
+    own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
+    assert own["paint"].item() == RED
+    with pytest.raises(SchemaError, match="'car' is of flight line 'raw_1'; there is 'raw_0'"):
+        hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")])
+
+
 # --- pictures and the command ------------------------------------------------------------------------------
 
 
@@ -360,3 +432,33 @@ def test_command(red: xr.Dataset, tmp_path: Any) -> None:
     assert found["detected"].values[10:16, 8:14].any()
     ours = make_line(red).paint.detect(red, false_alarm_rate=0.01)
     np.testing.assert_array_equal(found["detected"].values, ours["detected"].values)
+
+
+def test_command_takes_regions_of_its_line_alone(red: xr.Dataset, tmp_path: Any) -> None:
+    from click.testing import CliRunner
+
+    from hyperpaint.cli.program import main
+    from hyperpaint.regions import Region, Regions
+
+    hp.to_store(make_line(red).assign_attrs(name="raw_0"), tmp_path / "line.zarr")
+    hp.write_library(red, tmp_path / "red.zarr")
+    corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
+    cars = (Region("car", corners, flightline="raw_0"), Region("lorry", corners, flightline="raw_1"))
+    hp.write_regions(Regions(cars), tmp_path / "cars.geojson")
+    road = Region("road", [(-0.5, 29.5), (39.5, 29.5), (39.5, 95.5), (-0.5, 95.5)])
+    hp.write_regions(Regions((road,)), tmp_path / "road.geojson")
+    result = CliRunner().invoke(
+        main,
+        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"), "--rate", "0.01",
+         "--regions", str(tmp_path / "cars.geojson"), "--background", str(tmp_path / "road.geojson"),
+         "--out", str(tmp_path / "detections.zarr"), "--quiet"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "1 of 2 regions are of other flight lines" in result.output
+    assert "car" in result.output.splitlines()[-1]
+    assert "as a paint explains them: 0 of the pixels" in result.output
+    clear = np.zeros((96, 40), bool)
+    clear[30:] = True
+    ours = make_line(red).paint.detect(red, false_alarm_rate=0.01, background=clear)
+    with xr.open_zarr(tmp_path / "detections.zarr") as detections:
+        np.testing.assert_array_equal(detections["detected"].values, ours["detected"].values)

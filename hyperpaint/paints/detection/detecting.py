@@ -44,7 +44,7 @@ _JOINED_AT_ONCE = 16
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
 _OF_DETECTOR = {
     "score_threshold": "threshold", "distance_limit": "distance_limit", "checked_rate": "checked_rate",
-    "checked_rate_u": "checked_rate_u",
+    "checked_rate_u": "checked_rate_u", "explained_share": "explained_share",
 }  # fmt: skip
 
 
@@ -76,7 +76,9 @@ def detect(
     method
         "ace", the adaptive coherence (cosine) estimator; "matched_filter"; or "spectral_angle".
     false_alarm_rate
-        Share of the pixels that show none of the paints of which any may score above its threshold.
+        Share of the background of which any paint may score above its threshold. Pixels that show none of the
+        paints but are explained by one all the same are no background by default: the rate says nothing of
+        them, and ``explained_share`` is how many they can be.
     unknown_rate
         Share of ``others`` that may be taken for a paint of the library; by default the same; 1 rejects
         nothing.
@@ -85,8 +87,9 @@ def detect(
         whose names the library has are left out. The rate holds for paints like these: give those of your
         cars. Under ``1 / unknown_rate`` spectra the limits get stricter than they need to be.
     background
-        Which pixels show none of the paints for certain, (along_track, cross_track) bool: thresholds come
-        from these alone. By default from all but those that a paint explains.
+        Which pixels show none of the paints for certain, (along_track, cross_track) bool: covariance
+        and thresholds come from these alone. By default thresholds come from all but those that a paint
+        explains. The rate holds for pixels like these: let them include whatever looks like the paints.
     exclude
         Flags of pixels that are left out of the background, and not detected; those that signatures leave
         out by default.
@@ -103,13 +106,20 @@ def detect(
         ``flag_meanings`` names, -1 where a value is missing; ``detection_score`` of it; ``paint_distance``
         and ``paint_level``; ``detected``. (paint): ``score_threshold``, ``distance_limit``, 0 where a paint
         cannot be told from others at that rate. ``checked_rate`` with ``checked_rate_u``: share of alarms in
-        each eighth of the line under thresholds from the rest, and half of its 95 % interval.
+        each eighth of the line's background under thresholds from the rest, and half of its 95 % interval.
+        ``explained_share`` of the valid pixels was left out of that background since a paint explains them,
+        be they the paint or not; 0 with ``background=``.
 
     Raises
     ------
     SchemaError
         Variables, options or bands that cannot be used; all are listed. When computed: fewer valid pixels of
         background than bands, or too few for the rate.
+
+    Warns
+    -----
+    PaintWarning
+        When computed: ``explained_share`` is more than ten times the rate.
 
     Notes
     -----
@@ -120,7 +130,8 @@ def detect(
               s_{MF} = \frac{\langle t, x \rangle}{\langle t, t \rangle}
 
     [1]_ [2]_; the sign is that of the product. The score of the spectral angle is its cosine, without
-    :math:`\mu` and :math:`C`. C is that of all valid pixels; its diagonal has the weight ``shrinkage``.
+    :math:`\mu` and :math:`C`. C is that of all valid pixels, with ``background=`` of those
+    pixels alone; its diagonal has the weight ``shrinkage``.
 
     *Threshold*: each paint's is the score of the same rank among the background's, such that the share with
     any paint above is the rate; drawn from pixels spread over all lines (128 MiB of them). Target pixels
@@ -150,8 +161,8 @@ def detect(
     >>> level[20:24, :, 30:36] = red.reflectance.values[0][:, None]
     >>> line = xr.Dataset({"reflectance": (("along_track", "band", "cross_track"), np.float32(level),
     ...                    {"units": "1"})}, {"wavelength": ("band", nm, {"units": "nm"})})
-    >>> found = detect(line, red, false_alarm_rate=1e-2).compute()
-    >>> int(found.detected.sum()), bool(found.detected[20:24, 30:36].all())
+    >>> detections = detect(line, red, false_alarm_rate=1e-2).compute()
+    >>> int(detections.detected.sum()), bool(detections.detected[20:24, 30:36].all())
     (24, True)
     """
     line = schema.rename_to_roles(line)
@@ -256,8 +267,12 @@ def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int 
 def _mask(background: Any, clear: Any) -> Any:
     import dask.array as da
 
-    data = background.transpose(*background.dims).data if hasattr(background, "dims") else background
-    mask = da.asarray(data)
+    if hasattr(background, "dims"):
+        mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
+        if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
+            raise SchemaError(f"background= has dims {background.dims}", expected="lines and columns")
+        background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
+    mask = da.asarray(background)
     if mask.shape != clear.shape or mask.dtype != bool:
         raise SchemaError(
             f"background= is {mask.dtype} of shape {mask.shape}",
@@ -375,7 +390,8 @@ def _search(
     places = {
         name: array for name, array in line.coords.items() if set(array.dims) <= set(pixel) and array.dims
     }
-    return xr.Dataset(arrays, {**places, PAINT: (PAINT, names)}, attrs)
+    identity = {"name": line.attrs["name"]} if line.attrs.get("name") else {}
+    return xr.Dataset(arrays, {**places, PAINT: (PAINT, names)}, identity | attrs)
 
 
 def search_block(cube: Array, clear: Bools, detector: Detector) -> tuple[Array, ...]:

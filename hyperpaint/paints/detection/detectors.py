@@ -55,15 +55,16 @@ def scores(spectra: Floats, project: Projection, method: str) -> Floats:
     """Return the scores (spectrum, paint) of spectra (spectrum, band), by one of `METHODS`.
 
     With z and t the projected spectrum and paint: ACE is (z't)^2 / (z'z t't) with the sign of z't, the
-    matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't).
+    matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z has no length, as
+    that of a pixel of zeros.
     """
     z = (spectra - project.offset) @ project.matrix
     product = z @ project.targets.T
     own = np.einsum("kb,kb->k", project.targets, project.targets)
     if method == "matched_filter":
         return np.asarray(product / own)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = product / np.sqrt(np.einsum("nb,nb->n", z, z)[:, None] * own)
+    length = np.sqrt(np.einsum("nb,nb->n", z, z)[:, None] * own)
+    cosine = np.divide(product, length, out=np.zeros_like(product), where=length > 0.0)
     return np.asarray(cosine * np.abs(cosine) if method == "ace" else cosine)
 
 

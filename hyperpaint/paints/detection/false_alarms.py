@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 
 from .detectors import Projection, distances, projection, scores
 
@@ -34,6 +35,8 @@ class DetectionRules:
     #: Pixels within the distance at which so many times the rate of other paints would be accepted are taken
     #: for the paint itself, not for background: half of a car's pixels lie beyond the limit.
     target_rate_ratio: float = 10.0
+    #: A share of pixels so taken for the paint that is so many times the rate of false alarms is warned of.
+    explained_ratio: float = 10.0
     #: Parts of the line that check one another's thresholds.
     folds: int = 8
     #: Pixels of the sample that a threshold leaves above it at the least: fewer say nothing of a rate.
@@ -109,6 +112,7 @@ class Detector(NamedTuple):
     distance_limit: Floats  #: (paint,)
     checked_rate: float  #: Share above the thresholds of pixels that these were not drawn from
     checked_rate_u: float  #: Half of its 95 % interval
+    explained_share: float  #: Of pixels that a paint explains, which were left out of the background
 
     def is_near(self, distance: Array, level: Array) -> Bools:
         """Return which spectra each paint explains (spectrum, paint)."""
@@ -132,6 +136,7 @@ def make_detector(
 
     Takes ``bands`` of the cube that are compared, and in these ``paints`` (paint, band), ``sky`` (band,) and
     ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few pixels.
+    Warns where many pixels that the paints explain were left out: the rate says nothing of these.
     """
     if not part.pixels:
         raise SchemaError(
@@ -173,12 +178,22 @@ def make_detector(
         spectra = part.sample[here].astype(np.float64)
         is_background[here] = ~_is_near(*distances(spectra, paints, sky), reach).any(axis=1)
         values[here] = scores(spectra, project, settings.method)
+    explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
+    if explained > DETECTION.explained_ratio * settings.rate:
+        warnings.warn(
+            f"{100.0 * explained:.2g} % of the pixels are so like the paints that they were left out of the "
+            f"background: false_alarm_rate={settings.rate:g} holds for the others alone; where these "
+            "are not all the paints themselves, pass background=, or give --background, with like pixels "
+            "that show none",
+            PaintWarning,
+            stacklevel=2,
+        )
     values = values[is_background]
     threshold = _score_thresholds(values, settings.rate)
     checked, half = _checked_rate(values, part.block[is_background], settings.rate)
     return Detector(
         settings.method, bands, paints, sky, project, np.median(values, axis=0), threshold, limit, checked,
-        half,
+        half, explained,
     )  # fmt: skip
 
 

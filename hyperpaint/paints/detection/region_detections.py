@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Bools, Floats, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import PAINT
 
@@ -36,13 +36,13 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     -------
     Dataset
         (region): ``pixels`` that it has; ``detected_share`` [1] of its most frequent paint, which is
-        ``paint``, empty where none is detected; ``p_value``, the chance of so large a share where the paint
-        is not, of ``placements`` outlines: it is 1 / (placements + 1) at the least.
+        ``paint``, empty where none is detected; ``p_value``, the chance of so large a share of any of the
+        paints where none is, of ``placements`` outlines: it is 1 / (placements + 1) at the least.
 
     Raises
     ------
     FormatError, SchemaError
-        The regions cannot be read or hold no pixel, or these are no detections.
+        The regions cannot be read, hold no pixel or are of another flight line, or these are no detections.
 
     Examples
     --------
@@ -61,6 +61,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     """
     import xarray as xr
 
+    from hyperpaint.paints.signatures.line_sources import lines_of
     from hyperpaint.regions import pixels_of
     from hyperpaint.regions.geojson import regions_from
 
@@ -68,6 +69,8 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     variables = schema.require(detections, ["detected", "best_paint"], "detected regions")
     detected, best = variables["detected"].values, variables["best_paint"].values
     region_list = regions_from(regions)
+    if region_list.coordinates == "sensor":
+        lines_of(detections, region_list)  # refuses those of other flight lines
     places = pixels_of(region_list, detections)
     problems = Problems("these regions cannot be searched", SchemaError)
     for name, (along, _) in zip(region_list.names, places, strict=True):
@@ -78,12 +81,14 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     for place in places:
         taken[place] = True
     names = [str(name) for name in detections[PAINT].values]
+    shown = np.where(detected, best, -1)
     rows = []
     for along, across in places:
-        counts = np.bincount(best[along, across][detected[along, across]], minlength=len(names))
+        counts = _counts(shown[along, across], len(names))
         paint = int(counts.argmax())
         share = counts[paint] / along.size
-        elsewhere = _shares_elsewhere(detected & (best == paint), taken, along, across)
+        # the paint was chosen by its share: compared with that of the paint that each place would choose
+        elsewhere = _shares_elsewhere(shown, len(names), taken, along, across)
         p = (1 + int((elsewhere >= share).sum())) / (1 + elsewhere.size)
         rows.append((along.size, share, names[paint] if counts[paint] else "", p, elsewhere.size))
     columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
@@ -97,14 +102,19 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     )
 
 
-def _shares_elsewhere(detected: Bools, taken: Bools, along: Ints, across: Ints) -> Floats:
-    """Return the share of detected pixels in an outline, wherever it fits beside itself off all regions."""
+def _counts(shown: Array, paints: int) -> Ints:
+    """Return the number of pixels of each paint, of those that show one; -1 shows none."""
+    return np.bincount(shown[shown >= 0], minlength=paints)
+
+
+def _shares_elsewhere(shown: Array, paints: int, taken: Bools, along: Ints, across: Ints) -> Floats:
+    """Return the largest share of a paint in an outline, wherever it fits beside itself off all regions."""
     along, across = along - along.min(), across - across.min()
     high, wide = along.max() + 1, across.max() + 1
     shares = [
-        detected[along + top, across + left].mean()
-        for top in range(0, detected.shape[0] - high + 1, high)
-        for left in range(0, detected.shape[1] - wide + 1, wide)
+        _counts(shown[along + top, across + left], paints).max() / along.size
+        for top in range(0, shown.shape[0] - high + 1, high)
+        for left in range(0, shown.shape[1] - wide + 1, wide)
         if not taken[along + top, across + left].any()
     ]
     return np.array(shares, np.float64)
