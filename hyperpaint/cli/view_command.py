@@ -30,8 +30,8 @@ Then, with what was drawn:
 )
 @click.option(
     "--regions", metavar="FILE.geojson", type=PLACE,
-    help="Regions of the first line to begin with; what is drawn is saved there.  "
-    "[default: LINE-regions.geojson here]",
+    help="Regions of the first line to begin with; what is drawn is saved there, regions of other lines are "
+    "kept; not replaced if changed elsewhere meanwhile.  [default: STORE-LINE-regions.geojson here]",
 )  # fmt: skip
 @click.option(
     "--library", metavar="LIB", type=EXISTING,

@@ -60,8 +60,6 @@ class Explorer:
         # what was clicked last, or the name of the chosen region: something is there to be seen
         lines, columns = state.shape
         self._current: Place | str | None = (min(lines, columns) // 2, columns // 2)
-        self._digest = state.regions.digest  # of what is saved
-        self._written: set[Path] = set() if save_to is None else {save_to}
         self._make_widgets()
         self.view = self._layout()
         self._connect()
@@ -291,13 +289,13 @@ class Explorer:
     def _write(self) -> None:
         file = self._save_to or Path(self._file.value)
         try:
-            # what was written here may be written again
-            written = self._state.save(file, overwrite=file in self._written)
-        except (PaintError, OSError) as error:
+            written = self._state.save_again(file)
+        except PaintError as error:
+            self._say(error.text(on_command_line=self._save_to is not None))
+            return
+        except OSError as error:
             self._say(str(error))
             return
-        self._written.add(file)
-        self._digest = self._state.regions.digest
         self._say(f"{self._count()} saved in {written}")
 
     def _looked(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
@@ -321,7 +319,8 @@ class Explorer:
 
     def _count(self) -> str:
         count = len(self._state.drawn)
-        return f"{count} region{'' if count == 1 else 's'}"
+        others = len(self._state.others)
+        return f"{count} region{'' if count == 1 else 's'}" + f" (and {others} of other lines)" * bool(others)
 
     def _show_pictures(self, *, base: bool = True) -> None:
         """Show the picture of the lines that are looked at, and with ``base`` of the whole line behind it."""
@@ -374,8 +373,7 @@ class Explorer:
             "colour": [_colour(number) for number in range(len(regions))],
             "width": [3 if region.name == chosen else 1.5 for region in regions],
         }
-        is_saved = self._state.regions.digest == self._digest
-        self._say(self._count() + ("" if is_saved else ", not saved"))
+        self._say(self._count() + ("" if self._state.is_saved else ", not saved"))
         self._show_spectra()
 
     @property

@@ -26,9 +26,10 @@ from hyperpaint.radiometry.pixel_reading import pixels
 from hyperpaint.radiometry.spectral_axis import at, bands_at
 from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
 from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
-from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
+from hyperpaint.regions import Region, Regions, pixels_of, write_regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 
+from .drawn_regions import RegionFiles, corners_at, regions_on
 from .orientation import map_dims, orientation_of
 from .plot import STRETCH, linear_srgb, percent, stored_picture
 from .plot_flags import FLAG_COLOURS, reduced_lines
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "INFRARED", "TRUE_COLOUR", "Explored", "NearPaint", "Picture", "Place", "Spectrum",
-    "Uncertainty", "corners_at", "spoken",
+    "INFRARED", "TRUE_COLOUR", "Explored", "NearPaint", "Picture", "Place", "Spectrum", "Uncertainty",
+    "spoken",
 ]  # fmt: skip
 
 TRUE_COLOUR: tuple[float, ...] = ()
@@ -103,29 +104,6 @@ class NearPaint(NamedTuple):
     reflectance: Floats  #: Multiplied by the factor
 
 
-def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
-    """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
-
-    ``along`` and ``across`` are places as they were clicked, ``shape`` lines and columns. Returns (vertex,
-    2), x (cross_track) and y (along_track); None where the corners hold no area.
-
-    Examples
-    --------
-    >>> corners_at([1.2, 8.9, 5.0, 5.0], [-0.4, 0.4, 7.7, 7.8], (100, 50)).tolist()
-    [[0.0, 1.0], [0.0, 9.0], [8.0, 5.0]]
-    """
-    corners = np.column_stack([np.asarray(across, np.float64), np.asarray(along, np.float64)])
-    if not len(corners) or not np.isfinite(corners).all():
-        return None
-    corners = np.clip(np.floor(corners + 0.5), 0, [shape[1] - 1, shape[0] - 1])
-    # a double click leaves its corner twice
-    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
-    if len(corners) < 3:
-        return None
-    x, y = corners.T
-    return corners if x @ np.roll(y, -1) != y @ np.roll(x, -1) else None
-
-
 class Explored:
     """A flight line that is looked at, and the regions drawn on it; places are positions on the picture.
 
@@ -155,7 +133,10 @@ class Explored:
         self.library = library
         self.flightline = flightline
         self._excluded = int(EXCLUDED if exclude is None else exclude)
-        self._regions = renumbered(_on_sensor(regions), self._numbered, back=True)
+        self._files = RegionFiles(regions)  # as they are before they are read
+        own, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
+        self._regions = renumbered(own, self._numbered, back=True)
+        self._saved = self._all.digest
         self._linear = functools.lru_cache(6)(self._read_linear)
         self._spectra: dict[Any, Spectrum] = {}
         self._uncertainties: dict[Any, Uncertainty] = {}
@@ -170,9 +151,30 @@ class Explored:
         """The same in positions on the picture."""
         return self._regions
 
+    @property
+    def others(self) -> tuple[Region, ...]:
+        """Regions of other flight lines, which are saved with those of this one."""
+        return self._others
+
+    @property
+    def _all(self) -> Regions:
+        return Regions((*self.regions, *self._others)) if self._others else self.regions
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether all that is drawn was read or is saved."""
+        return self._all.digest == self._saved
+
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write what is drawn as GeoJSON; see `hyperpaint.write_regions`."""
-        return write_regions(self.regions, path, overwrite=overwrite)
+        """Write what is drawn, and regions of other lines, as GeoJSON; see `hyperpaint.write_regions`."""
+        written = write_regions(self._all, path, overwrite=overwrite)
+        self._files.remember(written)
+        self._saved = self._all.digest
+        return written
+
+    def save_again(self, path: Path) -> Path:
+        """Save to a file that is new, or is as it was when it was last read or saved here."""
+        return self.save(path, overwrite=self._files.may_replace(path))
 
     # --- regions -------------------------------------------------------------------------------------------
 
@@ -182,7 +184,7 @@ class Explored:
         if corners is None:
             return None
         number = 1
-        while (name := f"region {number}") in self._regions.names:
+        while (name := f"region {number}") in self._all.names:
             number += 1
         self._regions = Regions((*self._regions, Region(name, corners, flightline=self.flightline)))
         return name
@@ -196,9 +198,12 @@ class Explored:
 
     def rename(self, name: str, new: str) -> str | None:
         """Give a region another name; return why it cannot have it, None where it has."""
+        before = self._regions
         try:
             self._replace(name, name=new.strip())
+            _ = self._all  # names of other lines' regions are taken as well
         except PaintError as error:
+            self._regions = before
             return str(error)
         return None
 
@@ -468,17 +473,6 @@ def spoken(flag: Quality) -> str:
 
 def _flag_text(names: Sequence[str]) -> str:
     return ", ".join(names).replace("_", " ") or "no flag"
-
-
-def _on_sensor(regions: Any) -> Regions:
-    outlines = Regions(()) if regions is None else regions_from(regions)
-    if outlines.coordinates != "sensor":
-        raise SchemaError(
-            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
-        )
-    if holed := [region.name for region in outlines if region.holes]:
-        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
-    return outlines
 
 
 def _rgba(picture: Array, is_there: Array | None = None) -> npt.NDArray[np.uint32]:

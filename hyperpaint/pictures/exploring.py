@@ -55,6 +55,7 @@ def explore(
         `hyperpaint.paints.starter_library`, of synthetic paints.
     flightline
         Name of the flight line, which new regions get: needed where regions of several lines come together.
+        Regions of other lines than this, or than the line says itself, are not shown, but saved as well.
     exclude
         Flags of pixels that are left out of the spectra of regions; by default as
         `hyperpaint.extract_signatures` does.
@@ -128,7 +129,8 @@ def serve_explorer(
         The flight line that is shown first; by default the first. The others are a click away.
     regions
         GeoJSON of regions to begin with, if it is there, where what is drawn is saved; by default, and of
-        other lines, ``LINE-regions.geojson`` in the current folder.
+        other lines, ``STORE-LINE-regions.geojson`` in the current folder. Regions of other flight lines in
+        it are kept; a file that was changed elsewhere meanwhile is not replaced.
     library
         A paint library to compare with; by default the starter library.
     port
@@ -143,10 +145,6 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    require_panel()
-    import panel
-
-    paints = starter_library(members=0) if library is None else open_library(library)
     lines = _lines_of(store)
     shown = next(iter(lines), "") if group is None else group.rpartition("/")[2]
     if shown not in lines:
@@ -154,9 +152,17 @@ def serve_explorer(
             f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
         )
+    require_panel()
+    import panel
+
+    paints = starter_library(members=0) if library is None else open_library(library)
+    stem = Path(store).resolve().stem
 
     def file_of(name: str) -> Path:
-        return Path(regions if regions is not None and name == shown else f"{name}-regions.geojson")
+        if regions is not None and name == shown:
+            return Path(regions)
+        # other stores have lines of the same name
+        return Path(f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson")
 
     @functools.cache
     def state_of(name: str) -> Explored:

@@ -14,9 +14,11 @@ from hypothesis import given, settings, strategies as st
 from support.strategies import flight
 
 import hyperpaint as hp
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.pictures import explorer_state
-from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum, corners_at
+from hyperpaint.pictures.drawn_regions import corners_at
+from hyperpaint.pictures.explorer import Explorer
+from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
 PLACES = st.floats(-5.0, 30.0)
@@ -126,6 +128,64 @@ def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
     middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[0]
     np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
     assert "line 105, column 13" in state.spectrum_of((5, 3)).text  # type: ignore[union-attr]
+
+
+def test_regions_of_other_lines_are_kept_and_not_drawn(tmp_path: Path) -> None:
+    other = hp.Region("hood", [(0, 0), (4, 0), (4, 9)], ([(2, 1), (3, 1), (3, 2)],), flightline="raw_1")
+    own = hp.Region("trunk", [(0, 0), (4, 0), (4, 9)], flightline="raw_0")
+    path = hp.write_regions([other, own, *BEGIN], tmp_path / "both.geojson")
+    state = Explored(flight().line, path, flightline="raw_0")
+    assert state.drawn.names == state.regions.names == ("trunk", "roof")
+    assert state.is_saved
+    # names are of both, as they are of the file
+    assert "occurs twice" in str(state.rename("roof", "hood"))
+    assert state.drawn.names == ("trunk", "roof")
+    assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
+    state.save_again(path)
+    saved = hp.read_regions(path)
+    assert sorted(saved.names) == ["hood", "region 1", "roof", "trunk"]
+    assert next(region for region in saved if region.name == "hood") == other
+    # what the line says of itself, as signatures read it
+    assert Explored(flight().line, path).drawn.names == ("trunk", "roof", "region 1")
+    nameless = flight().line.assign_attrs(name="")
+    whole = [own, hp.Region("hood", other.polygon, flightline="raw_1")]
+    assert Explored(nameless, whole).drawn.names == ("trunk", "hood")
+
+
+def test_a_file_that_was_changed_elsewhere_is_left_as_it_is(tmp_path: Path) -> None:
+    path = hp.write_regions(BEGIN, tmp_path / "r.geojson")
+    state = Explored(flight().line, path)
+    state.add([0, 9, 9], [0, 0, 3])
+    state.save_again(path)
+    state.drop("region 1")
+    state.save_again(path)
+    changed = path.read_text(encoding="utf-8").replace("roof", "bonnet")
+    path.write_text(changed, encoding="utf-8")
+    state.drop("roof")
+    with pytest.raises(StoreError, match=r"r\.geojson was changed elsewhere.*move it away"):
+        state.save_again(path)
+    assert path.read_text(encoding="utf-8") == changed
+    assert not state.is_saved
+    path.rename(tmp_path / "theirs.geojson")
+    state.save_again(path)
+    assert state.is_saved
+    # one that appears meanwhile is not ours either
+    with pytest.raises(StoreError, match=r"theirs\.geojson was not read or saved here"):
+        state.save_again(tmp_path / "theirs.geojson")
+
+
+def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
+    pytest.importorskip("panel")
+    state, path = Explored(flight().line, BEGIN), tmp_path / "r.geojson"
+    state.add([0, 9, 9], [0, 0, 3])
+    shown = Explorer(state, save_to=path)
+    assert "2 regions, not saved" in shown._message.object
+    path.write_text("{}", encoding="utf-8")
+    shown._save.clicks += 1
+    assert "begin anew with --regions" in shown._message.object
+    path.unlink()
+    shown._save.clicks += 1
+    assert Explorer(state, save_to=path)._message.object == "2 regions"
 
 
 # --- spectra -----------------------------------------------------------------------------------------------

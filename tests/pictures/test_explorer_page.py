@@ -18,6 +18,7 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
+from hyperpaint.pictures import exploring
 
 pytestmark = pytest.mark.slow
 
@@ -147,7 +148,7 @@ def test_a_line_is_explored_in_a_browser(browser: Any, served: Served) -> None:
     )
     page.get_by_role("button", name="Save regions").click()
     page.get_by_text("2 regions saved").wait_for()
-    regions = hp.read_regions(served.folder / "raw_0-regions.geojson")
+    regions = hp.read_regions(served.folder / "lot-raw_0-regions.geojson")
     assert regions.names == ("red roof", "region 1")
     assert regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 9], [1, 9]]
     assert regions[1].polygon.tolist() == [[0, 10], [0, 12], [5, 11]]
@@ -192,6 +193,41 @@ def test_ctrl_c_ends_it_with_one_line(served: Served) -> None:
     text, _ = served.process.communicate(timeout=30)
     assert text.strip() == "stopped by SIGINT"
     assert served.process.returncode == 130
+
+
+def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel = pytest.importorskip("panel")
+    monkeypatch.chdir(tmp_path)
+    # of another store: not to be shown, nor replaced
+    other = hp.Region("other", [(0, 0), (4, 0), (4, 9)])
+    hp.write_regions([other], "raw_0-regions.geojson")
+    hp.write_regions([other], "lot-regions.geojson")
+    hp.to_store(flight().line, "lot.zarr", "flightlines/raw_0")
+    shown: list[Any] = []
+
+    def serve(pages: dict[str, Any], **options: Any) -> Any:
+        shown.append(pages["/"])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(panel, "serve", serve)
+    explorers: list[Any] = []
+    made = exploring.Explorer
+    monkeypatch.setattr(
+        exploring,
+        "Explorer",
+        lambda *given, **named: explorers.append(made(*given, **named)) or explorers[-1],
+    )
+    with pytest.raises(KeyboardInterrupt):
+        exploring.serve_explorer("lot.zarr", announce=print)
+    shown[0]()
+    assert explorers[0].regions.names == ()
+    explorers[0]._state.add([0, 9, 9], [0, 0, 3])
+    # a page that is loaded anew
+    shown[0]()
+    assert "1 region, not saved" in explorers[1]._message.object
+    explorers[1]._save.clicks += 1
+    assert hp.read_regions("lot-raw_0-regions.geojson").names == ("region 1",)
+    assert hp.read_regions("raw_0-regions.geojson").names == ("other",)
 
 
 def test_what_cannot_be_viewed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

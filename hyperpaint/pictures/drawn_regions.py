@@ -1,0 +1,102 @@
+"""Regions that are drawn on a flight line: their corners, their lines, the files that hold them."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.input_files import is_plain_file
+from hyperpaint.regions import Region, Regions, regions_from
+
+__all__ = ["RegionFiles", "corners_at", "regions_on"]
+
+
+def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
+    """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
+
+    ``along`` and ``across`` are places as they were clicked, ``shape`` lines and columns. Returns (vertex,
+    2), x (cross_track) and y (along_track); None where the corners hold no area.
+
+    Examples
+    --------
+    >>> corners_at([1.2, 8.9, 5.0, 5.0], [-0.4, 0.4, 7.7, 7.8], (100, 50)).tolist()
+    [[0.0, 1.0], [0.0, 9.0], [8.0, 5.0]]
+    """
+    corners = np.column_stack([np.asarray(across, np.float64), np.asarray(along, np.float64)])
+    if not len(corners) or not np.isfinite(corners).all():
+        return None
+    corners = np.clip(np.floor(corners + 0.5), 0, [shape[1] - 1, shape[0] - 1])
+    # a double click leaves its corner twice
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    if len(corners) < 3:
+        return None
+    x, y = corners.T
+    return corners if x @ np.roll(y, -1) != y @ np.roll(x, -1) else None
+
+
+def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ...]]:
+    """Return the regions that are on a flight line, and those of others; all are, of a line without a name.
+
+    Raises `SchemaError`: they are in map coordinates, or have holes.
+
+    Examples
+    --------
+    >>> corners = [(0, 0), (4, 0), (4, 3)]
+    >>> own, others = regions_on([Region("a", corners), Region("b", corners, flightline="raw_1")], "raw_0")
+    >>> own.names, [region.name for region in others]
+    (('a',), ['b'])
+    """
+    outlines = Regions(()) if regions is None else regions_from(regions)
+    if outlines.coordinates != "sensor":
+        raise SchemaError(
+            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
+        )
+    lines = {"", flightline.replace(" ", "_")}
+    others = [one for one in outlines if flightline and one.flightline.replace(" ", "_") not in lines]
+    if others:
+        names = {region.name for region in others}
+        outlines = Regions(tuple(region for region in outlines if region.name not in names))
+    if holed := [region.name for region in outlines if region.holes]:
+        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
+    return outlines, tuple(others)
+
+
+class RegionFiles:
+    """What files held when they were read or saved here last: what others wrote since is not replaced."""
+
+    def __init__(self, regions: Any) -> None:
+        self._digests: dict[str, str] = {}
+        if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
+            with contextlib.suppress(OSError):  # reading it says why it cannot be read
+                self.remember(Path(regions))
+
+    def remember(self, path: Path) -> None:
+        """Take a file as one that was read or saved here."""
+        self._digests[os.path.realpath(path)] = _digest(path)
+
+    def may_replace(self, path: Path) -> bool:
+        """Tell whether there is a file to replace; raise `StoreError` where others wrote it since."""
+        if not is_plain_file(path):
+            return False
+        digest = self._digests.get(os.path.realpath(path))
+        if digest != _digest(path):
+            raise StoreError(
+                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}: "
+                "it is left as it is, and nothing is saved",
+                mend="move it away or choose another file, and save again",
+                option="move it away and save again, or begin anew with --regions and another file",
+            )
+        return True
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
