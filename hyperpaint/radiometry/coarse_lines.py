@@ -9,6 +9,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
+from hyperpaint.io.store.reader import MEANS_OF, has_own_means, identities
 from hyperpaint.kernels.overviews import average_blocks
 
 from .counts_to_reflectance import reflectance
@@ -26,8 +27,8 @@ _SIDE = "block_side"
 def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
 
-    Lazy. What `process` stored beside the line is read where it serves, which takes some 20 ms for a band;
-    else the whole cube is read when it is computed.
+    Lazy. What `process` stored beside the line is read where it serves, else the whole cube when it is
+    computed.
 
     Parameters
     ----------
@@ -53,7 +54,8 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
 
     Notes
     -----
-    What is stored is taken where the reflectance is as it came from the store, or where there is none.
+    What is stored is taken where `open_store` opened the line, and its reflectance, or where there is none
+    all that it follows from, is as it came from there.
 
     Examples
     --------
@@ -111,7 +113,9 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
         meta=np.empty((0, 0, 0), np.float16),
     )
     row = schema.VARIABLES["coarse_reflectance"]
-    return xr.DataArray(means, dims=row.dims, name=row.name, attrs={**row.attrs, _SIDE: side})
+    out = xr.DataArray(means, dims=row.dims, name=row.name, attrs={**row.attrs, _SIDE: side})
+    out.encoding[MEANS_OF] = identities(line[["reflectance"]])
+    return out
 
 
 def _means(values: Array, side: int) -> Array:
@@ -137,6 +141,4 @@ def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
     }
     if any(stored.sizes[dim] != size for dim, size in sizes.items()):
         return None
-    # what came out of a store knows the chunks it had there; what was computed anew does not
-    is_changed = "reflectance" in line.variables and "chunks" not in line["reflectance"].encoding
-    return None if is_changed else stored
+    return stored if has_own_means(line) else None
