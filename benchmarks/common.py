@@ -206,7 +206,8 @@ def counts_store(lines: int, *, smile: bool = False, layout: str = "cube", coars
     if coarse:
         from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 
-        line = line.assign(coarse_reflectance=coarse_reflectance(line.paint.reflectance()))
+        product = line.paint.reflectance()
+        line = product.assign(coarse_reflectance=coarse_reflectance(product)).drop_vars("reflectance")
     hp.to_store(line, path, source_token=f"{lines} {smile}", layout=layout)
     return path
 

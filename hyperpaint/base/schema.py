@@ -305,3 +305,38 @@ def find(
 def dtype_of(name: str) -> np.dtype[Any]:
     """Return the numpy dtype of a variable of the table."""
     return np.dtype(VARIABLES[name].dtype)
+
+
+_STAMP = "means_of"
+_MOST_HASHED_BYTES = 2**24
+_NOT_INPUTS = {"coarse_reflectance", "reflectance", "overview", "quality", ALONG_TRACK, CROSS_TRACK}
+
+
+def stamp_means(means: xr.DataArray | xr.Variable, line: xr.Dataset) -> None:
+    """Note in the encoding of stored means which arrays they are of."""
+    means.encoding[_STAMP] = {str(name): _identity(line[name].variable) for name in line.variables}
+
+
+def has_own_means(line: xr.Dataset) -> bool:
+    """Tell whether ``coarse_reflectance`` is of the reflectance that is there, or of all it follows from."""
+    stamp = line["coarse_reflectance"].encoding.get(_STAMP)
+    if stamp is None:
+        return False
+    if "reflectance" in line.variables:
+        names = {"reflectance"}
+    else:
+        names = (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
+    now = {name: _identity(line[name].variable) for name in names if name in line.variables}
+    return all(now.get(name) is not None and now[name] == stamp.get(name) for name in names)
+
+
+def _identity(variable: xr.Variable) -> str | None:
+    """Return a name that follows the values, None where more than a scalar would have to be read."""
+    from dask.base import is_dask_collection, tokenize
+
+    if is_dask_collection(variable):
+        return str(tokenize(variable.data.name, variable.dims, variable.shape))
+    # xarray leaves a scalar of a store lazy without dask
+    if variable.nbytes > _MOST_HASHED_BYTES or (variable.ndim and not variable._in_memory):
+        return None
+    return str(tokenize(variable.dims, variable.values))

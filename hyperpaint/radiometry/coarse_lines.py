@@ -9,7 +9,6 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
-from hyperpaint.io.store.reader import MEANS_OF, has_own_means, identities
 from hyperpaint.kernels.overviews import average_blocks
 
 from .counts_to_reflectance import reflectance
@@ -54,8 +53,8 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
 
     Notes
     -----
-    What is stored is taken where `open_store` opened the line, and its reflectance, or where there is none
-    all that it follows from, is as it came from there.
+    What is stored is taken where the reflectance, or without it all it follows from, is as `open_store`
+    opened it.
 
     Examples
     --------
@@ -114,7 +113,7 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     )
     row = schema.VARIABLES["coarse_reflectance"]
     out = xr.DataArray(means, dims=row.dims, name=row.name, attrs={**row.attrs, _SIDE: side})
-    out.encoding[MEANS_OF] = identities(line[["reflectance"]])
+    schema.stamp_means(out, line)
     return out
 
 
@@ -141,4 +140,4 @@ def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
     }
     if any(stored.sizes[dim] != size for dim, size in sizes.items()):
         return None
-    return stored if has_own_means(line) else None
+    return stored if schema.has_own_means(line) else None

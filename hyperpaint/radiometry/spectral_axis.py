@@ -68,7 +68,10 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     551.0
     """
     dataset = schema.rename_to_roles(dataset)
-    return dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
+    some = dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
+    if "coarse_reflectance" in dataset.variables and schema.has_own_means(dataset):
+        schema.stamp_means(some["coarse_reflectance"], some)  # of the same bands
+    return some
 
 
 def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:

@@ -15,6 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.store.layout import storage_chunks
 from hyperpaint.kernels.overviews import mix_bands
+from hyperpaint.pictures.explorer_state import Explored
 from hyperpaint.radiometry.coarse_lines import coarse, coarse_reflectance
 
 
@@ -93,14 +94,11 @@ def test_what_is_stored_serves(tmp_path: Path, no_compute: Any) -> None:
     band = small.paint.at(550.0)
     place = int(np.abs(line.wavelength.values - 550.0).argmin())
     np.testing.assert_array_equal(band.reflectance.values, small.reflectance.values[:, place])
-    # not what was cut, turned, changed, or asked for in other blocks
+    two = [550.0, 560.0]
+    xr.testing.assert_identical(opened.paint.at(two).paint.coarse().compute(), small.paint.at(two).compute())
+    # not what was cut, changed, or asked for in other blocks
     for other in (
         opened.isel(along_track=slice(0, 40)),
-        opened.isel(along_track=slice(2, None)),
-        opened.isel(along_track=slice(None, None, -1)),
-        opened.paint.at([550.0, 560.0]),
-        opened.compute(),
-        xr.open_zarr(path),
         opened.assign(reflectance=opened.reflectance * np.float32(2.0)).assign(
             reflectance=lambda ds: ds.reflectance.assign_attrs(units="1")
         ),
@@ -114,25 +112,57 @@ def test_what_is_stored_serves(tmp_path: Path, no_compute: Any) -> None:
             coarse(line, side=side)
 
 
-def test_means_of_another_reflectance_are_not_stored(tmp_path: Path) -> None:
-    line = speckled().drop_vars("quality").chunk({"along_track": 32})
-    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), tmp_path / "lot.zarr")
+def edits(opened: xr.Dataset) -> dict[str, xr.Dataset]:
+    loaded = opened.assign(reflectance=opened.reflectance.copy()).load()
+    loaded.reflectance.values[:] *= 2
+    return {
+        "scaled": opened.assign(reflectance=(opened.reflectance * np.float32(0.5)).assign_attrs(units="1")),
+        "smooth": opened.paint.smooth(window=3, order=1),
+        "backwards": opened.isel(along_track=slice(None, None, -1)),
+        "later": opened.isel(along_track=slice(2, None)),
+        "data": opened.assign(reflectance=opened.reflectance.copy(data=opened.reflectance.data * 2)),
+        "in place": loaded,
+    }
+
+
+def test_means_of_what_was_edited_do_not_serve(tmp_path: Path) -> None:
+    line = speckled(71).drop_vars("quality").chunk({"along_track": 32})
+    path = tmp_path / "lot.zarr"
+    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), path)
+    opened = hp.open_store(path)
+    for name, other in edits(opened).items():
+        small = coarse(other).reflectance
+        assert small.attrs["level"] == "computed", name
+        hp.to_store(other, tmp_path / f"{name}.zarr")
+        again = coarse(hp.open_store(tmp_path / f"{name}.zarr")).reflectance
+        assert again.attrs["level"] == "computed", name
+        np.testing.assert_array_equal(again.values, small.values)
+    hp.to_store(opened, tmp_path / "same.zarr")
+    assert coarse(hp.open_store(tmp_path / "same.zarr")).reflectance.attrs["level"] == "stored"
+
+
+def test_means_of_counts_follow_what_calibrates_them(tmp_path: Path) -> None:
+    line = flight(lines=40, columns=9).line.paint.reflectance().chunk({"along_track": 32})
+    line = line.assign(coarse_reflectance=coarse_reflectance(line)).drop_vars("reflectance")
+    hp.to_store(line, tmp_path / "lot.zarr")
     opened = hp.open_store(tmp_path / "lot.zarr")
-    half = opened.assign(reflectance=(opened.reflectance * np.float32(0.5)).assign_attrs(units="1"))
-    for number, other in enumerate((half, opened.paint.smooth(window=3, method="box"))):
-        place = hp.to_store(other, tmp_path / f"{number}.zarr")
-        assert "coarse_reflectance" not in hp.open_store(place)
-    again = hp.open_store(hp.to_store(opened, tmp_path / "again.zarr"))
-    assert coarse(again).reflectance.attrs["level"] == "stored"
+    assert coarse(opened).reflectance.attrs["level"] == "stored"
+    for name in ("irradiance", "radiance_gain", "exposure_time"):
+        other = opened.assign({name: opened[name].copy(data=opened[name].data * 2)})
+        assert coarse(other).reflectance.attrs["level"] == "computed", name
 
 
-def test_means_of_what_it_follows_from(tmp_path: Path) -> None:
+def test_the_explorer_takes_means_of_counts(tmp_path: Path) -> None:
     collect = hp.simulate_collect(tmp_path / "raw", lines=40, bands=12, columns=9, seed=3, truth=False)
     store = hp.process(collect, tmp_path / "lot.zarr", reflectance="none")
     line = hp.open_store(store, "flightlines/raw_0")
     assert line.paint.coarse().reflectance.attrs["level"] == "stored"
-    brighter = line.assign(irradiance=line.irradiance * 2.0)
-    assert brighter.paint.coarse().reflectance.attrs["level"] == "computed"
+    assert Explored(line)._means is not None
+    line.paint.pixels(3, 4)  # reads scalars
+    assert line.paint.coarse().reflectance.attrs["level"] == "stored"
+    assert (
+        xr.open_zarr(store, group="flightlines/raw_0").paint.coarse().reflectance.attrs["level"] == "computed"
+    )
 
 
 def test_chunks_are_groups_of_bands() -> None:

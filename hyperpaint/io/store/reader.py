@@ -7,12 +7,11 @@ Whoever wrote a store, nothing of it is decoded before its metadata (`documents`
 from __future__ import annotations
 
 import os
-import uuid
 import warnings
 from typing import TYPE_CHECKING, Any, overload
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
-from hyperpaint.base.schema import BAND, CROSS_TRACK
+from hyperpaint.base.schema import BAND, CROSS_TRACK, stamp_means
 
 from .documents import check_node
 from .groups import groups_above
@@ -263,48 +262,17 @@ def _opened(
         raise StoreError(
             f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
         ) from error
+    if COARSE in opened.variables:
+        stamp_means(opened[COARSE], opened)
     for name, variable in opened.variables.items():
         variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
-    if COARSE in opened.variables:
-        opened[COARSE].encoding[MEANS_OF] = identities(opened)
     opened.encoding["source"] = location.url
     for name in (SET, PLACE, SETTINGS):  # of the place, not of what is made from it
         opened.attrs.pop(name, None)
     return opened
 
 
-COARSE, MEANS_OF = "coarse_reflectance", "means_of"
-"""Means of blocks of pixels, and in their encoding the `identities` of what they are the means of."""
-
-_MOST_HASHED_BYTES = 2**20
-_NO_INPUTS = (COARSE, "overview", "quality")
-
-
-def identities(dataset: xr.Dataset) -> dict[str, str]:
-    """Return by variable what it is for dask, or for its values where it is a scalar or small in memory."""
-    from dask.base import tokenize
-
-    names = {}
-    for name, variable in dataset.variables.items():
-        if name not in _NO_INPUTS:
-            if variable.chunks is not None:
-                names[str(name)] = str(variable.data.name)
-            elif not variable.ndim or (variable._in_memory and variable.nbytes <= _MOST_HASHED_BYTES):
-                names[str(name)] = str(tokenize(variable.values))
-            else:  # like nothing else
-                names[str(name)] = uuid.uuid4().hex
-    return names
-
-
-def has_own_means(dataset: xr.Dataset) -> bool:
-    """Tell whether means that came with a dataset are of its reflectance, or of what that follows from."""
-    of, now = dataset[COARSE].encoding.get(MEANS_OF), identities(dataset)
-    if not isinstance(of, dict):
-        return False
-    if "reflectance" in now:
-        return bool(of.get("reflectance") == now["reflectance"])
-    of = {name: identity for name, identity in of.items() if name != "reflectance"}
-    return of == {name: now.get(name) for name in of}
+COARSE = "coarse_reflectance"
 
 
 def _complete_record(location: Location, group: str) -> GroupRecord:

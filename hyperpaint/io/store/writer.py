@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
-from hyperpaint.base.schema import FORMAT_VERSION
+from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
 from hyperpaint.base.units import takes_quantities
 
 from . import computing, layout
@@ -35,7 +35,6 @@ from .groups import (
 )
 from .layout import Layout
 from .location import METADATA, Location, clean_group
-from .reader import COARSE, has_own_means
 from .record import OWN_ATTRS
 from .root_record import Intention, Member, intention, read_set
 from .stage import Staging, clear_up, discard, flight_content, staging
@@ -316,8 +315,8 @@ def _plan(
         }
     jobs, attrs = [], {}
     for name, node in nodes.items():
-        if COARSE in node.variables and not has_own_means(node):
-            node = node.drop_vars(COARSE)  # of another reflectance: who opens the store could not tell
+        if "coarse_reflectance" in node.variables and not has_own_means(node):
+            node = node.drop_vars("coarse_reflectance")  # of reflectance as it was before
         dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
         prepared = layout.prepare(dataset, name)
         if is_tree and not dataset.variables:
