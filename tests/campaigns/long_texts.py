@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import math
 import multiprocessing
 import sys
@@ -54,6 +55,7 @@ def text_of(piece: str, seed: bytes, size: int) -> bytes:
 def measure(name: str, path: Path, results: Any) -> None:
     """Send seconds, the growth of memory and how it ended; what is imported is in memory already."""
     warnings.simplefilter("ignore")
+    gc.freeze()  # objects of the process that was forked are not the reader's to walk through, and to copy
     before = parsers.begin_peak()
     begun, ending = time.process_time(), "read"
     try:

@@ -88,7 +88,8 @@ def test_long_texts_take_time_with_their_size(name: str, piece: str, seeds: Path
     for room in rooms:
         room.mkdir()
     # another process that takes the cores for a moment is no growth: what is quadratic fails every time
-    assert not all(long_texts.judge(name, piece, sizes, room, seeds)[1] for room in rooms)
+    problems = [long_texts.judge(name, piece, sizes, room, seeds) for room in rooms]
+    assert not all(wrong for _row, wrong in problems), str(problems)
 
 
 def test_a_number_names_an_input(seeds: Path) -> None:

@@ -182,6 +182,8 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
 
 
 def _cells(line: str, mark: str) -> list[str]:
+    if '"' not in line:  # the common case at a tenth of the time
+        return line.split(mark)
     try:
         return next(csv.reader([line], delimiter=mark), [])
     except csv.Error:
