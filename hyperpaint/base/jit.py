@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, TypeVar, cast
 
 import numba
@@ -21,6 +22,7 @@ from numba.core.caching import (
 )
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.cpu import CPUTargetOptions
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
@@ -164,8 +166,26 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
                 cache.save_overload(sig, data)
 
 
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Let nothing look for unreachable objects meanwhile: a compiler makes millions that are all in use."""
+    with global_compiler_lock:  # one thread at a time switches
+        was_enabled = gc.isenabled()
+        gc.disable()
+        try:
+            yield
+        finally:
+            if was_enabled:
+                gc.enable()
+
+
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel, as Python calls it; another kernel that calls it takes a `_Part` in."""
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for one signature, or take what is kept on disk."""
+        with _uncollected():
+            return super().compile(sig)
 
     @functools.cached_property
     def _part(self) -> _Part:

@@ -31,7 +31,7 @@ _CALLED_BY_OTHERS = {
 #: Lines and files of the package when the house was built, and what the features of each issue may add.
 LINES = {
     "the house": 66_000, "field day": 5_500, "light and coat": 6_000, "real cars": 4_000,
-    "truth of the chain": 7_500, "a whole that can be proven": 5_000, "instant": 4_000,
+    "truth of the chain": 7_500, "a whole that can be proven": 5_000, "instant": 4_100,
     "seen and learned": 2_990,
 }  # fmt: skip
 FILES = {"the house": 290, "field day": 24, "light and coat": 26, "real cars": 20, "truth of the chain": 30,
