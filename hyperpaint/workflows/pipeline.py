@@ -302,7 +302,7 @@ def run(
 
     ``take_up`` hands over what was written of a line in flight (`hyperpaint.workflows.following`).
     """
-    from hyperpaint.io.store.budget import limited_threads, parse_size
+    from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.layout import with_layout
     from hyperpaint.io.store.root_record import Member
@@ -313,6 +313,7 @@ def run(
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
+    share_one_heap()  # before files are opened on threads
     parameters = {"to": to, "reflectance": reflectance, "alignment": alignment}
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
@@ -484,7 +485,6 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:
-        budget.share_one_heap()
         resident = budget.resident_memory()
         return budget.fit(
             loads, lines=lines, threads=budget.thread_count(),
