@@ -2,9 +2,11 @@
 
     python tests/campaigns/detected_paints.py                 judging seeds 830 to 835, some minutes
     python tests/campaigns/detected_paints.py --seeds tune    720 to 725, for tuning
+    python tests/campaigns/detected_paints.py --seeds foreign    860 to 865, other cars, under Mitsuba
 
 Scenes are car parks of the real fleet (`benchmarks/fleet_scenes/rendered_cars.py`) under a clear sky: 60
-bands, a signal-to-noise ratio of 100, reflectance and flags by the chain with its defaults. Others are
+bands, a signal-to-noise ratio of 100, reflectance and flags by the chain with its defaults. Foreign ones have
+six cars each, of other bodies and paints (`fleet_scenes/foreign_cars.py`), and 32 bands. Others are
 4,000 paints of the fleet that stand in none of them. Three draws a scene, each of two libraries of six:
 
 * absent: none of them stands in the scene; every pixel is background, every car's paint is unknown.
@@ -30,48 +32,68 @@ for folder in (ROOT, ROOT / "tests"):  # run as a script: `benchmarks` is then n
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
 
-# Written down before any of the judging scenes was rendered.
-SEEDS = {"tune": range(720, 726), "judge": range(830, 836)}
+# Written down before any of the judging scenes was rendered; nothing was tuned on a foreign one.
+SEEDS = {"tune": range(720, 726), "judge": range(830, 836), "foreign": range(860, 866)}
 RATES = (1e-2, 1e-3)
 UNKNOWN_RATE = 1e-3
 DRAWS, PAINTS, OTHERS = 3, 6, 4000
 
 
-def library_of(names: list[str], wavelength: Any) -> Any:
-    """Return a paint library of the bodies of fleet paints."""
+def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
+    """Return a paint library of spectra of bodies, by name."""
     import xarray as xr
 
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-
-    spectra = np.array([spectrum_of(name)(wavelength) for name in names], np.float32)
     attrs = {"units": "1", "mirror_reflection": "excluded"}
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), spectra, attrs)},
-        {"paint": names, "wavelength": ("band", wavelength, {"units": "nm"})},
+        {"reflectance": (("paint", "band"), np.array(list(bodies.values()), np.float32), attrs)},
+        {"paint": list(bodies), "wavelength": ("band", wavelength, {"units": "nm"})},
     )
 
 
-def look(seed: int, cache: Path, others: Any) -> list[dict[str, Any]]:
+def fleet(numbers: range, wavelength: Any) -> dict[str, Any]:
+    """Return bodies of paints of the fleet, by name."""
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+
+    return {f"fleet-{number}": spectrum_of(f"fleet-{number}")(wavelength) for number in numbers}
+
+
+def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
+    """Return a line, and names and bodies of the paints of its cars by their numbers in it."""
+    from benchmarks.fleet_scenes import foreign_cars, rendered_cars
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+
+    if seed in SEEDS["foreign"]:
+        line = foreign_cars.line_of(seed, "clear", cache)
+        names = [f"{number} {name}" for number, name in enumerate(json.loads(line.attrs["paints"]))]
+        return line, dict(enumerate(zip(names, line["solid_truth"].values, strict=True)))
+    line = rendered_cars.line_of(seed, "clear", cache)
+    nm = line["wavelength"].values
+    names = json.loads(line.attrs["paints"])
+    cars = [number for number, name in enumerate(names) if name.startswith("fleet-")]
+    return line, {number: (names[number], spectrum_of(names[number])(nm)) for number in cars}
+
+
+def look(seed: int, cache: Path) -> list[dict[str, Any]]:
     """Return shares of one scene, for every rate, draw and library."""
     import hyperpaint as hp
-    from benchmarks.fleet_scenes import rendered_cars, verdicts
+    from benchmarks.fleet_scenes import verdicts
     from hyperpaint.paints.signatures import EXCLUDED
 
-    line = rendered_cars.line_of(seed, "clear", cache)
+    line, cars = scene_of(seed, cache)
+    wavelength = line["wavelength"].values
+    others = library_of(fleet(range(OTHERS), wavelength), wavelength)
     _, _, flagged = verdicts.looked_at(line)
-    names = json.loads(line.attrs["paints"])
     clear = (flagged["quality"].values & int(EXCLUDED)) == 0
     shown = np.where(clear, line["paint_id"].values, -2)
-    is_car = np.char.startswith(np.array(names), "fleet-")
-    here = [n for n in range(len(names)) if is_car[n] and (shown == n).sum() > 150]
+    here = [number for number in cars if (shown == number).sum() > 150]
     rows = []
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, draw])
-        elsewhere = [f"fleet-{9_000 + 50 * seed + PAINTS * draw + n}" for n in range(PAINTS)]
+        first = 9_000 + 50 * seed + PAINTS * draw
         chosen = rng.choice(here, min(PAINTS // 2, len(here) // 2), replace=False).tolist()
         for kind, numbers in (("absent", []), ("present", chosen)):
-            wanted = [names[n] for n in numbers] + elsewhere[len(numbers) :]
-            paints = library_of(wanted, line["wavelength"].values)
+            elsewhere = fleet(range(first + len(numbers), first + PAINTS), wavelength)
+            paints = library_of(dict(cars[number] for number in numbers) | elsewhere, wavelength)
             for rate in RATES:
                 found = hp.paints.detect(
                     flagged, paints, false_alarm_rate=rate, unknown_rate=UNKNOWN_RATE, others=others
@@ -137,13 +159,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scenes", type=int, default=None, help="only so many of them")
     parser.add_argument("--cache", type=Path, help="folder of rendered scenes")
     asked = parser.parse_args(arguments)
-    wavelength = np.linspace(405.0, 995.0, 60)
-    others = library_of([f"fleet-{number}" for number in range(OTHERS)], wavelength)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = asked.cache or Path(folder)
         for seed in list(SEEDS[asked.seeds])[: asked.scenes]:
-            rows += look(seed, cache, others)
+            rows += look(seed, cache)
     lines = table(rows)
     print("\n".join(lines))
     achieved = [line for line in lines if " to " in line]
