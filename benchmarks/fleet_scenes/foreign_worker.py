@@ -13,6 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 GROUND, LINE, GLASS = 0.10, 0.45, 0.02
+MAPS_AT, NEAR = 600.0, 80.0
+"""Mitsuba's maps of the sky have no light beyond 830 nm: four bands at a time are rendered as if they lay at
+the first [nm], and the spectra of all materials within the second [nm] are moved along."""
 SKY_ROWS, SKY_COLUMNS = 64, 256
 DEPTH = 5
 
@@ -119,6 +122,25 @@ def truths(mitsuba: Any, job: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def materials(job: dict[str, Any], grid: Any, moved: float = 0.0) -> dict[str, Any]:
+    """Return the surfaces of a scene; their spectra at some wavelengths [nm], moved to shorter ones."""
+    at = grid - moved
+    surfaces: dict[str, Any] = {
+        "asphalt": {
+            "type": "diffuse", "reflectance": spectrum(at, GROUND * (0.85 + 0.0006 * (grid - 400.0))),
+        },
+        "line": {"type": "diffuse", "reflectance": spectrum(at, LINE)},
+    }  # fmt: skip
+    for number, each in enumerate(job["paints"]):
+        near = each | {"albedo": each["albedo"][np.isin(job["grid"], grid)]}
+        surfaces[f"paint_{number}"] = {"type": "twosided", "bsdf": paint(near, job["light"], at)}
+        surfaces[f"glass_{number}"] = {
+            "type": "twosided",
+            "bsdf": {"type": "plastic", "int_ior": 1.52, "diffuse_reflectance": spectrum(at, GLASS)},
+        }
+    return surfaces
+
+
 def render(mitsuba: Any, job: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return images of sun and sky (row, column, band), and what a white level surface shows times pi."""
     from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
@@ -126,45 +148,34 @@ def render(mitsuba: Any, job: dict[str, Any], folder: Path) -> dict[str, Any]:
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.scene import plane
 
-    light, grid, bands = job["light"], job["grid"], job["bands"]
-    one = np.ones(grid.size)
-    sky = Atmosphere(grid, one, one, 0 * one, 0 * one, light["sun_zenith"], light["sun_azimuth"])
+    light, bands = job["light"], job["bands"]
     camera = FrameCamera(
         (0.0, 0.0, job["altitude"]),
         field_of_view=job["field_of_view"],
         rows=job["rows"],
         columns=job["columns"],
     )
-    surfaces: dict[str, Any] = {
-        "asphalt": {
-            "type": "diffuse",
-            "reflectance": spectrum(grid, GROUND * (0.85 + 0.0006 * (grid - 400.0))),
-        },
-        "line": {"type": "diffuse", "reflectance": spectrum(grid, LINE)},
-    }
-    for number, each in enumerate(job["paints"]):
-        surfaces[f"paint_{number}"] = {"type": "twosided", "bsdf": paint(each, light, grid)}
-        surfaces[f"glass_{number}"] = {
-            "type": "twosided",
-            "bsdf": {"type": "plastic", "int_ior": 1.52, "diffuse_reflectance": spectrum(grid, GLASS)},
-        }
-    white = {"white": {"type": "diffuse", "reflectance": spectrum(grid, 1.0)}}
     flat = plane(60.0)
     own = flat.materials[0].name
     small = FrameCamera((0.0, 0.0, 5.0), field_of_view=10.0, rows=8, columns=8)
     images: dict[str, list[Any]] = {name: [] for name in ("sun", "sky", "sun_level", "sky_level")}
     for first in range(0, len(bands), 4):
         group = bands[first : first + 4]
-        options = {"wavelength": group, "fwhm": job["fwhm"], "depth": DEPTH}
+        moved = float(group.mean()) - MAPS_AT
+        grid = job["grid"][np.abs(job["grid"] - group.mean()) <= NEAR]
+        one = np.ones(grid.size)
+        sky = Atmosphere(grid - moved, one, one, 0 * one, 0 * one, light["sun_zenith"], light["sun_azimuth"])
+        options = {"wavelength": group - moved, "fwhm": job["fwhm"], "depth": DEPTH}
+        white = {own: {"type": "diffuse", "reflectance": spectrum(grid - moved, 1.0)}}
+        surfaces = materials(job, grid, moved)
         for source in ("sun", "sky"):
             for name, scene, its, view, samples in (
                 (source, job["scene"], surfaces, camera, job["samples"][source]),
-                (f"{source}_level", flat, {own: white["white"]}, small, 4096),
+                (f"{source}_level", flat, white, small, 4096),
             ):
                 place = folder / f"{'flat' if scene is flat else 'cars'}"
                 described = to_mitsuba(scene, sky, place, camera=view, samples=samples, **options) | its
-                other = described.pop("sky" if source == "sun" else "sun")
-                del other
+                del described["sky" if source == "sun" else "sun"]
                 if source == "sky":
                     described["sky"] = environment(mitsuba, float(group.mean()), light)
                 image = np.array(mitsuba.render(mitsuba.load_dict(described), seed=7))
