@@ -170,7 +170,7 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
     """Return a line as Mitsuba rendered it; from the cache where it is there."""
     import xarray as xr
 
-    store = cache / f"foreign_{seed}_{sky}.zarr"
+    store = cache / f"foreign_cars_{seed}_{sky}.zarr"
     if not store.exists():
         line = _rendered(seed)
         part = store.with_suffix(".part")
