@@ -18,6 +18,7 @@ from support import ROOT
 
 MODULES = (
     "calibration",
+    "detection",
     "dirsig",
     "graph",
     "import",
