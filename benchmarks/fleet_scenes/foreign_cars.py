@@ -226,6 +226,10 @@ def _assembled(seed: int, light: dict[str, Any], images: dict[str, Arrays]) -> A
 
     nm, direct, diffuse = _irradiance(light)
     parts = {name: np.interp(BANDS, nm, curve) for name, curve in (("sun", direct), ("sky", diffuse))}
+    levels = np.array([images[f"{name}_level"] for name in parts])
+    dark = [f"{band:.0f}" for band in BANDS[~(levels > 0.0).all(axis=0)]]
+    if dark:
+        raise ValueError(f"Mitsuba gave no light at {', '.join(dark)} nm, of which nothing can be judged")
     radiance = sum(images[name] / images[f"{name}_level"] * part for name, part in parts.items())
     cube = np.moveaxis(radiance[::-1], 2, 1).astype(np.float32)
     record_nm = np.arange(375.0, 1026.0)

@@ -122,8 +122,8 @@ def truths(mitsuba: Any, job: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def materials(job: dict[str, Any], grid: Any, moved: float = 0.0) -> dict[str, Any]:
-    """Return the surfaces of a scene; their spectra at some wavelengths [nm], moved to shorter ones."""
+def materials(job: dict[str, Any], grid: Any, moved: float) -> dict[str, Any]:
+    """Return the surfaces of a scene; their spectra at some wavelengths [nm], moved down by some [nm]."""
     at = grid - moved
     surfaces: dict[str, Any] = {
         "asphalt": {

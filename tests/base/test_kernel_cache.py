@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import importlib.util
 import os
 import subprocess
@@ -176,3 +177,20 @@ def test_a_kernel_is_loaded_without_what_compiling_needs(tmp_path: Path) -> None
     assert printed("from parts import whole; print(whole(5))").split() == ["125"]
     # what is compiled after it, in the same process, works
     assert printed(LOADED).split() == ["125", "False", "42", "True"]
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_is_collected_again_after_a_kernel_is_compiled_or_cannot_be(
+    doubled: Callable[[], Any], enabled: bool
+) -> None:
+    before = gc.isenabled()
+    try:
+        gc.enable() if enabled else gc.disable()
+        kernel = doubled()
+        assert kernel(2) == 4
+        assert gc.isenabled() is enabled
+        with pytest.raises(numba.TypingError):
+            kernel({})
+        assert gc.isenabled() is enabled
+    finally:
+        gc.enable() if before else gc.disable()

@@ -3,6 +3,7 @@
     python tests/campaigns/detected_paints.py                 judging seeds 830 to 835, some minutes
     python tests/campaigns/detected_paints.py --seeds tune    720 to 725, for tuning
     python tests/campaigns/detected_paints.py --seeds foreign    860 to 865, other cars, under Mitsuba
+    python tests/campaigns/detected_paints.py --seeds foreign --ground    with the ground as background
 
 Scenes are car parks of the real fleet (`benchmarks/fleet_scenes/rendered_cars.py`) under a clear sky: 60
 bands, a signal-to-noise ratio of 100, reflectance and flags by the chain with its defaults. Foreign ones have
@@ -73,7 +74,7 @@ def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
     return line, {number: (names[number], spectrum_of(names[number])(nm)) for number in cars}
 
 
-def look(seed: int, cache: Path) -> list[dict[str, Any]]:
+def look(seed: int, cache: Path, *, ground: bool = False) -> list[dict[str, Any]]:
     """Return shares of one scene, for every rate, draw and library."""
     import hyperpaint as hp
     from benchmarks.fleet_scenes import verdicts
@@ -86,6 +87,7 @@ def look(seed: int, cache: Path) -> list[dict[str, Any]]:
     clear = (flagged["quality"].values & int(EXCLUDED)) == 0
     shown = np.where(clear, line["paint_id"].values, -2)
     here = [number for number in cars if (shown == number).sum() > 150]
+    background = line["paint_id"] == -1 if ground else None
     rows = []
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, draw])
@@ -96,8 +98,9 @@ def look(seed: int, cache: Path) -> list[dict[str, Any]]:
             paints = library_of(dict(cars[number] for number in numbers) | elsewhere, wavelength)
             for rate in RATES:
                 found = hp.paints.detect(
-                    flagged, paints, false_alarm_rate=rate, unknown_rate=UNKNOWN_RATE, others=others
-                ).compute()
+                    flagged, paints, false_alarm_rate=rate, unknown_rate=UNKNOWN_RATE, others=others,
+                    background=background,
+                ).compute()  # fmt: skip
                 rows.append({"seed": seed, "draw": draw, "library": kind, "rate": rate,
                              **shares(found, shown, numbers)})  # fmt: skip
     print(f"{seed}: {len(rows)} detections", flush=True)
@@ -157,13 +160,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", choices=list(SEEDS), default="judge")
     parser.add_argument("--scenes", type=int, default=None, help="only so many of them")
+    parser.add_argument("--ground", action="store_true", help="pixels of no car are the background")
     parser.add_argument("--cache", type=Path, help="folder of rendered scenes")
     asked = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = asked.cache or Path(folder)
         for seed in list(SEEDS[asked.seeds])[: asked.scenes]:
-            rows += look(seed, cache)
+            rows += look(seed, cache, ground=asked.ground)
     lines = table(rows)
     print("\n".join(lines))
     achieved = [line for line in lines if " to " in line]
