@@ -24,8 +24,8 @@ class Detect:
 
         self.line = xr.open_zarr(counts_store(lines))
         library = starter_library(members=0)
-        self.paints = library.isel(paint=slice(0, PAINTS))
-        self.others = library.isel(paint=slice(PAINTS, None))
+        self.paints = library.isel(signature=slice(0, PAINTS))
+        self.others = library.isel(signature=slice(PAINTS, None))
 
     def time_plan(self, lines):
         self.planned()

@@ -32,11 +32,11 @@ def paint_library(paints, members=MEMBERS, bands=BANDS):
     centre = np.full((paints, bands), 0.5, np.float32)
     return xr.Dataset(
         {
-            "member_reflectance": (("paint", "member", "band"), values, {"units": "1"}),
-            "reflectance": (("paint", "band"), centre, {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), values, {"units": "1"}),
+            "reflectance": (("signature", "band"), centre, {"units": "1"}),
         },
         {
-            "paint": [f"Türkis {number}, matt" for number in range(paints)],
+            "signature": [f"Türkis {number}, matt" for number in range(paints)],
             "wavelength": ("band", wavelengths(bands), {"units": "nm"}),
         },
     )

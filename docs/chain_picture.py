@@ -50,7 +50,7 @@ def draw(folder: Path, path: Path) -> None:
         layer[(quality & int(flag)) != 0] = (*plt.matplotlib.colors.to_rgb(shade), 0.8)
         axes[3].imshow(layer, origin="lower")
         axes[3].plot([], [], "s", color=shade, label=str(flag.name).lower().replace("_", " "))
-    shades = dict(zip(paints["paint"].values, hp.paints.paint_colours(paints), strict=True))
+    shades = dict(zip(paints["signature"].values, hp.paints.paint_colours(paints), strict=True))
     for region in regions:
         ring = region.polygon
         axes[3].add_patch(Polygon(ring, fill=False, edgecolor="#d6336c", lw=1.2))
@@ -59,7 +59,7 @@ def draw(folder: Path, path: Path) -> None:
                    handletextpad=0.1, columnspacing=0.8)  # fmt: skip
 
     for name, shade in shades.items():
-        paint = paints.sel(paint=name)
+        paint = paints.sel(signature=name)
         spread = np.hypot(paint.reflectance_u_random.fillna(0), paint.reflectance_u_systematic.fillna(0))
         axes[4].fill_between(
             paints.wavelength, paint.reflectance - spread, paint.reflectance + spread, color=shade, alpha=0.3

@@ -23,8 +23,8 @@ def library(reflectance: Any, uncertainty: float = 0.01) -> xr.Dataset:
     rows = np.atleast_2d(np.asarray(reflectance, np.float32))
     names = ("reflectance", "reflectance_u_systematic", "reflectance_u_random")
     values = (rows, uncertainty + 0 * rows, np.nan * rows)
-    columns = {name: (("paint", "band"), value) for name, value in zip(names, values, strict=True)}
-    return xr.Dataset(columns, {"paint": ["one"]})
+    columns = {name: (("signature", "band"), value) for name, value in zip(names, values, strict=True)}
+    return xr.Dataset(columns, {"signature": ["one"]})
 
 
 def result(reflectance: Any, finish: str = "solid", stated: str = "unknown", true: Any = RED) -> Any:

@@ -115,7 +115,7 @@ def copy_deeply(desk: SimpleNamespace) -> None:
 @habit
 def library_to_dataframe(desk: SimpleNamespace) -> None:
     frame = desk.library[["reflectance", "reflectance_sd"]].to_dataframe()
-    assert len(frame) == desk.library.sizes["paint"] * BANDS
+    assert len(frame) == desk.library.sizes["signature"] * BANDS
     assert desk.library.reflectance.to_pandas().shape == (3, BANDS)
 
 
@@ -216,7 +216,7 @@ def plot_an_image(desk: SimpleNamespace) -> None:
 @habit
 def plot_spectra(desk: SimpleNamespace) -> None:
     plt = pytest.importorskip("matplotlib.pyplot")
-    assert len(desk.library.reflectance.plot.line(x="wavelength", hue="paint")) == 3
+    assert len(desk.library.reflectance.plot.line(x="wavelength", hue="signature")) == 3
     desk.line.reflectance.isel(along_track=3, cross_track=[1, 5]).plot.line(x="wavelength")
     plt.close("all")
 
@@ -247,7 +247,7 @@ def hvplot_with_a_slider_over_wavelength(desk: SimpleNamespace) -> None:
 @habit
 def hvplot_lines_by_paint(desk: SimpleNamespace) -> None:
     pytest.importorskip("hvplot.xarray")
-    curves = desk.library.reflectance.swap_dims(band="wavelength").hvplot.line(x="wavelength", by="paint")
+    curves = desk.library.reflectance.swap_dims(band="wavelength").hvplot.line(x="wavelength", by="signature")
     assert len(curves) == 3
 
 

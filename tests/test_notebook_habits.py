@@ -214,8 +214,8 @@ def groupby_bins_of_lines(desk: SimpleNamespace) -> None:
 
 @habit
 def groupby_with_names(desk: SimpleNamespace) -> None:
-    firsts = desk.library.reflectance.groupby(desk.library["paint"].str.slice(0, 5)).mean()
-    assert firsts.sizes["paint"] == 1
+    firsts = desk.library.reflectance.groupby(desk.library["signature"].str.slice(0, 5)).mean()
+    assert firsts.sizes["signature"] == 1
 
 
 @habit

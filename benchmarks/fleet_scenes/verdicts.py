@@ -173,11 +173,11 @@ def compared(library: Any, region: Any, truth: Truth) -> dict[str, Any]:
     """Return what is said of a region's signature."""
     stated = str(region.properties.get("finish", ""))
     row: dict[str, Any] = {**truth.words, "stated_finish": stated, "kind": region.properties["kind"]}
-    if library is None or region.name not in library["paint"].values:
+    if library is None or region.name not in library["signature"].values:
         return row | {"result": "refused", "told": "too few pixels are left after the flags"}
     if truth.spectrum is None:
         return row | {"result": "wrong", "told": "no paint"}
-    signature = library.sel(paint=region.name)
+    signature = library.sel(signature=region.name)
     seen = signature["reflectance"].values.astype(np.float64)
     good = np.isfinite(seen)
     true = truth.spectrum

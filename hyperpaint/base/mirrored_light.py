@@ -47,7 +47,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     Examples
     --------
     >>> import numpy as np, xarray as xr
-    >>> paints = xr.Dataset({"reflectance": (("paint", "band"), np.float32([[0.3, 0.4]]))})
+    >>> paints = xr.Dataset({"reflectance": (("signature", "band"), np.float32([[0.3, 0.4]]))})
     >>> print(mirror_reflection(paints))
     None
     >>> paints.reflectance.attrs["mirrored_sky_removed"] = "F0 0.04 x sky view 1"

@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from .errors import Problems, UnitsError, needs_extra
+from .old_names import with_new_names
 
 if TYPE_CHECKING:
     import pint
@@ -300,7 +301,7 @@ def plain(labelled: Any) -> Any:
     """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
 
     The unit of a Quantity replaces the attribute. What holds no Quantity is returned as it is; nothing is
-    computed.
+    computed. Paint libraries of hyperpaint 0.2 get today's names (`with_new_names`).
 
     Raises
     ------
@@ -319,6 +320,7 @@ def plain(labelled: Any) -> Any:
         numbers = {path: plain(dataset) for path, dataset in datasets.items()}
         changed = any(numbers[path] is not dataset for path, dataset in datasets.items())
         return xr.DataTree.from_dict(numbers, name=labelled.name) if changed else labelled
+    labelled = with_new_names(labelled)
     # the public `data` would read a lazily opened variable
     variables = labelled.variables if isinstance(labelled, xr.Dataset) else labelled.coords.variables
     held = {name: variable._data for name, variable in variables.items()}

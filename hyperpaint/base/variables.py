@@ -33,7 +33,7 @@ SUN, SLOT = "sun", "slot"
 PANEL = "panel"
 """Dim of the panels of known reflectance in a scene."""
 
-PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
+SIGNATURE, MEMBER, QUANTILE, FLAG = "signature", "member", "quantile", "flag"
 ERROR_SOURCE, LAG = "error_source", "lag"
 """Dims of a paint library."""
 
@@ -101,7 +101,7 @@ _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 _PATH = (ALONG_TRACK, SLOT, CROSS_TRACK)
 _CELL = ("y", "x")
 _SUN_PIXEL = (ALONG_TRACK, SUN, CROSS_TRACK)
-_SPECTRUM = (PAINT, BAND)
+_SPECTRUM = (SIGNATURE, BAND)
 _LOOK_ACROSS = "Angle of a column's line of sight from the axis of the camera, positive to the right"
 
 # fmt: off
@@ -239,8 +239,8 @@ _LINE_TABLE = (
     Variable("paint_distance", _PIXEL, "1", "float32", "What a paint at some level and the mirrored sky leave of a pixel, relative to the paint"),
     Variable("paint_level", _PIXEL, "1", "float32", "Level at which the paint explains a pixel"),
     Variable("detected", _PIXEL, "", "bool", "Whether a pixel shows a paint that was looked for"),
-    Variable("score_threshold", (PAINT,), "1", "float64", "Score from which a pixel may show a paint"),
-    Variable("distance_limit", (PAINT,), "1", "float64", "Distance up to which a pixel may show a paint; 0 where others are too near"),
+    Variable("score_threshold", (SIGNATURE,), "1", "float64", "Score from which a pixel may show a paint"),
+    Variable("distance_limit", (SIGNATURE,), "1", "float64", "Distance up to which a pixel may show a paint; 0 where others are too near"),
     Variable("checked_rate", (), "1", "float64", "Share of the background above thresholds from other parts of the line"),
     Variable("checked_rate_u", (), "1", "float64", "Half of the 95 % interval of checked_rate"),
     Variable("explained_share", (), "1", "float64", "Share of the valid pixels that a paint explains, left out of the background"),
@@ -281,46 +281,46 @@ _SWEEP_TABLE = (
 
 #: A paint library, whose spectra are on other dims than those of a flight line.
 _LIBRARY_TABLE = (
-    Variable("paint", (PAINT,), "", "str", "Name of the paint, which is that of its region", coordinate=True),
+    Variable("signature", (SIGNATURE,), "", "str", "Name of the signature, which is that of its region", coordinate=True),
     Variable("reflectance", _SPECTRUM, "1", "float32", "Hemispherical-conical reflectance factor, centre of the pixels used"),
     Variable("reflectance_sd", _SPECTRUM, "1", "float32", "Standard deviation of reflectance over the pixels used"),
-    Variable("reflectance_quantiles", (PAINT, QUANTILE, BAND), "1", "float32", "Quantiles of reflectance over the pixels used"),
+    Variable("reflectance_quantiles", (SIGNATURE, QUANTILE, BAND), "1", "float32", "Quantiles of reflectance over the pixels used"),
     Variable("reflectance_u_random", _SPECTRUM, "1", "float32", "Random standard uncertainty of the mean reflectance"),
     Variable("reflectance_u_systematic", _SPECTRUM, "1", "float32", "Systematic standard uncertainty of the mean reflectance"),
-    Variable("reflectance_errors", (PAINT, ERROR_SOURCE, BAND), "1", "float32", "Standard uncertainty of the mean reflectance by each source of error; with its sign where all bands share the error"),
-    Variable("error_correlation", (PAINT, LAG, BAND), "1", "float32", "Correlation of what bands do not share as one, of a band with that so many after it"),
+    Variable("reflectance_errors", (SIGNATURE, ERROR_SOURCE, BAND), "1", "float32", "Standard uncertainty of the mean reflectance by each source of error; with its sign where all bands share the error"),
+    Variable("error_correlation", (SIGNATURE, LAG, BAND), "1", "float32", "Correlation of what bands do not share as one, of a band with that so many after it"),
     Variable(ERROR_SOURCE, (ERROR_SOURCE,), "", "str", "Source of an error", coordinate=True),
     Variable(LAG, (LAG,), "1", "int64", "Bands from a band to one after it", coordinate=True),
     Variable("error_form", (ERROR_SOURCE,), "", "str", "How samples share the error, dim by dim, in the words of FIDUCEO and obsarray", coordinate=True),
-    Variable("member_reflectance", (PAINT, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
-    Variable("member_along_track", (PAINT, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
-    Variable("member_cross_track", (PAINT, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),
-    Variable("n", (PAINT,), "1", "int64", "Pixels used"),
-    Variable("n_eff", (PAINT,), "1", "float64", "Independent pixels among those used"),
-    Variable("n_excluded", (PAINT,), "1", "int64", "Pixels of the region that were left out"),
-    Variable("quality", (PAINT,), "", "uint16", "Quality flags of the pixels used"),
-    Variable("quality_share", (PAINT, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
-    Variable("sun_zenith", (PAINT,), "degree", "float64", "Zenith angle of the sun", standard_name="solar_zenith_angle"),
-    Variable("sun_azimuth", (PAINT,), "degree", "float64", "Azimuth of the sun, clockwise from north", standard_name="solar_azimuth_angle"),
-    Variable("view_zenith", (PAINT,), "degree", "float64", "Angle between the vertical and the mean direction to the camera", standard_name="sensor_zenith_angle"),
-    Variable("view_azimuth", (PAINT,), "degree", "float64", "Mean direction to the camera, clockwise from north", standard_name="sensor_azimuth_angle"),
-    Variable("relative_azimuth", (PAINT,), "degree", "float64", "Angle between the azimuths of sun and camera, 0 where the sun is behind the camera"),
+    Variable("member_reflectance", (SIGNATURE, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
+    Variable("member_along_track", (SIGNATURE, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
+    Variable("member_cross_track", (SIGNATURE, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),
+    Variable("n", (SIGNATURE,), "1", "int64", "Pixels used"),
+    Variable("n_eff", (SIGNATURE,), "1", "float64", "Independent pixels among those used"),
+    Variable("n_excluded", (SIGNATURE,), "1", "int64", "Pixels of the region that were left out"),
+    Variable("quality", (SIGNATURE,), "", "uint16", "Quality flags of the pixels used"),
+    Variable("quality_share", (SIGNATURE, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
+    Variable("sun_zenith", (SIGNATURE,), "degree", "float64", "Zenith angle of the sun", standard_name="solar_zenith_angle"),
+    Variable("sun_azimuth", (SIGNATURE,), "degree", "float64", "Azimuth of the sun, clockwise from north", standard_name="solar_azimuth_angle"),
+    Variable("view_zenith", (SIGNATURE,), "degree", "float64", "Angle between the vertical and the mean direction to the camera", standard_name="sensor_zenith_angle"),
+    Variable("view_azimuth", (SIGNATURE,), "degree", "float64", "Mean direction to the camera, clockwise from north", standard_name="sensor_azimuth_angle"),
+    Variable("relative_azimuth", (SIGNATURE,), "degree", "float64", "Angle between the azimuths of sun and camera, 0 where the sun is behind the camera"),
     Variable("diffuse_fraction", _SPECTRUM, "1", "float32", "Diffuse part of the irradiance on level ground"),
     Variable("diffuse_fraction_u", _SPECTRUM, "1", "float32", "Standard uncertainty of diffuse_fraction"),
-    Variable("sky_state", (PAINT,), "", "int8", "What sky the irradiance is of"),
+    Variable("sky_state", (SIGNATURE,), "", "int8", "What sky the irradiance is of"),
     Variable("coat_transmission", _SPECTRUM, "1", "float32", "What a clear coat leaves of its body's light, over what it leaves near the normal"),
     Variable("coat_transmission_u", _SPECTRUM, "1", "float32", "Standard uncertainty of coat_transmission"),
-    Variable("aspecular_angle", (PAINT,), "degree", "float64", "Angle between the view and the direction in which a level panel mirrors the sun"),
-    Variable("aspecular_range", (PAINT,), "degree", "float64", "Difference of aspecular_angle between the ends of the panel, at the most"),
+    Variable("aspecular_angle", (SIGNATURE,), "degree", "float64", "Angle between the view and the direction in which a level panel mirrors the sun"),
+    Variable("aspecular_range", (SIGNATURE,), "degree", "float64", "Difference of aspecular_angle between the ends of the panel, at the most"),
     Variable("flop", _SPECTRUM, "1", "float32", "Change of reflectance from the dark to the bright end of the panel, relative"),
     Variable("reflectance_u_coat", _SPECTRUM, "1", "float32", "Standard uncertainty of reflectance by the coat's share and the mirrored sky subtracted, common to a paint's pixels"),
-    Variable("coat_strength", (PAINT,), "1", "float64", "Sky that the coat mirrors over what its index predicts, from differences of the pixels"),
-    Variable("coat_strength_u", (PAINT,), "1", "float64", "Standard uncertainty of coat_strength"),
-    Variable("coat_strength_reason", (PAINT,), "", "str", "Why coat_strength is not told; empty where it is", coordinate=True),
-    Variable("irradiance_age", (PAINT,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
-    Variable("time", (PAINT,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
-    Variable("flightline", (PAINT,), "", "str", "Flight line of the region", coordinate=True),
-    Variable("region", (PAINT,), "", "str", "The region as a Feature of GeoJSON", coordinate=True),
+    Variable("coat_strength", (SIGNATURE,), "1", "float64", "Sky that the coat mirrors over what its index predicts, from differences of the pixels"),
+    Variable("coat_strength_u", (SIGNATURE,), "1", "float64", "Standard uncertainty of coat_strength"),
+    Variable("coat_strength_reason", (SIGNATURE,), "", "str", "Why coat_strength is not told; empty where it is", coordinate=True),
+    Variable("irradiance_age", (SIGNATURE,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
+    Variable("time", (SIGNATURE,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
+    Variable("flightline", (SIGNATURE,), "", "str", "Flight line of the region", coordinate=True),
+    Variable("region", (SIGNATURE,), "", "str", "The region as a Feature of GeoJSON", coordinate=True),
     Variable(QUANTILE, (QUANTILE,), "1", "float64", "Share of the pixels used that are below", coordinate=True),
     Variable(FLAG, (FLAG,), "", "str", "Name of a quality flag", coordinate=True),
 )

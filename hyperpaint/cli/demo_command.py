@@ -61,6 +61,6 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     click.echo("    import xarray as xr, hyperpaint as hp")
     click.echo(f'    line = xr.open_zarr("{folder / STORE}", group="flightlines/raw_0").paint.reflectance()')
     click.echo(f'    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))')
-    click.echo("    print(paints.reflectance.isel(paint=0).to_series())")
+    click.echo("    print(paints.reflectance.isel(signature=0).to_series())")
     if not comparison.ok:
         ctx.exit(FAILED_CHECK)

@@ -127,11 +127,11 @@ def _table(detections: xr.Dataset) -> str:
     from hyperpaint.validation.validation_result import aligned
 
     numbers = detections["best_paint"].values[detections["detected"].values]
-    counts = np.bincount(numbers, minlength=detections.sizes["paint"])
+    counts = np.bincount(numbers, minlength=detections.sizes["signature"])
     rows = [
         (str(name), f"{count} pixels", f"threshold {threshold:.4g}", f"distance {limit:.3g} at the most")
         for name, count, threshold, limit in zip(
-            detections["paint"].values, counts, detections["score_threshold"].values,
+            detections["signature"].values, counts, detections["score_threshold"].values,
             detections["distance_limit"].values, strict=True,
         )
     ]  # fmt: skip

@@ -104,7 +104,9 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
             from hyperpaint.io.dirsig import write_dirsig
 
             materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
-            click.echo(f"{out}: {materials.sizes['paint']} paints, {int(materials['curves'].sum())} curves")
+            click.echo(
+                f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"
+            )
             if filled := int(materials["interpolated"].sum()):
                 complete = int(materials["complete"].sum())
                 click.echo(
@@ -115,7 +117,7 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
             click.echo(f"how to add them: {out / 'README.txt'}")
             return
         path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=shown)
-    click.echo(f"{path}: {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
+    click.echo(f"{path}: {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if curves is None and form in ("envi", "csv", "parquet") and "member_reflectance" in paints.variables:
         click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
 
@@ -134,7 +136,7 @@ def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
 def _echo_scene(out: Path, written: Any) -> None:
     populations = int((written["curves"] > 1).sum())
     click.echo(
-        f"{out}: {written.sizes['paint']} materials, {populations} of them populations, "
+        f"{out}: {written.sizes['signature']} materials, {populations} of them populations, "
         f"{written.attrs['faces']} triangles, {written.attrs['features']}"
     )
     click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")

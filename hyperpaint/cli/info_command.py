@@ -255,12 +255,12 @@ def _library(path: Path) -> Facts:
 
     library = open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
-    yield "is", f"{form}: {counted(library.sizes['paint'], 'spectrum').replace('spectrums', 'spectra')}"
-    yield "paints", _first_of(library["paint"].values.tolist())
+    yield "is", f"{form}: {counted(library.sizes['signature'], 'spectrum').replace('spectrums', 'spectra')}"
+    yield "paints", _first_of(library["signature"].values.tolist())
     yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
     yield from facts_of_bands(library)
-    about = (str(name) for name, array in library.coords.items() if array.dims == ("paint",))
-    yield "also says", ", ".join(name for name in about if name != "paint")
+    about = (str(name) for name, array in library.coords.items() if array.dims == ("signature",))
+    yield "also says", ", ".join(name for name in about if name != "signature")
     yield "notes", str(library.attrs.get("notes", "")).replace("; ", "\n")
 
 
@@ -433,8 +433,8 @@ def _group(path: Path, name: str) -> Facts:
     elif "irradiance" in group:
         yield from facts_of_irradiance(group)
     else:
-        named = "paint" in group.coords and group["paint"].ndim == 1
-        yield "paints", _first_of(group["paint"].values.tolist()) if named else ""
+        named = "signature" in group.coords and group["signature"].ndim == 1
+        yield "paints", _first_of(group["signature"].values.tolist()) if named else ""
         yield from ((name, form_of(array)) for name, array in _sorted(group))
         yield from facts_of_bands(group)
 

@@ -89,8 +89,8 @@ def list_paints(
         raise click.UsageError("--maximum-difference needs --colour")
     paints = _opened(library, members)
     matches = search_library(paints, like=_spectrum(like, paints), **options)
-    count = matches.sizes["paint"]
-    click.echo(f"{count} of {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
+    count = matches.sizes["signature"]
+    click.echo(f"{count} of {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if not count:
         click.echo("none was found; ask for less")
         return
@@ -122,7 +122,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
 def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     """Return the spectrum of a file; a name of the library stays one."""
-    if like is None or like in [str(name) for name in paints["paint"].values]:
+    if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
     path = Path(like)
     if not path.exists():
@@ -146,8 +146,10 @@ def _table(matches: xr.Dataset) -> str:
     """Return a line of text for every paint, with how far off it is."""
     from hyperpaint.validation.validation_result import aligned
 
-    columns = [[str(name) for name in matches["paint"].values]]
-    properties = [name for name in _ABOUT if name in matches.variables and matches[name].dims == ("paint",)]
+    columns = [[str(name) for name in matches["signature"].values]]
+    properties = [
+        name for name in _ABOUT if name in matches.variables and matches[name].dims == ("signature",)
+    ]
     columns += [[str(value) for value in matches[name].values] for name in properties]
     if "colour_difference" in matches.coords:
         columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])

@@ -136,4 +136,6 @@ def make_signatures(
         )
     for text in library.attrs.get("left_out", ()):
         click.echo(f"left out {text}", err=True)
-    click.echo(f"{out}: {library.sizes['paint']} paints, {library.sizes['band']} bands\n{table_of(library)}")
+    click.echo(
+        f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands\n{table_of(library)}"
+    )

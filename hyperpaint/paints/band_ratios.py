@@ -19,6 +19,7 @@ __all__ = ["band_ratio", "covariance"]
 OTHER_BAND = "other_band"
 
 
+@takes_quantities()
 def covariance(signatures: xr.Dataset) -> xr.DataArray:
     r"""Return the covariance of the bands of every signature.
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.responses import band_spacing
 
 if TYPE_CHECKING:
@@ -96,8 +97,9 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     return encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
 
 
+@takes_quantities()
 def paint_colours(paints: xr.Dataset) -> Floats32:
-    """Return the colour of every paint in daylight, (paint, 3), sRGB from 0 to 1; NaN where it has none.
+    """Return the colour of every paint in daylight, (signature, 3), sRGB from 0 to 1; NaN where it has none.
 
     Bands that are not ``good`` are left out.
 
@@ -105,7 +107,7 @@ def paint_colours(paints: xr.Dataset) -> Floats32:
     --------
     >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=0)
-    >>> red = paint_colours(paints.isel(paint=[5]))[0]
+    >>> red = paint_colours(paints.isel(signature=[5]))[0]
     >>> int(red.argmax()), red.shape
     (0, (3,))
     """

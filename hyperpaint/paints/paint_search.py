@@ -11,7 +11,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 
 from .colours import ciede2000, lab_of, paint_colours, parse_colour
@@ -44,7 +44,7 @@ def search_library(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (paint, band) [1], ``wavelength`` (band) [nm].
+        A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm].
     name
         Part of a paint's name, or a pattern with ``*``, ``?`` or ``[...]`` that is all of it. Upper and lower
         case are alike; "grun" and "gruen" find "Grün".
@@ -68,7 +68,7 @@ def search_library(
     Dataset
         The paints that meet every condition, maybe none, otherwise as they were; by ``like`` ascending, else
         by ``colour``, else in the order of the library. Coordinates ``colour_difference`` [1] and
-        ``spectral_angle`` [rad] (paint) say how far off they are.
+        ``spectral_angle`` [rad] (signature) say how far off they are.
 
     Raises
     ------
@@ -94,17 +94,17 @@ def search_library(
     --------
     >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=0)
-    >>> search_library(paints, colour="red", limit=2)["paint"].values.tolist()
+    >>> search_library(paints, colour="red", limit=2)["signature"].values.tolist()
     ['Synthetic Signal Red', 'Synthetic Lunar Red']
-    >>> search_library(paints, name="*white")["paint"].values.tolist()
+    >>> search_library(paints, name="*white")["signature"].values.tolist()
     ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
     """
     _check(name, colour, like, maximum_colour_difference, maximum_angle, limit)
-    names = [PAINT, "reflectance", "wavelength"]
+    names = [SIGNATURE, "reflectance", "wavelength"]
     variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
-    is_match = np.ones(library.sizes[PAINT], np.bool_)
+    is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
-        is_match &= [_is_named(str(each), name) for each in variables[PAINT].values]
+        is_match &= [_is_named(str(each), name) for each in variables[SIGNATURE].values]
     order = np.arange(is_match.size)
     coordinates: dict[str, Any] = {}
     if colour is not None:
@@ -112,15 +112,15 @@ def search_library(
         is_match &= difference <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
         order = np.argsort(difference, kind="stable")
         attrs = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
-        coordinates["colour_difference"] = (PAINT, difference, attrs)
+        coordinates["colour_difference"] = (SIGNATURE, difference, attrs)
     if like is not None:
         angle = _angles(library, variables["reflectance"], variables["wavelength"], like)
         is_match &= angle <= (np.inf if maximum_angle is None else maximum_angle)
         order = np.argsort(angle, kind="stable")
         attrs = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
-        coordinates["spectral_angle"] = (PAINT, angle, attrs)
+        coordinates["spectral_angle"] = (SIGNATURE, angle, attrs)
     order = order[is_match[order]][:limit]
-    return library.assign_coords(coordinates).isel({PAINT: order})
+    return library.assign_coords(coordinates).isel({SIGNATURE: order})
 
 
 def _check(
@@ -176,7 +176,7 @@ def _bare(text: str) -> str:
 
 
 def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
-    """Return CIEDE2000 of every paint (paint,) [1]; infinite for a paint without colour."""
+    """Return CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour."""
     wanted = lab_of(parse_colour(colour))
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
@@ -192,7 +192,7 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
 
 
 def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
-    """Return the spectral angle of every paint to a spectrum (paint,) [rad]; infinite where there is none."""
+    """Return the spectral angle of every paint to a spectrum (signature,) [rad]; else infinite."""
     nm = np.asarray(wavelength.values, np.float64)
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
@@ -219,12 +219,12 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     import xarray as xr
 
     if isinstance(like, str):
-        names = [str(name) for name in library[PAINT].values]
+        names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:
             raise SchemaError(
                 f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
             )
-        like = library.isel({PAINT: names.index(like)})
+        like = library.isel({SIGNATURE: names.index(like)})
     if isinstance(like, xr.Dataset):
         if "reflectance" not in like.variables:
             raise SchemaError(

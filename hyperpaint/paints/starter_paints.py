@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
 from .colours import paint_colours, srgb_hex
@@ -61,12 +61,13 @@ def starter_library(
     Returns
     -------
     Dataset
-        A paint library: ``reflectance`` (paint, band) of the body of the paint, float32 [1], without what is
-        mirrored (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (paint, band), what
-        clear coat and flakes reflect about the mirror direction; ``member_reflectance`` (paint, member, band)
-        with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates of the paints: ``finish``,
-        ``colour`` in words, ``srgb`` of the body in daylight, ``family``, ``roughness`` of the coat [1],
-        ``provenance`` ("synthetic"), ``parents`` (the spectrum's name in the simulator) and ``method``.
+        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without what
+        is mirrored (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature, band),
+        what clear coat and flakes reflect about the mirror direction; ``member_reflectance`` (signature,
+        member, band) with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates of the paints:
+        ``finish``, ``colour`` in words, ``srgb`` of the body in daylight, ``family``, ``roughness`` of the
+        coat [1], ``provenance`` ("synthetic"), ``parents`` (the spectrum's name in the simulator) and
+        ``method``.
 
     Raises
     ------
@@ -174,12 +175,12 @@ def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed:
         "family": ("Family of pigments", [_family(spec) for spec in specs]),
     }
     texts = {
-        name: (PAINT, text_column(column), {"long_name": meaning})
+        name: (SIGNATURE, text_column(column), {"long_name": meaning})
         for name, (meaning, column) in about.items()
     }
     roughness = np.array([spec.coat.roughness for spec in specs])
     attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
-    return paints.assign_coords({**texts, "roughness": (PAINT, roughness, attrs)})
+    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
 
 
 def _family(spec: PaintSpec) -> str:

@@ -323,7 +323,7 @@ class Explored:
             paint = near["reflectance"].values[number].astype(np.float64)
             both = np.isfinite(own) & np.isfinite(paint)
             factor = float((own[both] @ paint[both]) / max(paint[both] @ paint[both], np.finfo(float).tiny))
-            name = str(near[schema.PAINT].values[number])
+            name = str(near[schema.SIGNATURE].values[number])
             if np.isfinite(angle):
                 paints.append(NearPaint(name, float(np.degrees(angle)), factor, own_nm, factor * paint))
         return paints

@@ -91,7 +91,7 @@ def explore(
     >>> line = simulate_line(lines=32, bands=40, columns=24)
     >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])
     >>> explorer = explore(line, [grass])  # the last line of a cell shows it     # doctest: +SKIP
-    >>> line.paint.signatures(explorer.regions).sizes["paint"]                    # doctest: +SKIP
+    >>> line.paint.signatures(explorer.regions).sizes["signature"]                    # doctest: +SKIP
     1
     """
     require_panel()

@@ -12,7 +12,8 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
@@ -41,6 +42,7 @@ COVERAGE = 1.96
 _LETTERS = 14.0  # of small text in an inch
 
 
+@takes_quantities()
 def paint_card(
     line: xr.Dataset, library: xr.Dataset, paint: str, path: str | Path | None = None, *, width: float = 12.0
 ) -> Any:
@@ -116,7 +118,7 @@ def paint_card(
 
 def region_of_paint(paint: xr.Dataset) -> Region:
     """Return the region that a paint was made of; `SchemaError` where it is on no flight line."""
-    name = str(paint[PAINT].item())
+    name = str(paint[SIGNATURE].item())
     if "region" not in paint.variables or not str(paint["region"].item()):
         raise SchemaError(f"paint {name!r} does not say its region: the library is not from a flight line")
     if paint.attrs.get("coordinates_of_regions", "sensor") != "sensor":
@@ -127,13 +129,13 @@ def region_of_paint(paint: xr.Dataset) -> Region:
 def _paint_of(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
     """Return one paint of a library, and its colour in daylight."""
     usable, _ = find_usable(library)
-    if "reflectance" not in usable.variables or PAINT not in usable["reflectance"].dims:
-        raise SchemaError("the card of a paint needs a paint library, with reflectance (paint, band)")
-    names = [str(name) for name in usable[PAINT].values]
+    if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
+        raise SchemaError("the card of a paint needs a paint library, with reflectance (signature, band)")
+    names = [str(name) for name in usable[SIGNATURE].values]
     if paint not in names:
         raise SchemaError(f"there is no paint {paint!r}; there is {', '.join(names[:20])}")
-    own = usable.isel({PAINT: [names.index(paint)]}).compute()
-    return own.isel({PAINT: 0}), np.asarray(paint_colours(own)[0])
+    own = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
+    return own.isel({SIGNATURE: 0}), np.asarray(paint_colours(own)[0])
 
 
 # --- where -------------------------------------------------------------------------------------------------
@@ -255,7 +257,7 @@ def _interval(own: xr.Dataset) -> Array | None:
 def _caption(own: xr.Dataset, region: Region, letters: int) -> list[str]:
     """Return lines of text: the name of a paint, and what its region says of itself."""
     said = region.properties
-    head = [label_for(own[PAINT].item())]
+    head = [label_for(own[SIGNATURE].item())]
     head += [label_for(said[name]) for name in ("kind", "finish") if said.get(name)]
     reasons = said.get("reasons", ())
     if not isinstance(reasons, list | tuple):

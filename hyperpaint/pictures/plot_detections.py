@@ -62,7 +62,7 @@ def detection_curve(
     >>> pixel, one = ("along_track", "cross_track"), {"units": "1"}
     >>> found = xr.Dataset({"detection_score": (pixel, np.float32([[0.1, 0.9, 0.2, 0.8]]), one),
     ...                     "best_paint": (pixel, np.int16([[0, 0, 0, 0]])),
-    ...                     "score_threshold": ("paint", [0.5], one),
+    ...                     "score_threshold": ("signature", [0.5], one),
     ...                     "detected": (pixel, [[False, True, False, True]])})
     >>> figure = detection_curve({"ACE": found}, [[False, True, False, False]])
     >>> figure.axes[0].lines[0].get_ydata().tolist()

@@ -11,7 +11,8 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import PAINT
+from hyperpaint.base.schema import SIGNATURE
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours, srgb
 
 from .figures import label_for, new_figure, save_figure
@@ -32,6 +33,7 @@ _CHIP_PX = 16  # pixels along a chip's side, each a member of the population
 _CHIP, _RENDER = 0.85, 4.2  # widths [inch]
 
 
+@takes_quantities()
 def chips_and_renders(
     paints: xr.Dataset,
     renders: xr.Dataset | Mapping[str, xr.Dataset],
@@ -74,7 +76,7 @@ def chips_and_renders(
     >>> from hyperpaint.paints import starter_library
     >>> from hyperpaint.simulation import simulate_line
     >>> paints, line = starter_library(members=0), simulate_line(lines=32, bands=40, columns=24)
-    >>> figure = chips_and_renders(paints.isel(paint=[0, 5]), line)
+    >>> figure = chips_and_renders(paints.isel(signature=[0, 5]), line)
     >>> [axes.get_title() for axes in figure.axes][:2]
     ['Synthetic Polar White', 'Synthetic Signal Red']
     """
@@ -83,10 +85,10 @@ def chips_and_renders(
     lines: dict[str, Any] = {"": renders}
     if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
         lines = dict(renders)
-    if wrong or not paints.sizes[PAINT] or not lines:
-        found = "; ".join(wrong) or f"found {paints.sizes[PAINT]} paints and {len(lines)} renders"
+    if wrong or not paints.sizes[SIGNATURE] or not lines:
+        found = "; ".join(wrong) or f"found {paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
         raise SchemaError(f"a collage needs a paint library and a render: {found}")
-    count = min(paints.sizes[PAINT], MAX_CHIPS)
+    count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
     columns = max(1, min(columns, count))
     rows = -(-count // columns)
     orientations = {name: orientation_of(line) for name, line in lines.items()}
@@ -100,11 +102,11 @@ def chips_and_renders(
     for number, axes in enumerate(above.subplots(rows, columns, squeeze=False).ravel()):
         axes.set_axis_off()
         if number < count:
-            paint = paints.isel({PAINT: number})
+            paint = paints.isel({SIGNATURE: number})
             axes.imshow(
                 _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
             )
-            axes.set_title(label_for(str(paint[PAINT].values), 26), fontsize=6, pad=2)
+            axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
     panels = below.subplots(1, len(lines), squeeze=False)[0]
     for axes, (name, line) in zip(panels, lines.items(), strict=True):
         show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])

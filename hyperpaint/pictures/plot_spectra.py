@@ -136,7 +136,7 @@ def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str 
 
 def _is_library(dataset: xr.Dataset) -> bool:
     # a flight line may hold which paint each pixel has
-    return "reflectance" in dataset.variables and dataset["reflectance"].dims == (schema.PAINT, BAND)
+    return "reflectance" in dataset.variables and dataset["reflectance"].dims == (schema.SIGNATURE, BAND)
 
 
 def _check(library: bool, regions: Any, pixels: Any, paints: Any, spread: str) -> None:
@@ -163,7 +163,7 @@ def _check(library: bool, regions: Any, pixels: Any, paints: Any, spread: str) -
 
 
 def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | None, spread: str) -> None:
-    names = [str(name) for name in library[schema.PAINT].values]
+    names = [str(name) for name in library[schema.SIGNATURE].values]
     wanted = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
     if unknown := [name for name in wanted if name not in names]:
@@ -176,7 +176,7 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     places = [names.index(name) for name in wanted]
     styles = styles_of(paint_colours(library)[places])
     for name, place, style in zip(wanted, places, styles, strict=True):
-        own = library.isel({schema.PAINT: place})
+        own = library.isel({schema.SIGNATURE: place})
         wavelength, is_good = _wavelength_of(own)
         centre = np.where(is_good, own["reflectance"].values, np.nan)
         count = f" (n = {int(own['n'])})" if "n" in own else ""
@@ -316,7 +316,7 @@ def library_overview(
     Examples
     --------
     >>> from hyperpaint.paints import starter_library
-    >>> figure = library_overview(starter_library(members=0).isel(paint=[0, 5]))
+    >>> figure = library_overview(starter_library(members=0).isel(signature=[0, 5]))
     >>> figure.axes[0].get_xlabel()
     'wavelength [nm]'
     """
@@ -326,7 +326,7 @@ def library_overview(
         problems.add(problem)
     problems.raise_if_any()
     variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
-    count = paints.sizes[schema.PAINT]
+    count = paints.sizes[schema.SIGNATURE]
     if not count:
         raise SchemaError("an overview needs paints, the library has none")
     shown = min(count, MOST_PAINTS)
@@ -339,7 +339,9 @@ def library_overview(
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown:
-            _draw_paint(axes, paints.isel({schema.PAINT: number}), wavelength, good, spread, colours[number])
+            _draw_paint(
+                axes, paints.isel({schema.SIGNATURE: number}), wavelength, good, spread, colours[number]
+            )
         else:
             axes.set_axis_off()
     # the last axes of a column carry its wavelengths, also where the row below is not full
@@ -384,7 +386,7 @@ def _draw_paint(
     draw_band(axes, paint, wavelength, good, spread, ink_of(axes, 0.6))
     draw_curve(axes, wavelength, np.where(good, paint["reflectance"].values, np.nan), style)
     count = f"  n = {int(paint['n'])}" if "n" in paint else ""
-    title = label_for(paint[schema.PAINT].item()) + count
+    title = label_for(paint[schema.SIGNATURE].item()) + count
     axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
     if np.isfinite(colour).all():
         swatch = Rectangle(
@@ -399,14 +401,14 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
     """Draw how sure the mean of each paint is, and its random part; of at most `MOST_CURVES` paints."""
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
     held = [name for name in names if name in paints.variables]
-    few = paints.isel({schema.PAINT: slice(MOST_CURVES)})
+    few = paints.isel({schema.SIGNATURE: slice(MOST_CURVES)})
     values = schema.require(few, [*held, "wavelength"], "uncertainties", schema.LIBRARY_VARIABLES)
     is_good, nm = good_of(few), values["wavelength"].values
     parts = [np.where(is_good, values[name].values, np.nan).astype(np.float64) for name in held]
     total = np.sqrt(sum(np.nan_to_num(part) ** 2 for part in parts))
     total[np.isnan(parts).all(axis=0)] = np.nan
     for number, style in enumerate(styles_of(paint_colours(few))):
-        label = label_for(few[schema.PAINT].values[number])
+        label = label_for(few[schema.SIGNATURE].values[number])
         draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
         if len(held) > 1:
             axes.plot(nm, parts[0][number], ls="--", lw=0.9, color=style["color"])

@@ -67,9 +67,9 @@ def validation_figure(
     >>> import numpy as np, xarray as xr
     >>> from hyperpaint.validation import validate
     >>> nm = np.linspace(400.0, 700.0, 61)
-    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["hood"]}
+    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["hood"]}
     >>> level = 0.2 + 0.001 * (nm - 400.0)
-    >>> field = xr.Dataset({"reflectance": (("paint", "band"), [level], {"units": "1"})}, axis)
+    >>> field = xr.Dataset({"reflectance": (("signature", "band"), [level], {"units": "1"})}, axis)
     >>> paints = field.assign(reflectance=field.reflectance + 0.002)
     >>> agreement = validate(paints, field, reference_fwhm=5.0)
     >>> len(validation_figure(agreement).axes)
@@ -107,7 +107,7 @@ def _by_paint(validation: Validation) -> list[list[int]]:
     """Return the pairs of every paint."""
     pairs: dict[str, list[int]] = {}
     for number, spectra in enumerate(validation.spectra):
-        pairs.setdefault(str(spectra.attrs["paint"]), []).append(number)
+        pairs.setdefault(str(spectra.attrs["signature"]), []).append(number)
     return list(pairs.values())
 
 
@@ -134,7 +134,10 @@ def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
         spectra = validation.spectra[pair]
         label = f"reference ({spectra.attrs['instrument']}): {_figures_of(validation, pair)}"
         _draw_side(axes, spectra, "reference", label, *_REFERENCES[number % len(_REFERENCES)])
-    names = [str(first.attrs["paint"]), *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs)]
+    names = [
+        str(first.attrs["signature"]),
+        *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
+    ]
     axes.set_title(label_for(" / ".join(dict.fromkeys(names)), longest=34), fontsize="small", loc="left")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.tick_params(labelsize="small")

@@ -17,7 +17,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import PaintError, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
 from hyperpaint.pictures.orientation import laid_down, orientation_of
@@ -199,7 +199,7 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     usable, wrong = find_usable(library)
     yield (
         "facts",
-        lambda: page_part("facts", pairs=[("paints", usable.sizes[PAINT]), *facts_of_bands(usable)]),
+        lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
     for problem in wrong:
         yield "variables", partial(_refuse, problem)
@@ -220,16 +220,20 @@ def _refuse(problem: str) -> Markup:
 
 def _table_of_paints(library: xr.Dataset) -> Markup:
     """Return a row for every paint: its colour, pixels, flags and what else the library says of it."""
-    shown = library.isel({PAINT: slice(0, MOST_ROWS)})
+    shown = library.isel({SIGNATURE: slice(0, MOST_ROWS)})
     columns = [name for name in ("n", "n_eff", "n_excluded") if name in shown.variables]
     standard = {"time", "region", *schema.LIBRARY_VARIABLES}
-    extra = [str(name) for name in shown.coords if shown[name].dims == (PAINT,) and name not in standard][:12]
-    values = {name: shown[name].values for name in (PAINT, *columns, *extra)}
-    quality = shown["quality"].values if "quality" in shown.variables else np.zeros(len(values[PAINT]), int)
+    extra = [str(name) for name in shown.coords if shown[name].dims == (SIGNATURE,) and name not in standard][
+        :12
+    ]
+    values = {name: shown[name].values for name in (SIGNATURE, *columns, *extra)}
+    quality = (
+        shown["quality"].values if "quality" in shown.variables else np.zeros(len(values[SIGNATURE]), int)
+    )
     rows = [
         {
             "rgb": _rgb_text(colour),
-            "name": values[PAINT][k],
+            "name": values[SIGNATURE][k],
             "numbers": [f"{values[name][k]:.0f}" for name in columns],
             "flags": ", ".join(schema.flag_names(int(quality[k]))),
             "extra": [values[name][k] for name in extra],
@@ -237,7 +241,7 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
         for k, colour in enumerate(paint_colours(shown))
     ]
     numbers = [name.replace("_", " ") for name in columns]
-    more = library.sizes[PAINT] - len(rows)
+    more = library.sizes[SIGNATURE] - len(rows)
     note = f"and {more} paints more" if more > 0 else ""
     return page_part("paints", rows=rows, numbers=numbers, extra=extra, note=note)
 
@@ -255,7 +259,7 @@ def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
         return
     if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
         return
-    columns = (library[name].values for name in ("flightline", PAINT, "region"))
+    columns = (library[name].values for name in ("flightline", SIGNATURE, "region"))
     for flightline, paint, geojson in list(zip(*columns, strict=True))[:MOST_ROWS]:
         with contextlib.suppress(PaintError, ValueError, RecursionError):
             yield str(flightline), str(paint), regions_from(json.loads(str(geojson)))[0]

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.surroundings.scratch import compute_into, scratch_array, survey_planned
@@ -73,7 +74,7 @@ def _opened(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[
     problems = list(set_state(Location.of(store), groups).problems)  # what is finished is shown all the same
     for group in groups:
         try:
-            opened[group] = open_group(store, group)
+            opened[group] = with_new_names(open_group(store, group))
         except StoreError as error:
             problems.append(f"/{group}: {error}")
     return opened, problems
@@ -85,7 +86,7 @@ def _is_line(group: xr.Dataset) -> bool:
 
 
 def _is_library(group: xr.Dataset) -> bool:
-    return "reflectance" in group.variables and PAINT in group["reflectance"].dims
+    return "reflectance" in group.variables and SIGNATURE in group["reflectance"].dims
 
 
 def _chosen(
@@ -105,10 +106,11 @@ def _chosen(
 def _library(path: str | os.PathLike[str]) -> xr.Dataset:
     from hyperpaint.io.store import open_store
 
-    library = open_store(path, "")
+    library = with_new_names(open_store(path, ""))
     if not _is_library(library):
         raise SchemaError(
-            f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"
+            f"{path} is no paint library; expected reflectance (signature, band), as `hyperpaint "
+            "signatures` writes"
         )
     return library
 

@@ -214,12 +214,12 @@ def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
     """Return colour, name and number of pixels of the first paints of a library, where it is at hand."""
     if _kind(dataset)[0] != "paint library":
         return []
-    library = dataset.isel({schema.PAINT: slice(_MOST_NAMES)})
+    library = dataset.isel({schema.SIGNATURE: slice(_MOST_NAMES)})
     if not _is_at_hand(dataset["reflectance"]):
         return []
     colours = [srgb_hex(colour) for colour in paint_colours(library)]
     counts = [f"n = {count}" for count in library["n"].values] if "n" in library else [""] * len(colours)
-    return list(zip(colours, map(str, library[schema.PAINT].values), counts, strict=True))
+    return list(zip(colours, map(str, library[schema.SIGNATURE].values), counts, strict=True))
 
 
 def _is_at_hand(array: xr.DataArray) -> bool:
@@ -269,7 +269,7 @@ def _attempt(function: Any, otherwise: Any) -> Any:
 
 
 def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
-    if "reflectance" in dataset.variables and schema.PAINT in dataset["reflectance"].dims:
+    if "reflectance" in dataset.variables and schema.SIGNATURE in dataset["reflectance"].dims:
         return "paint library", _library
     if ALONG_TRACK in dataset.dims:
         return "flight line", _line
@@ -319,7 +319,7 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
 
 
 def _library(library: xr.Dataset) -> Facts:
-    paints = [str(name) for name in library[schema.PAINT].values]
+    paints = [str(name) for name in library[schema.SIGNATURE].values]
     more = f" and {len(paints) - _MOST_NAMES} more" if len(paints) > _MOST_NAMES else ""
     yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MOST_NAMES])}{more}"
     yield "reflectance", form_of(library["reflectance"])

@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 
@@ -105,7 +105,7 @@ def correct_coat(
     _check(line, index=(index, 1.0, 3.0), index_u=(index_u, 0.0, 1.0), lean_u=(lean_u, 0.0, 45.0))
     line = as_fractions(line)
     coat = (float(index), float(index_u), float(lean_u))
-    if PAINT in line["reflectance"].dims:
+    if SIGNATURE in line["reflectance"].dims:
         shares = _of_paints(line, coat, (diffuse, sun_zenith, sky), view_zenith)
     else:
         split = split_of(line, diffuse, sun_zenith, sky)
@@ -123,9 +123,9 @@ def correct_coat(
     said = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
     result["reflectance"] = result["reflectance"].assign_attrs(said)
     layers = {"coat_transmission": whole, "coat_transmission_u": u}
-    table = schema.LIBRARY_VARIABLES if PAINT in line["reflectance"].dims else schema.VARIABLES
-    if PAINT in line["reflectance"].dims:
-        layers["reflectance_u_coat"] = own.transpose(PAINT, BAND).astype(np.float32)
+    table = schema.LIBRARY_VARIABLES if SIGNATURE in line["reflectance"].dims else schema.VARIABLES
+    if SIGNATURE in line["reflectance"].dims:
+        layers["reflectance_u_coat"] = own.transpose(SIGNATURE, BAND).astype(np.float32)
     return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
 
 
@@ -196,7 +196,7 @@ def _of_paints(
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
-    """Return `_shares` (paint, band), each paint under its own sun; ``light`` as `split_of`'s."""
+    """Return `_shares` (signature, band), each paint under its own sun; ``light`` as `split_of`'s."""
     import xarray as xr
 
     diffuse, sun_zenith, sky = light
@@ -210,8 +210,8 @@ def _of_paints(
     )
     small = library[[name for name in wanted if name in library.variables]].reset_coords().compute()
     rows = []
-    for number in range(library.sizes[PAINT]):
-        one = small.isel({PAINT: number})
+    for number in range(library.sizes[SIGNATURE]):
+        one = small.isel({SIGNATURE: number})
         zenith = sun_zenith
         if zenith is None and "sun_zenith" in one and np.isfinite(one["sun_zenith"].item()):
             zenith = float(one["sun_zenith"].item())
@@ -223,6 +223,6 @@ def _of_paints(
         at = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
         rows.append(_shares(split, incidence, at, coat))
     return tuple(
-        xr.concat([part.reset_coords(drop=True) for part in parts], PAINT).transpose(PAINT, BAND)
+        xr.concat([part.reset_coords(drop=True) for part in parts], SIGNATURE).transpose(SIGNATURE, BAND)
         for parts in zip(*rows, strict=True)
     )

@@ -14,7 +14,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, THROUGH_COAT
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 
@@ -296,7 +296,7 @@ def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: 
         said = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
     done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
     corrected = line.assign(done)
-    if PAINT in line["reflectance"].dims:
+    if SIGNATURE in line["reflectance"].dims:
         before = line.attrs.get("corrections", "none")
         entry = f"{name}: {text}"
         corrected = corrected.assign_attrs(corrections=entry if before == "none" else f"{before}; {entry}")

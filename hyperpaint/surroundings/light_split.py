@@ -13,7 +13,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, PAINT
+from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
 from hyperpaint.light.sun import diffuse_fraction
 
@@ -68,7 +68,7 @@ MODEL_U = 0.2
 class LightSplit:
     """The diffuse part of the light, and where in the sky it comes from.
 
-    ``fraction`` and ``u``, its standard uncertainty, have dims (band,), or (along_track, band) or (paint,
+    ``fraction`` and ``u``, its standard uncertainty, have dims (band,), or (along_track, band) or (signature,
     band) where they differ; ``cloud``, without ``band``, is the weight of an overcast sky in a clear one [1].
     Lazy where the line is. ``zenith`` of the sun is NaN where it is not known nor needed [degree].
     """
@@ -204,7 +204,7 @@ def warn_of_contradiction(states: Any, zenith: float) -> None:
 
 def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
     """Return what a line says of its light itself, or what its record says; None without either."""
-    if PAINT in line.dims or ALONG_TRACK not in line.dims:
+    if SIGNATURE in line.dims or ALONG_TRACK not in line.dims:
         # of paints it is small; one that is not known leaves nothing to go by
         held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
         return _held(line) if held is not None and BAND in held.dims and np.isfinite(held).any() else None
@@ -222,7 +222,7 @@ def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
 def _held(line: xr.Dataset) -> xr.Dataset:
     """Return the split that a line or a library holds, refused where it is of samples of the record."""
     dims = line["diffuse_fraction"].dims
-    if not set(dims) <= {ALONG_TRACK, PAINT, BAND}:
+    if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
         raise SchemaError(
             f"'diffuse_fraction' has dims {dims}, expected ({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},); drop "
             "it where the line has its record: it follows from that"

@@ -338,7 +338,8 @@ class Compared:
         if self.errors is not None:
             for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
                 columns[name] = np.sqrt((errors**2).mean(axis=0))
-        meanings = {**MEANINGS, "reference": "Reflectance of the reference on common bands"}
+        sides = ("signature", "reference")
+        meanings = dict(MEANINGS) | {name: f"Reflectance of the {name} on common bands" for name in sides}
         variables = {
             name: (BAND, values, {"units": "1", "long_name": meanings[name]})
             for name, values in columns.items()
@@ -348,7 +349,7 @@ class Compared:
         return xr.Dataset(
             variables,
             {"wavelength": wavelength, "fwhm": fwhm, "used": (BAND, self.used)},
-            {"paint": self.pair.signature.name, "reference": self.names, "instrument": self.instrument},
+            {"signature": self.pair.signature.name, "reference": self.names, "instrument": self.instrument},
         )
 
     def _spreads(self) -> dict[str, Floats]:

@@ -13,7 +13,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, UnitsError
 from hyperpaint.base.mirrored_light import BODY, THROUGH_COAT, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.paints.band_ratios import covariance
@@ -182,7 +182,7 @@ def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measu
         return _of_spectrometer(dataset, number, fwhm)
     raise SchemaError(
         f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))}), expected "
-        "(spectrum, wavelength) of a spectrometer or (paint, band) of a library"
+        "(spectrum, wavelength) of a spectrometer or (signature, band) of a library"
     )
 
 
@@ -192,15 +192,15 @@ def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measu
 def _of_library(
     dataset: xr.Dataset, dataset_number: int, fwhm: float | None, otherwise: str
 ) -> Iterator[Measured]:
-    if PAINT not in dataset.dims and BAND in dataset.dims:
+    if SIGNATURE not in dataset.dims and BAND in dataset.dims:
         # one paint of a library, as isel gives it
-        if PAINT not in dataset.coords:
+        if SIGNATURE not in dataset.coords:
             label = f"reference {dataset_number}" if dataset_number else "signatures"
-            dataset = dataset.assign_coords({PAINT: label})
-        dataset = dataset.expand_dims(PAINT)
+            dataset = dataset.assign_coords({SIGNATURE: label})
+        dataset = dataset.expand_dims(SIGNATURE)
     optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
     purpose = "a validation"
-    required = schema.require(dataset, [PAINT, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
+    required = schema.require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
     arrays = {**required, **schema.find(dataset, optional, LIBRARY_VARIABLES)[0]}
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
     values = arrays["reflectance"].values.astype(np.float64)
@@ -210,15 +210,15 @@ def _of_library(
         arrays["wavelength"].values, arrays.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
     )
     has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
-    between = covariance(dataset).transpose(PAINT, ...).values if has_sources else None
-    for number, name in enumerate(arrays[PAINT].values):
+    between = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
+    for number, name in enumerate(arrays[SIGNATURE].values):
         own = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
         yield channels.spectrum(
             values[number],
             own,
             _count_of(arrays, number),
             names=names_of_paint(str(name), dataset_number),
-            wanted=_text_of(dataset, "reference", number, PAINT),
+            wanted=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or otherwise,
             serial="",
             **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
@@ -245,12 +245,12 @@ def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict
 def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
     """Return what the light of a paint leaves to be judged."""
     values = {
-        name: dataset[name].isel({PAINT: number}).values[()]
+        name: dataset[name].isel({SIGNATURE: number}).values[()]
         for name in ("sun_zenith", "sky_state")
-        if name in dataset.variables and dataset[name].dims == (PAINT,)
+        if name in dataset.variables and dataset[name].dims == (SIGNATURE,)
     }
-    known = "diffuse_fraction" in dataset.variables and PAINT in dataset["diffuse_fraction"].dims
-    known = known and bool(np.isfinite(dataset["diffuse_fraction"].isel({PAINT: number})).all())
+    known = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
+    known = known and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
     contradictory = known and values.get("sky_state") == SKY_STATES.index("contradictory")
     return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
 

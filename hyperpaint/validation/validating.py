@@ -65,7 +65,7 @@ def validate(
         A paint library, as of `hyperpaint.extract_signatures`.
     references
         Datasets of reflectance, one or several: spectra of a field spectrometer (spectrum, wavelength), as of
-        `hyperpaint.open_asd` and ``open_svc``, or a paint library (paint, band).
+        `hyperpaint.open_asd` and ``open_svc``, or a paint library (signature, band).
     pairs
         Names of references by names of paints, one or several each. By default the region property
         ``reference`` names the reference of a paint, and where a paint has none, its own name does. Names of
@@ -161,8 +161,8 @@ def validate(
     ... )
     >>> at = np.linspace(430.0, 670.0, 25)
     >>> paints = xr.Dataset(
-    ...     {"reflectance": (("paint", "band"), [0.21 + 0.001 * (at - 400.0)], {"units": "1"})},
-    ...     {"paint": ["hood"], "wavelength": ("band", at, {"units": "nm"})},
+    ...     {"reflectance": (("signature", "band"), [0.21 + 0.001 * (at - 400.0)], {"units": "1"})},
+    ...     {"signature": ["hood"], "wavelength": ("band", at, {"units": "nm"})},
     ... )
     >>> found = validate(paints, field, reference_fwhm=3.0)  # 0.01 of 0.35: less than 0.005 + 5 %
     >>> found.passed, round(float(found.statistics.bias.sel(part="VIS").item()), 4)
@@ -231,7 +231,7 @@ def _disagreements(between: xr.Dataset) -> list[str]:
     """Return which instruments disagree about a paint."""
     outside = (between["judged"] & ~between["passes"]).values
     return [
-        f"{one['paint'].item()}: {one['instrument'].item()} is beyond the tolerance in "
+        f"{one['signature'].item()}: {one['instrument'].item()} is beyond the tolerance in "
         f"{', '.join(between['part'].values[outside[row]])}; which of them is right?"
         for row in np.flatnonzero(outside.any(axis=1))
         for one in [between.isel(pair=row)]
@@ -371,7 +371,7 @@ def _statistics(
         depth = [oxygen_depth(each.bands.wavelength, getattr(each, side)) for each in compared]
         variables[name] = ("pair", np.array(depth, np.float64), _attrs(name))
     texts = {
-        "paint": [each.pair.signature.name for each in compared],
+        "signature": [each.pair.signature.name for each in compared],
         "reference": [each.names for each in compared],
         "instrument": [each.instrument for each in compared],
         "overlap": [each.overlap for each in compared],

@@ -36,7 +36,7 @@ MEANINGS: Mapping[str, str] = {
     "judged": "Whether a part can be judged: enough bands, and a level that the tolerance can tell from none",
     "oxygen_residual": "Depth of the oxygen A band left in the signature; negative where overcorrected",
     "reference_oxygen_residual": "Depth of the oxygen A band left in the reference",
-    "paint": "Name of the paint",
+    "signature": "Name of the signature",
     "reference": "Names of the references",
     "instrument": "Instrument of the references",
     "overlap": "What was done where the reference's detectors overlap",
@@ -44,7 +44,6 @@ MEANINGS: Mapping[str, str] = {
     "mirror_reflection": "Whether the reference includes the mirror image of sky and surroundings",
     "first_wavelength": "Wavelength that a part begins at",
     "last_wavelength": "Wavelength that a part ends before",
-    "signature": "Reflectance of the signature on common bands",
     "difference": "Signature minus reference",
     "signature_sd": "Standard deviation of what the signature is a mean of",
     "reference_sd": "Standard deviation of what the reference is a mean of",
@@ -113,9 +112,9 @@ class Validation:
     >>> import numpy as np, xarray as xr
     >>> from hyperpaint.validation import validate
     >>> nm = np.linspace(400.0, 700.0, 61)
-    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["hood"]}
+    >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["hood"]}
     >>> level = 0.2 + 0.001 * (nm - 400.0)
-    >>> field = xr.Dataset({"reflectance": (("paint", "band"), [level], {"units": "1"})}, axis)
+    >>> field = xr.Dataset({"reflectance": (("signature", "band"), [level], {"units": "1"})}, axis)
     >>> paints = field.assign(reflectance=field.reflectance + 0.002)
     >>> agreement = validate(paints, field, reference_fwhm=5.0)
     >>> agreement.passed, agreement.statistics.bias.sel(part="VIS").values.round(3)
@@ -140,7 +139,7 @@ class Validation:
     def problems(self) -> tuple[str, ...]:
         """What is outside of the tolerance or cannot be judged, one text a pair or paint."""
         failures = []
-        paints = self._texts("paint")
+        paints = self._texts("signature")
         for row, within in enumerate(self.statistics["passes"].values):
             bad = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
             if bad:
@@ -169,7 +168,7 @@ class Validation:
         limits = ", ".join([*texts, *(f"{name} {limit:g}" for name, limit in named.items())])
         count = self.statistics.sizes["pair"]
         good = int(self.statistics["passes"].all("part").sum())
-        paints = len(set(self._texts("paint")))
+        paints = len(set(self._texts("signature")))
         whole = paints + len(self.unpaired_signatures)
         return (
             f"{good} of {count} pair{'' if count == 1 else 's'} within tolerance ({limits}), "
@@ -212,7 +211,7 @@ class Validation:
         rows: list[tuple[str, ...]] = []
         for row in range(statistics.sizes["pair"]):
             paint, reference, instrument = (
-                _short(self._texts(name)[row]) for name in ("paint", "reference", "instrument")
+                _short(self._texts(name)[row]) for name in ("signature", "reference", "instrument")
             )
             oxygen = self._oxygen(row)
             for column in range(statistics.sizes["part"]):
@@ -260,7 +259,7 @@ class Validation:
             return "all"
         if len(own) == 1 and len(rows) == sum(name in own for name in instruments):
             return own.pop()
-        paints = [_short(self._texts("paint")[row]) for row in rows]
+        paints = [_short(self._texts("signature")[row]) for row in rows]
         rest = len(paints) - _MOST_NAMES
         return ", ".join(paints[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 

@@ -76,7 +76,7 @@ def export_dirsig_scene(
     repaint = dict(file.paints)
     libraries = [] if library is None else [library]
     if library is not None:
-        repaint = dealt_paints(parts.scene, list(map(str, library["paint"].values)), repaint)
+        repaint = dealt_paints(parts.scene, list(map(str, library["signature"].values)), repaint)
     libraries += [*named_libraries(parts.spectra), _formulas(parts, repaint)]
     return write_dirsig_scene(
         parts.scene, folder, libraries, repaint=repaint, origin=ORIGIN, overwrite=overwrite,
@@ -112,10 +112,10 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
     libraries = []
     for key, value in spectra.items():
         if hasattr(value, "data_vars"):
-            names = [str(name) for name in value["paint"].values]
-            libraries.append(value.assign_coords(paint=[f"{key}/{name}" for name in names]))
+            names = [str(name) for name in value["signature"].values]
+            libraries.append(value.assign_coords(signature=[f"{key}/{name}" for name in names]))
             if len(names) == 1:
-                libraries.append(value.assign_coords(paint=[key]))
+                libraries.append(value.assign_coords(signature=[key]))
     return libraries
 
 
@@ -148,9 +148,9 @@ def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
         spectra[name] = body
     reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
+        {"reflectance": (("signature", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
         {
-            "paint": np.array(list(spectra), object),
+            "signature": np.array(list(spectra), object),
             "wavelength": ("band", _GRID_NM, {"units": "nm"}),
         },
     )

@@ -393,7 +393,7 @@ class _Day:
             location=self._heights if is_map else {}, drop_small=True, progress=self.progress("signatures"),
         )  # fmt: skip
         left_out = [f"left out {text}" for text in library.attrs.get("left_out", ())]
-        return "\n".join([f"{self.library}: {library.sizes['paint']} paints", *left_out])
+        return "\n".join([f"{self.library}: {library.sizes['signature']} paints", *left_out])
 
     def _validate(self) -> str:
         from .library_files import validate_files, write_table
@@ -446,7 +446,7 @@ class _Day:
             open_library(self.library), folder, gaps="interpolate", overwrite=True,
             progress=self.progress("dirsig"),
         )  # fmt: skip
-        return f"{folder}: {materials.sizes['paint']} materials"
+        return f"{folder}: {materials.sizes['signature']} materials"
 
     def _report(self) -> str:
         from hyperpaint.report.store_report import write_report

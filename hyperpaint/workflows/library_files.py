@@ -258,7 +258,7 @@ def _proposed(
 
 def table_of(library: xr.Dataset) -> str:
     """Return a line of text for every paint of a library."""
-    names = [str(name) for name in library["paint"].values]
+    names = [str(name) for name in library["signature"].values]
     width = max(map(len, names))
     rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
     return "\n".join(
@@ -268,7 +268,7 @@ def table_of(library: xr.Dataset) -> str:
 
 
 _TABLES = (".csv", ".json")
-_PAIR = ("paint", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
+_PAIR = ("signature", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
 _DEPTHS = ("oxygen_residual", "reference_oxygen_residual")
 
 

@@ -114,7 +114,7 @@ def spectra_digest(spectra: Mapping[str, Any]) -> str:
         if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
             digest.update(spectra_digest(value).encode())
         elif hasattr(value, "data_vars"):
-            names = ("paint", "wavelength", "good", "reflectance", "member_reflectance")
+            names = ("signature", "wavelength", "good", "reflectance", "member_reflectance")
             for part in (part for part in names if part in value.variables):
                 values = np.asarray(value[part].values)
                 digest.update(

@@ -29,10 +29,10 @@ CASES = [
 
 
 def library(attrs: dict[str, str], apart: bool) -> xr.Dataset:
-    spectra = (("paint", "band"), np.full((1, 3), 0.3, np.float32), {"units": "1"})
+    spectra = (("signature", "band"), np.full((1, 3), 0.3, np.float32), {"units": "1"})
     made = xr.Dataset(
         {"reflectance": spectra},
-        {"paint": ["red"], "wavelength": ("band", [450.0, 550.0, 650.0], {"units": "nm"})},
+        {"signature": ["red"], "wavelength": ("band", [450.0, 550.0, 650.0], {"units": "nm"})},
     )
     if apart:
         made["specular_reflectance"] = spectra

@@ -46,8 +46,8 @@ def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
 
     attrs = {"units": "1", "mirror_reflection": "excluded"}
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), np.array(list(bodies.values()), np.float32), attrs)},
-        {"paint": list(bodies), "wavelength": ("band", wavelength, {"units": "nm"})},
+        {"reflectance": (("signature", "band"), np.array(list(bodies.values()), np.float32), attrs)},
+        {"signature": list(bodies), "wavelength": ("band", wavelength, {"units": "nm"})},
     )
 
 

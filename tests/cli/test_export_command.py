@@ -32,11 +32,11 @@ def store(tmp_path: Path) -> Path:
     members = np.random.default_rng(0).uniform(0.1, 0.8, (2, 3, 6)).astype(np.float32)
     library = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), members.mean(axis=1), {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), members, {"units": "1"}),
+            "reflectance": (("signature", "band"), members.mean(axis=1), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), members, {"units": "1"}),
         },
         {
-            "paint": np.array(["Türkis, matt", "rot/blau"], object),
+            "signature": np.array(["Türkis, matt", "rot/blau"], object),
             "wavelength": ("band", np.linspace(400.0, 1000.0, 6), {"units": "nm"}),
         },
     )
@@ -84,7 +84,7 @@ def test_libraries(form: str, name: str, export: Export, store: Path, tmp_path: 
     assert done.exit_code == 0, done.output
     assert "2 paints, 6 bands" in done.output
     opened = open_library(tmp_path / name)
-    assert sorted(opened["paint"].values.tolist()) == ["Türkis, matt", "rot/blau"]
+    assert sorted(opened["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
     again = export(store, "--format", form, "--out", tmp_path / name, "--gaps", "refuse")
     assert again.exit_code == 2
     assert "--gaps only with --format dirsig" in again.output

@@ -33,18 +33,18 @@ def test_it_searches_saves_and_draws(tmp_path: Path) -> None:
     assert "3 of 40 paints" in told
     assert "off" in told
     saved = hp.open_library(out)
-    assert saved["paint"].values[0] == "Synthetic Signal Red"
+    assert saved["signature"].values[0] == "Synthetic Signal Red"
     assert saved.member_reflectance.shape == (3, 2, 272)
     assert picture.stat().st_size > 5000
     assert "pass --overwrite" in run("--out", out, "--members", 3, status=2)
     run("--out", out, "--members", 3, "--overwrite")
-    assert hp.open_library(out).sizes["paint"] == 40
+    assert hp.open_library(out).sizes["signature"] == 40
 
 
 def test_a_library_of_ones_own(tmp_path: Path) -> None:
     library = hp.paints.starter_library(members=0)
     names = np.array([f"Škoda, grün {k}" for k in range(40)], object)
-    path = hp.write_library(library.assign_coords(paint=names), tmp_path / "own.csv")
+    path = hp.write_library(library.assign_coords(signature=names), tmp_path / "own.csv")
     assert "1 of 40" in run(path, "--name", "skoda, gruen 7")
     assert "angle 0.0000 rad" in run(path, "--like", "Škoda, grün 7", "--limit", 1)
     assert "none was found" in run(path, "--name", "volvo")
@@ -52,7 +52,7 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_a_spectrum_in_a_file(tmp_path: Path) -> None:
-    red = hp.paints.starter_library(members=0).isel(paint=[5])
+    red = hp.paints.starter_library(members=0).isel(signature=[5])
     pairs = zip(red.wavelength.values, red.reflectance.values[0], strict=True)
     table = "wavelength (nm),reflectance\n" + "".join(f"{nm:.2f},{value:.6f}\n" for nm, value in pairs)
     (tmp_path / "mine.csv").write_text(table)
@@ -89,7 +89,7 @@ def test_help_teaches() -> None:
 
 
 def test_info_of_dirsigs_files(tmp_path: Path) -> None:
-    made = hp.write_dirsig(hp.paints.starter_library(members=2).isel(paint=[0, 3]), tmp_path / "dirsig")
+    made = hp.write_dirsig(hp.paints.starter_library(members=2).isel(signature=[0, 3]), tmp_path / "dirsig")
     emissivity = tmp_path / "dirsig" / made.emissivity_file.values[0]
     told = [
         CliRunner().invoke(main, ["info", str(path)]).output

@@ -73,7 +73,7 @@ def test_what_bands_share_leaves_a_ratio() -> None:
     total = np.hypot(level.reflectance_u_random, level.reflectance_u_systematic) / level.reflectance
     assert (ratio.ratio_u < 0.2 * total).all()
     bands = covariance(library)
-    assert bands.dims == ("paint", "band", "other_band")
+    assert bands.dims == ("signature", "band", "other_band")
     own = np.sqrt(np.diagonal(bands.values[0]))
     total = np.hypot(library.reflectance_u_random, library.reflectance_u_systematic).values[0]
     np.testing.assert_allclose(own, total, rtol=1e-5)
@@ -103,7 +103,7 @@ def test_a_library_without_sources_has_a_covariance() -> None:
     own = np.sqrt(np.diagonal(covariance(bare).values[0]))
     total = np.hypot(bare.reflectance_u_random, bare.reflectance_u_systematic).values[0]
     np.testing.assert_allclose(own, total, rtol=1e-6)
-    both = xr.concat([bare.drop_vars("region"), bare.drop_vars("region")], "paint")
+    both = xr.concat([bare.drop_vars("region"), bare.drop_vars("region")], "signature")
     assert covariance(both).shape == (2, 24, 24)
     with pytest.raises(SchemaError, match="reflectance_u_random"):
         covariance(bare.drop_vars("reflectance_u_random"))
@@ -124,6 +124,6 @@ def test_libraries_of_other_sources_can_be_joined() -> None:
     other = signature(noisy_collect(np.random.default_rng(6), 10, 6, 10, irradiance_u=0.0, smile=1.0))
     assert one.sizes["error_source"] > other.sizes["error_source"]
     how: Any = {"join": "outer", "coords": "different", "compat": "equals", "data_vars": "all"}
-    joined = xr.concat([one, other], "paint", **how)
+    joined = xr.concat([one, other], "signature", **how)
     for number, each in enumerate((one, other)):
         np.testing.assert_allclose(covariance(joined).values[number], covariance(each).values[0], rtol=1e-6)

@@ -100,7 +100,11 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
     )
     np.testing.assert_allclose(of_line.reflectance[3, :, 3], once.reflectance[0], rtol=1e-5)
     uncertain = signature(seen, coat=False).assign(
-        reflectance_u_systematic=(("paint", "band"), np.full((1, NM.size), 0.003, np.float32), {"units": "1"})
+        reflectance_u_systematic=(
+            ("signature", "band"),
+            np.full((1, NM.size), 0.003, np.float32),
+            {"units": "1"},
+        )
     )
     u = hp.surroundings.correct_coat(uncertain)
     c, uc = u.coat_transmission, u.coat_transmission_u

@@ -26,7 +26,7 @@ def paints() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def red(paints: xr.Dataset) -> xr.Dataset:
-    return paints.isel(paint=[list(paints["paint"].values).index(RED)])
+    return paints.isel(signature=[list(paints["signature"].values).index(RED)])
 
 
 def make_line(
@@ -149,7 +149,9 @@ def test_paints_are_detected_where_they_are(paints: xr.Dataset, red: xr.Dataset)
 
 
 def test_paints_that_are_not_looked_for_are_rejected(paints: xr.Dataset, red: xr.Dataset) -> None:
-    other = paints.isel(paint=[number for number in range(40) if paints["paint"].values[number] != RED][::9])
+    other = paints.isel(
+        signature=[number for number in range(40) if paints["signature"].values[number] != RED][::9]
+    )
     line = make_line(other, lines=160)
     found = hp.paints.detect(line, red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3).compute()
     assert not found["detected"].any()
@@ -160,7 +162,7 @@ def test_paints_that_are_not_looked_for_are_rejected(paints: xr.Dataset, red: xr
 @pytest.mark.parametrize("method", ["ace", "matched_filter", "spectral_angle"])
 @pytest.mark.parametrize("rate", [1e-2, 1e-3])
 def test_rate_is_that_of_the_background(paints: xr.Dataset, method: str, rate: float) -> None:
-    some = paints.isel(paint=[5, 15, 25])
+    some = paints.isel(signature=[5, 15, 25])
     line = make_line(lines=320, columns=64)
     found = hp.paints.detect(
         line, some, method=method, false_alarm_rate=rate, unknown_rate=1.0, sky=None
@@ -188,7 +190,7 @@ def test_rate_of_others_is_that_of_the_limits(paints: xr.Dataset) -> None:
 
 
 def test_a_paint_like_all_others_is_not_detected(paints: xr.Dataset, red: xr.Dataset) -> None:
-    twin = red.assign_coords(paint=["twin"])
+    twin = red.assign_coords(signature=["twin"])
     line = make_line(red)
     found = hp.paints.detect(line, red, false_alarm_rate=1e-2, others=twin).compute()
     assert found["distance_limit"].item() == 0.0
@@ -344,7 +346,7 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
         )
     )
     cars = hp.paints.detected_regions(found, regions)
-    assert cars["paint"].values.tolist() == [RED, ""]
+    assert cars["signature"].values.tolist() == [RED, ""]
     assert cars["pixels"].values.tolist() == [36, 36]
     placements = cars["placements"].values
     assert placements[0] > 60
@@ -366,7 +368,7 @@ def test_p_values_know_that_the_paint_was_chosen() -> None:
         pixels = ("along_track", "cross_track")
         detections = xr.Dataset(
             {"detected": (pixels, shown >= 0), "best_paint": (pixels, np.maximum(shown, 0).astype(np.int16))},
-            {"paint": [f"paint {number}" for number in range(20)]},
+            {"signature": [f"paint {number}" for number in range(20)]},
         )
         car = Region("car", [(29.5, 29.5), (35.5, 29.5), (35.5, 35.5), (29.5, 35.5)])
         p_values.append(hp.paints.detected_regions(detections, [car])["p_value"].item())
@@ -379,7 +381,7 @@ def test_regions_of_another_line_are_refused(red: xr.Dataset) -> None:
     detections = hp.paints.detect(make_line(red).assign_attrs(name="raw_0"), red, false_alarm_rate=1e-2)
     corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
     own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
-    assert own["paint"].item() == RED
+    assert own["signature"].item() == RED
     with pytest.raises(SchemaError, match="'car' is of flight line 'raw_1'; there is 'raw_0'"):
         hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")])
 

@@ -25,7 +25,7 @@ def paints() -> xr.Dataset:
 
 
 def names(found: xr.Dataset) -> list[str]:
-    return [str(name) for name in found["paint"].values]
+    return [str(name) for name in found["signature"].values]
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_names(wanted: str, expected: list[str]) -> None:
 
 def test_a_sharp_s_and_decomposed_letters() -> None:
     library = make_library().assign_coords(
-        paint=("paint", np.array(["Weiß", "Gru\u0308n", "Škoda", "Bœuf", "x"], object))
+        signature=("signature", np.array(["Weiß", "Gru\u0308n", "Škoda", "Bœuf", "x"], object))
     )
     for wanted, expected in (
         ("weiss", "Weiß"),
@@ -67,7 +67,7 @@ def test_every_paint_is_nearest_to_its_own_swatch(paints: xr.Dataset) -> None:
         # a swatch is rounded to eight bits
         assert found.colour_difference[names(found).index(name)] < 1.0
         assert (np.diff(found.colour_difference) >= 0.0).all()
-        assert found.sizes["paint"] == 40
+        assert found.sizes["signature"] == 40
 
 
 def test_words_find_paints_of_that_word(paints: xr.Dataset) -> None:
@@ -78,19 +78,19 @@ def test_words_find_paints_of_that_word(paints: xr.Dataset) -> None:
 
 def test_limits_leave_out(paints: xr.Dataset) -> None:
     near = hp.paints.search_library(paints, colour="red", maximum_colour_difference=10.0)
-    assert 0 < near.sizes["paint"] < 10
+    assert 0 < near.sizes["signature"] < 10
     assert float(near.colour_difference.max()) <= 10.0
     alike = hp.paints.search_library(paints, like=RED, maximum_angle=0.1, limit=3, name="*red")
     assert names(alike)[0] == RED
     assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
     assert alike.spectral_angle.attrs["units"] == "rad"
-    assert hp.paints.search_library(paints, name="no such paint").sizes["paint"] == 0
+    assert hp.paints.search_library(paints, name="no such paint").sizes["signature"] == 0
 
 
 def test_the_angle_by_hand_and_blind_to_scale(paints: xr.Dataset) -> None:
     own = paints.reflectance.values.astype(np.float64)
     found = hp.paints.search_library(paints, like=3.0 * own[5]).spectral_angle
-    by_name = dict(zip(found["paint"].values, found.values, strict=True))
+    by_name = dict(zip(found["signature"].values, found.values, strict=True))
     for number, name in enumerate(names(paints)):
         cosine = own[number] @ own[5] / np.linalg.norm(own[number]) / np.linalg.norm(own[5])
         assert by_name[name] == pytest.approx(np.arccos(min(cosine, 1.0)), abs=2e-7)
@@ -101,7 +101,7 @@ def test_the_angle_by_hand_and_blind_to_scale(paints: xr.Dataset) -> None:
 
 
 def test_spectra_on_other_bands(paints: xr.Dataset) -> None:
-    truth = paints.isel(paint=5).reflectance
+    truth = paints.isel(signature=5).reflectance
     nm = np.linspace(350.0, 2500.0, 900)[::-1]
     values = np.interp(nm, paints.wavelength, truth, right=np.nan)
     axis = {"wavelength": ("wavelength", nm, {"units": "nm"})}
@@ -110,8 +110,8 @@ def test_spectra_on_other_bands(paints: xr.Dataset) -> None:
         field,
         field.reflectance,
         field.reflectance[0],
-        paints.isel(paint=5),
-        paints.isel(paint=[5]),
+        paints.isel(signature=5),
+        paints.isel(signature=[5]),
     ):
         found = hp.paints.search_library(paints, like=like, limit=1)
         assert names(found) == [RED]
@@ -125,7 +125,7 @@ def test_bad_bands_and_missing_values_do_not_count(paints: xr.Dataset) -> None:
     spoilt.reflectance[:, 100] = 5.0
     spoilt.reflectance[7] = np.nan
     spoilt = spoilt.assign_coords(good=("band", good))
-    found = hp.paints.search_library(spoilt, like=paints.isel(paint=5), colour="red")
+    found = hp.paints.search_library(spoilt, like=paints.isel(signature=5), colour="red")
     assert names(found)[0] == RED
     assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
     assert np.isinf(found.spectral_angle[-1])
@@ -141,7 +141,7 @@ def test_descending_wavelengths_have_the_same_colours(paints: xr.Dataset) -> Non
 
 
 def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
-    lazy = paints.assign(member_reflectance=paints.member_reflectance.chunk({"paint": 4}))
+    lazy = paints.assign(member_reflectance=paints.member_reflectance.chunk({"signature": 4}))
     with no_compute():
         found = hp.paints.search_library(lazy, colour="red", limit=2)
     assert isinstance(found.member_reflectance.data, dask.array.Array)
@@ -176,12 +176,12 @@ def test_a_library_beyond_the_visible_has_no_colours() -> None:
     assert set(infrared.srgb.values) == {""}
     with pytest.raises(SchemaError, match="has a colour"):
         hp.paints.search_library(infrared, colour="red")
-    assert hp.paints.search_library(infrared, like=RED, limit=1)["paint"].item() == RED
+    assert hp.paints.search_library(infrared, like=RED, limit=1)["signature"].item() == RED
 
 
 def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
     """Rationale: a straight line over 300 nm of a red paint is another paint."""
-    whole = paints.isel(paint=5).reflectance
+    whole = paints.isel(signature=5).reflectance
     for hole in (
         whole.where(np.abs(whole.wavelength - 650.0) > 150.0),
         whole[[*range(40), *range(200, 272)]],

@@ -123,7 +123,7 @@ def test_what_a_metallic_paint_is_compared_with_does_not_depend_on_its_library()
     corners = [(0, 0), (0, 31), (6, 31), (6, 0)]
     regions = [Region(name, corners, properties={"finish": name}) for name in ("solid", "metallic")]
     both = hp.extract_signatures(line, Regions(tuple(regions)), specular_sky=True, diffuse="model")
-    alone = both.isel(paint=[1])
+    alone = both.isel(signature=[1])
     reading = alone[["reflectance"]].assign(reflectance=alone.reflectance + np.float32(0.03))
     reading.reflectance.attrs = {
         "units": "1", "quantity": "reflectance factor of the outside of the coat",

@@ -139,7 +139,7 @@ def test_the_mirrored_sky_is_subtracted() -> None:
     taken = 0.04 * diffuse_fraction(nm, zenith) * zenith_radiance(nm, zenith)
     assert taken.max() > 0.01
     for name in ("reflectance", "reflectance_quantiles", "member_reflectance"):
-        lower = (seen[name] - less[name]).transpose(..., "band").mean("paint").values[..., 1:-1]
+        lower = (seen[name] - less[name]).transpose(..., "band").mean("signature").values[..., 1:-1]
         np.testing.assert_allclose(lower, np.broadcast_to(taken[1:-1], lower.shape), atol=1e-6)
     np.testing.assert_allclose(less.reflectance_sd, seen.reflectance_sd, rtol=1e-3)
     low = line.paint.signatures(RAW, sun_zenith=80.0, **options)
@@ -295,7 +295,7 @@ def test_the_accessor_says_the_same() -> None:
     line = made().rename(along_track="downtrack", cross_track="crosstrack", band="bands")
     assert_same_bits(line.paint.signatures(TWO, members=9), extract_signatures(made(), TWO, members=9))
     odd = made().rename(along_track="flown")
-    assert odd.paint.signatures(TWO, dims={"along_track": "flown"}).sizes["paint"] == 2
+    assert odd.paint.signatures(TWO, dims={"along_track": "flown"}).sizes["signature"] == 2
 
 
 def test_smile_is_taken_out_before_pixels_are_put_together() -> None:
@@ -308,7 +308,7 @@ def test_smile_is_taken_out_before_pixels_are_put_together() -> None:
     smiling = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
     expected = 0.1 + 0.6 / (1 + np.exp(-(nominal - 650.0) / 12.0))
     region = Region("a", [(0, 0), (15, 0), (15, 39), (0, 39)])
-    found = extract_signatures(smiling, region).isel(paint=0)
+    found = extract_signatures(smiling, region).isel(signature=0)
     inner = slice(1, -1)
     np.testing.assert_allclose(found.reflectance[inner], expected[inner], atol=2e-3)
     assert found.reflectance_sd[inner].max() < 2e-3

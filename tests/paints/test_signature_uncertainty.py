@@ -45,7 +45,7 @@ def test_signatures_of_a_simulated_line_are_the_truth_within_noise() -> None:
         along, across = pixels(region, line)
         lit = ~line.true_saturated.values[along, across]
         truth = np.median(line.true_reflectance.values[along[lit], :, across[lit]], axis=0)
-        row = library.isel(paint=number)
+        row = library.isel(signature=number)
         # the mean of n pixels, and truth that is itself the median of a texture of as many
         within = (
             5 * np.hypot(row.reflectance_u_random, 1.6 * row.reflectance_sd / np.sqrt(row.n_eff))
@@ -140,7 +140,7 @@ def test_uncertainty_is_that_of_the_pixels_with_a_value() -> None:
         reflectance_u_random=(CUBE, u, told),
         reflectance_u_systematic=(CUBE, u, told),
     )
-    row = extract_signatures(line, Region("all", [(0, 0), (15, 0), (15, 39), (0, 39)])).isel(paint=0)
+    row = extract_signatures(line, Region("all", [(0, 0), (15, 0), (15, 39), (0, 39)])).isel(signature=0)
     n, n_eff = 640, float(row.n_eff)
     assert row.n == n
     whole = np.mean(u[:, 0].astype(float) ** 2)
@@ -155,7 +155,7 @@ def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
     # at the columns' own wavelengths; those of a signature with smile are at nominal ones, see below
     line = raw().drop_vars("wavelength_shift").paint.reflectance(uncertainty=True)
     rectangle = Region("a", [(2, 3), (12, 3), (12, 30), (2, 30)])
-    row = extract_signatures(line, rectangle, exclude=0).isel(paint=0)
+    row = extract_signatures(line, rectangle, exclude=0).isel(signature=0)
     part = line.isel(along_track=slice(3, 31), cross_track=slice(2, 13))
     expected = hp.radiometry.mean_uncertainty(part)
     np.testing.assert_allclose(row.reflectance_u_systematic, expected.u_systematic, rtol=1e-5)

@@ -48,11 +48,11 @@ def to_camera(line: xr.Dataset, along: np.ndarray, across: np.ndarray) -> np.nda
 def test_the_attitude_of_the_camera() -> None:
     line = with_camera(made())
     library = extract_signatures(line, TWO, exclude=0)
-    for region, paint in zip(TWO, library["paint"].values, strict=True):
+    for region, paint in zip(TWO, library["signature"].values, strict=True):
         along, across = hp.regions.pixels(region, line)
         present = np.isfinite(line.reflectance.values[along, :, across]).any(axis=1)
         east, north, up = to_camera(line, along[present], across[present])
-        found = library.sel(paint=paint)
+        found = library.sel(signature=paint)
         assert float(found.view_zenith) == pytest.approx(np.degrees(np.arctan2(np.hypot(east, north), up)))
         assert float(found.view_azimuth) == pytest.approx(np.degrees(np.arctan2(east, north)) % 360)
     assert library.attrs["view_geometry"].startswith("look_angle with roll, pitch, heading")

@@ -39,7 +39,7 @@ def test_a_library_is_what_numpy_makes_of_the_pixels() -> None:
         cube, flags = line.reflectance.values[along, :, across], line.quality.values[along, across]
         used = (flags & int(Quality.GLINT)) == 0
         values = cube[used].astype(float)
-        row = library.isel(paint=number)
+        row = library.isel(signature=number)
         assert row.n == used.sum() > 20
         assert row.n_excluded == (~used).sum() > 0
         expected = [trimmed(column) for column in values.T]
@@ -62,7 +62,7 @@ def test_members_are_pixels_of_the_region() -> None:
     library = extract_signatures(line, TWO, members=20)
     assert library.sizes["member"] == 20
     for number, region in enumerate(TWO):
-        row = library.isel(paint=number)
+        row = library.isel(signature=number)
         places = list(zip(row.member_along_track.values, row.member_cross_track.values, strict=True))
         assert len(set(places)) == 20
         assert set(places) <= set(zip(*pixels(region, line), strict=True))
@@ -70,7 +70,7 @@ def test_members_are_pixels_of_the_region() -> None:
             assert spectrum.tobytes() == line.reflectance.values[along, :, across].tobytes()
     whole = extract_signatures(line, TWO, members=10_000)
     assert whole.sizes["member"] == whole.n.max()
-    few = whole.isel(paint=int(np.argmin(whole.n.values)))
+    few = whole.isel(signature=int(np.argmin(whole.n.values)))
     n = int(few.n)
     assert np.isnan(few.member_reflectance[n:]).all()
     assert (few.member_along_track[n:] == -1).all()
@@ -171,8 +171,8 @@ def test_the_order_of_regions_changes_nothing() -> None:
     forward = extract_signatures(line, TWO)
     backward = extract_signatures(line, Regions(TWO.regions[::-1]))
     for name in (*SPECTRA, "n_eff"):
-        both = [library[name].sel(paint="roof", drop=True) for library in (forward, backward)]
-        size = min(int(library.n.sel(paint="roof")) for library in (forward, backward))
+        both = [library[name].sel(signature="roof", drop=True) for library in (forward, backward)]
+        size = min(int(library.n.sel(signature="roof")) for library in (forward, backward))
         both = [array.isel(member=slice(size), missing_dims="ignore") for array in both]
         np.testing.assert_array_equal(*both)
 

@@ -24,7 +24,7 @@ def paints() -> xr.Dataset:
 
 
 def test_its_form(paints: xr.Dataset) -> None:
-    assert dict(paints.member_reflectance.sizes) == {"paint": 40, "member": 24, "band": 272}
+    assert dict(paints.member_reflectance.sizes) == {"signature": 40, "member": 24, "band": 272}
     assert (paints.wavelength.values[[0, -1]] == [400.0, 1000.0]).all()
     for name in ("reflectance", "member_reflectance", "specular_reflectance", "reflectance_sd"):
         assert paints[name].dtype == np.float32
@@ -35,7 +35,7 @@ def test_its_form(paints: xr.Dataset) -> None:
 
 
 def test_everything_is_named_synthetic(paints: xr.Dataset) -> None:
-    names = paints["paint"].values.tolist()
+    names = paints["signature"].values.tolist()
     assert len(set(names)) == 40
     assert all(name.startswith("Synthetic ") and name.isascii() for name in names)
     assert set(paints.provenance.values) == {"synthetic"}
@@ -93,7 +93,7 @@ def test_what_it_cannot_be(options: dict[str, Any], text: str) -> None:
 
 
 def test_dirsig_takes_it_without_counting_the_coat_twice(tmp_path: Path) -> None:
-    solid = hp.paints.starter_library(members=3).isel(paint=[0, 3, 5])
+    solid = hp.paints.starter_library(members=3).isel(signature=[0, 3, 5])
     made = hp.write_dirsig(solid, tmp_path / "dirsig", specular="library")
     assert made.attrs["mirror_reflection"] == "excluded"
     file = tmp_path / "dirsig" / made.emissivity_file.values[2]
@@ -113,7 +113,7 @@ def test_it_is_saved_and_opened(tmp_path: Path, suffix: str) -> None:
 
 def test_an_overview_is_drawn(paints: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    figure = library_overview(paints.isel(paint=slice(0, 4)), tmp_path / "starter.png")
+    figure = library_overview(paints.isel(signature=slice(0, 4)), tmp_path / "starter.png")
     assert (tmp_path / "starter.png").stat().st_size > 10_000
     # two shades of quantiles in each panel
     assert all(len(axes.collections) == 2 for axes in figure.axes)

@@ -90,7 +90,7 @@ def test_what_is_drawn_is_saved_and_signatures_take_it(state: Explored, tmp_path
     path = state.save(tmp_path / "r.geojson")
     assert hp.read_regions(path) == state.regions
     library = hp.extract_signatures(flight().line, path, min_pixels=1, members=0)
-    assert library["paint"].values.tolist() == ["roof", "region 1"]
+    assert library["signature"].values.tolist() == ["roof", "region 1"]
     spectrum = state.spectrum_of(state.drawn[1])
     assert isinstance(spectrum, Spectrum)
     middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[1]
@@ -271,7 +271,7 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
     paint = library["reflectance"].values[7]
     spectrum = Spectrum(library["wavelength"].values, 0.5 * paint, None, "")
     near = state.near_paints(spectrum)
-    assert near[0].name == str(library["paint"].values[7])
+    assert near[0].name == str(library["signature"].values[7])
     assert near[0].angle == pytest.approx(0.0, abs=1e-3)
     assert near[0].factor == pytest.approx(0.5)
     assert [one.angle for one in near] == sorted(one.angle for one in near)

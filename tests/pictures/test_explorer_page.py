@@ -154,7 +154,7 @@ def test_a_line_is_explored_in_a_browser(browser: Any, served: Served) -> None:
     assert regions[1].polygon.tolist() == [[0, 10], [0, 12], [5, 11]]
     assert regions[0].flightline == "raw_0"
     library = line.paint.signatures(regions, min_pixels=1, members=0)
-    assert library["paint"].values.tolist() == ["red roof", "region 1"]
+    assert library["signature"].values.tolist() == ["red roof", "region 1"]
     # the slider is moved by its keys, and flags are shown
     page.locator(".noUi-handle").first.press("ArrowRight")
     page.get_by_text(re.compile(r"\d nm, lines 0 to")).wait_for()

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow  # the tracer is compiled
 
 
 def test_chips_stand_above_the_renders(tmp_path: Path) -> None:
-    paints = starter_library(members=6).isel(paint=slice(0, 5))
+    paints = starter_library(members=6).isel(signature=slice(0, 5))
     traced = hp.simulation.trace(two_cars(), flight(), [SUN], samples=2).compute()
     line = traced.paint.relight(paints=paints, atmosphere=flat_light())
     figure = chips_and_renders(paints, {"noon": line, "again": line}, tmp_path / "x.png", columns=3)
@@ -34,4 +34,4 @@ def test_chips_stand_above_the_renders(tmp_path: Path) -> None:
 
 def test_what_makes_no_collage_is_refused() -> None:
     with pytest.raises(SchemaError, match="found 3 paints and 0 renders"):
-        chips_and_renders(starter_library(members=0).isel(paint=slice(0, 3)), {})
+        chips_and_renders(starter_library(members=0).isel(signature=slice(0, 3)), {})

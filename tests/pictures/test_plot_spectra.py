@@ -177,8 +177,8 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
     nm = np.arange(400.0, 800.0, 10.0)
     spectra = np.stack([0.05 + 0.7 * (nm > 600), 0.06 + 0.7 * (nm > 600), np.full(nm.size, 0.9)])
     library = xr.Dataset(
-        {"reflectance": (("paint", "band"), spectra.astype("f4"), {"units": "1"})},
-        {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["red", "like it", "white"]},
+        {"reflectance": (("signature", "band"), spectra.astype("f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["red", "like it", "white"]},
     )
     drawn = spectrum(library, axes=axes()).lines
     for curve, colour in zip(drawn, paint_colours(library), strict=True):
@@ -227,8 +227,8 @@ def test_colours_of_paints() -> None:
     nm = np.arange(400.0, 1000.0, 10.0)
     spectra = np.stack([0.05 + 0.7 * (nm > 600), 0.05 + 0.7 * (nm < 480), np.full(nm.size, 0.5)])
     library = xr.Dataset(
-        {"reflectance": (("paint", "band"), spectra.astype("f4"), {"units": "1"})},
-        {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["red", "blue", "grey"]},
+        {"reflectance": (("signature", "band"), spectra.astype("f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["red", "blue", "grey"]},
     )
     red, blue, grey = paint_colours(library)
     assert red.argmax() == 0
@@ -247,11 +247,11 @@ def test_the_overview_is_bounded() -> None:
     nm = np.arange(400.0, 800.0, 40.0)
     count = MOST_PAINTS + 3
     library = xr.Dataset(
-        {"reflectance": (("paint", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
-        {"wavelength": ("band", nm, {"units": "nm"}), "paint": [f"p{k}" for k in range(count)]},
+        {"reflectance": (("signature", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "signature": [f"p{k}" for k in range(count)]},
     )
     figure = library_overview(library, columns=8)
     assert len(figure.axes) == MOST_PAINTS
     assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
     with pytest.raises(SchemaError, match="has none"):
-        library_overview(library.isel(paint=slice(0, 0)))
+        library_overview(library.isel(signature=slice(0, 0)))

@@ -65,10 +65,10 @@ def test_the_same_bits_whatever_the_chunks(method: str, chunks: Any, no_compute:
 
 
 @pytest.mark.parametrize(
-    "dims", [("band",), ("paint", "band"), ("y", "x", "band"), ("band", "cross_track", "along_track")]
+    "dims", [("band",), ("signature", "band"), ("y", "x", "band"), ("band", "cross_track", "along_track")]
 )
 def test_any_arrangement_of_dims(dims: tuple[str, ...]) -> None:
-    sizes = {"band": 15, "paint": 3, "y": 2, "x": 4, "cross_track": 3, "along_track": 2}
+    sizes = {"band": 15, "signature": 3, "y": 2, "x": 4, "cross_track": 3, "along_track": 2}
     values = np.random.default_rng(1).uniform(0, 1, [sizes[d] for d in dims]).astype("f4")
     array = xr.DataArray(values, dims=dims, attrs={"units": "1"})
     made = smooth(array.to_dataset(name="reflectance"), "box", 3).reflectance

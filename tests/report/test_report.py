@@ -309,15 +309,15 @@ def test_the_command(lot: Path, tmp_path: Path) -> None:
 
 
 def spoil_n(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n=("paint", ["many", "few"], {"units": "1"}))
+    return library.assign(n=("signature", ["many", "few"], {"units": "1"}))
 
 
 def spoil_quality(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(quality=("paint", [np.nan, 1.0]))
+    return library.assign(quality=("signature", [np.nan, 1.0]))
 
 
 def spoil_n_eff(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n_eff=(("paint", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
+    return library.assign(n_eff=(("signature", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
 
 
 def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
@@ -326,12 +326,12 @@ def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
 
 
 def spoil_units(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(sun_zenith=("paint", ["high", "low"], {"units": "radian"}))
+    return library.assign(sun_zenith=("signature", ["high", "low"], {"units": "radian"}))
 
 
 def spoil_regions(library: xr.Dataset) -> xr.Dataset:
     text = np.full((2, library.sizes["band"]), "{}")
-    return library.drop_vars("region").assign(region=(("band", "paint"), text.T))
+    return library.drop_vars("region").assign(region=(("band", "signature"), text.T))
 
 
 def spoil_flags(line: xr.Dataset) -> xr.Dataset:

@@ -57,13 +57,13 @@ def paints(line: xr.Dataset) -> xr.Dataset:
     values = line["reflectance"].values[40:43, :, 0] * np.float32(0.5)
     return xr.Dataset(
         {
-            "reflectance": (("paint", "band"), values, {"units": "1"}),
-            "reflectance_sd": (("paint", "band"), 0.1 * values, {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), values[:, None], {"units": "1"}),
-            "n": ("paint", np.array([4, 5, 6]), {"units": "1"}),
+            "reflectance": (("signature", "band"), values, {"units": "1"}),
+            "reflectance_sd": (("signature", "band"), 0.1 * values, {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), values[:, None], {"units": "1"}),
+            "n": ("signature", np.array([4, 5, 6]), {"units": "1"}),
         },
         {
-            "paint": ["red hood", HOSTILE, "Lack, grün"],
+            "signature": ["red hood", HOSTILE, "Lack, grün"],
             "wavelength": line["wavelength"],
             "good": line["good"],
         },

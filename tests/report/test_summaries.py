@@ -86,7 +86,7 @@ def test_a_store_that_is_gone_is_no_error(tmp_path: Path) -> None:
     [
         xr.Dataset(),
         xr.Dataset({"a": 1}),
-        xr.Dataset({"reflectance": ("paint", [1.0])}),
+        xr.Dataset({"reflectance": ("signature", [1.0])}),
         xr.Dataset({"counts": ("along_track", ["x"])}, {"wavelength": ("band", ["red"]), "time": 3}),
         xr.Dataset({"overview": (("overview_y", "overview_x", "rgb"), np.zeros((0, 3, 3), "u1"))}),
     ],
@@ -140,10 +140,10 @@ def test_a_library_shows_the_colours_of_its_paints() -> None:
     spectra = [np.where(nm > 600, 0.8, 0.03), np.full(nm.size, 0.9), np.full(nm.size, np.nan)]
     library = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.float32(spectra), {"units": "1"}),
-            "n": ("paint", [120, 7, 0], {"units": "1"}),
+            "reflectance": (("signature", "band"), np.float32(spectra), {"units": "1"}),
+            "n": ("signature", [120, 7, 0], {"units": "1"}),
         },
-        {"paint": ["red", "<b>white</b>", "none"], "wavelength": ("band", nm, {"units": "nm"})},
+        {"signature": ["red", "<b>white</b>", "none"], "wavelength": ("band", nm, {"units": "nm"})},
     )
     shown = library.paint._repr_html_()
     colours = re.findall(r"background:(#[0-9a-f]{6})", shown)
@@ -167,9 +167,9 @@ def test_a_library_shows_the_colours_of_its_paints() -> None:
 def test_colours_are_not_computed(no_compute: Any) -> None:
     nm = np.arange(400.0, 701.0, 10.0)
     library = xr.Dataset(
-        {"reflectance": (("paint", "band"), np.full((2, nm.size), 0.5, "f4"), {"units": "1"})},
-        {"paint": ["a", "b"], "wavelength": ("band", nm, {"units": "nm"})},
+        {"reflectance": (("signature", "band"), np.full((2, nm.size), 0.5, "f4"), {"units": "1"})},
+        {"signature": ["a", "b"], "wavelength": ("band", nm, {"units": "nm"})},
     )
-    lazy = library.assign(reflectance=library.reflectance.chunk(paint=1))
+    lazy = library.assign(reflectance=library.reflectance.chunk(signature=1))
     with no_compute():
         assert 'role="img"' not in lazy.paint._repr_html_()

@@ -103,9 +103,9 @@ def test_simulate_process_signatures_validate_without_a_drawing(tmp_path: Path) 
     done = run("validate", tmp_path / "paints.zarr", "--require-all")
     assert done.exit_code == 0, done.output
     paints = hp.open_store(tmp_path / "paints.zarr")
-    assert tuple(paints["paint"].values) == hp.read_regions(regions).names
+    assert tuple(paints["signature"].values) == hp.read_regions(regions).names
     assert float(paints["n"].min()) >= 12
-    assert f"{paints.sizes['paint']} of {paints.sizes['paint']} paints compared" in done.stdout
+    assert f"{paints.sizes['signature']} of {paints.sizes['signature']} paints compared" in done.stdout
 
 
 @pytest.mark.parametrize("scene", ["plan", "rendered"])

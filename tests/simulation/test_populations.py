@@ -23,10 +23,10 @@ def library(members: np.ndarray) -> xr.Dataset:
     """Return a library of one paint whose centre is the mean of its members (member, band)."""
     return xr.Dataset(
         {
-            "reflectance": (("paint", "band"), members.mean(axis=0, keepdims=True)),
-            "member_reflectance": (("paint", "member", "band"), members[np.newaxis]),
+            "reflectance": (("signature", "band"), members.mean(axis=0, keepdims=True)),
+            "member_reflectance": (("signature", "member", "band"), members[np.newaxis]),
         },
-        {"paint": ["measured"], "wavelength": ("band", NM, {"units": "nm"})},
+        {"signature": ["measured"], "wavelength": ("band", NM, {"units": "nm"})},
     )
 
 

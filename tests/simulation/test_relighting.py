@@ -207,8 +207,8 @@ def test_spectra_may_be_given_in_any_form(traced: xr.Dataset) -> None:
     microns = {"wavelength": ("wavelength", nm / 1e3, {"units": "um"})}
     labelled = xr.DataArray(100 * red, microns, "wavelength", attrs={"units": "percent"})
     library = xr.Dataset(
-        {"reflectance": (("paint", "band"), red[None])},
-        {"paint": ["mine"], "wavelength": ("band", nm)},
+        {"reflectance": (("signature", "band"), red[None])},
+        {"signature": ["mine"], "wavelength": ("band", nm)},
     )
     # of a field spectrometer, with a gap where water absorbs
     long, gap = np.append(nm, [1400.0, 1900.0, 2500.0]), np.append(red, [0.5, np.nan, 0.4])

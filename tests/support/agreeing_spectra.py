@@ -34,13 +34,13 @@ def library(
     """Return a paint library."""
     values = np.atleast_2d(np.asarray(spectra, np.float32))
     made = xr.Dataset(
-        {"reflectance": (("paint", "band"), values, {"units": "1"})},
-        {"paint": list(names), "wavelength": ("band", np.asarray(nm, float), {"units": "nm"})},
+        {"reflectance": (("signature", "band"), values, {"units": "1"})},
+        {"signature": list(names), "wavelength": ("band", np.asarray(nm, float), {"units": "nm"})},
     )
     if fwhm is not None:
         made = made.assign_coords(fwhm=("band", np.full(len(nm), fwhm), {"units": "nm"}))
     return made.assign(
-        {key: (("paint", "band"), np.atleast_2d(value), {"units": "1"}) for key, value in more.items()}
+        {key: (("signature", "band"), np.atleast_2d(value), {"units": "1"}) for key, value in more.items()}
     )
 
 

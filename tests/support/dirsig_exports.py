@@ -35,18 +35,18 @@ def library(paints: int = 3, members: int = 5, seed: int = 0, **attrs: Any) -> x
     values = np.random.default_rng(seed).uniform(0.02, 0.9, (paints, members, BANDS)).astype(np.float32)
     return xr.Dataset(
         {
-            "reflectance": (("paint", "band"), values.mean(axis=1), {"units": "1", **attrs}),
-            "member_reflectance": (("paint", "member", "band"), values, {"units": "1"}),
+            "reflectance": (("signature", "band"), values.mean(axis=1), {"units": "1", **attrs}),
+            "member_reflectance": (("signature", "member", "band"), values, {"units": "1"}),
             "reflectance_quantiles": (
-                ("paint", "quantile", "band"),
+                ("signature", "quantile", "band"),
                 np.quantile(values, [0.1, 0.9], axis=1).swapaxes(0, 1).astype(np.float32),
                 {"units": "1"},
             ),
         },
         {
-            "paint": [f"paint {number}" for number in range(paints)],
+            "signature": [f"paint {number}" for number in range(paints)],
             "wavelength": ("band", NM, {"units": "nm"}),
-            "make": ("paint", np.array(["Lada"] * paints, object)),
+            "make": ("signature", np.array(["Lada"] * paints, object)),
         },
     )
 

@@ -30,7 +30,7 @@ def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
         "n": np.arange(paints),
         "n_eff": np.array([1.5, np.nan, 2.25, 3.0, 1e-7]),
         "quality": np.arange(paints, dtype=np.uint16),
-        "paint": np.array(NAMES, object),
+        "signature": np.array(NAMES, object),
         "time": np.array(["2024-05-21T11:33:07.123456789", "NaT", *["2024-01-01"] * 3], "datetime64[ns]"),
         "quantile": np.array([0.05, 0.95]),
         "wavelength": wavelength,
@@ -44,7 +44,8 @@ def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
         made[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
     made = made.set_coords([name for name in values if LIBRARY_VARIABLES[name].coordinate])
     made = made.assign_coords(
-        make=("paint", np.array(["VW", "", "Škoda", "a\nb", "ß"], object)), year=("paint", [2001, 2, 3, 4, 5])
+        make=("signature", np.array(["VW", "", "Škoda", "a\nb", "ß"], object)),
+        year=("signature", [2001, 2, 3, 4, 5]),
     )
     made["member_reflectance"][1, 2:] = np.nan
     made["member_reflectance"][3] = np.nan
@@ -61,26 +62,26 @@ def declared_library(bands: int = 24) -> xr.Dataset:
     one = {"units": "1"}
     paints = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), spectra, one),
-            "reflectance_sd": (("paint", "band"), 0.02 * spectra, one),
-            "reflectance_u_random": (("paint", "band"), 0.01 * spectra, one),
+            "reflectance": (("signature", "band"), spectra, one),
+            "reflectance_sd": (("signature", "band"), 0.02 * spectra, one),
+            "reflectance_u_random": (("signature", "band"), 0.01 * spectra, one),
             "reflectance_quantiles": (
-                ("paint", "quantile", "band"), np.stack([0.9 * spectra, spectra, 1.1 * spectra], 1), one,
+                ("signature", "quantile", "band"), np.stack([0.9 * spectra, spectra, 1.1 * spectra], 1), one,
             ),
-            "member_reflectance": (("paint", "member", "band"), np.stack([spectra, spectra], 1), one),
-            "n": ("paint", np.array([50, 60, 70]), one),
-            "n_eff": ("paint", np.array([5.0, 6.0, 7.0]), one),
-            "sun_zenith": ("paint", np.array([30.0, 31.0, 32.0]), {"units": "degree"}),
-            "diffuse_fraction": (("paint", "band"), np.full_like(spectra, 0.2), one),
+            "member_reflectance": (("signature", "member", "band"), np.stack([spectra, spectra], 1), one),
+            "n": ("signature", np.array([50, 60, 70]), one),
+            "n_eff": ("signature", np.array([5.0, 6.0, 7.0]), one),
+            "sun_zenith": ("signature", np.array([30.0, 31.0, 32.0]), {"units": "degree"}),
+            "diffuse_fraction": (("signature", "band"), np.full_like(spectra, 0.2), one),
         },
         coords={
-            "paint": ["red", "blue", "black"],
+            "signature": ["red", "blue", "black"],
             "wavelength": ("band", np.linspace(400.0, 1000.0, bands), {"units": "nm"}),
             "fwhm": ("band", np.full(bands, 6.0), {"units": "nm"}),
             "good": ("band", np.ones(bands, bool)),
             "quantile": [0.05, 0.5, 0.95],
-            "finish": ("paint", ["solid", "metallic", "unknown"]),
-            "time": ("paint", np.array(["2021-07-20T17:00"] * 3, "datetime64[ns]")),
+            "finish": ("signature", ["solid", "metallic", "unknown"]),
+            "time": ("signature", np.array(["2021-07-20T17:00"] * 3, "datetime64[ns]")),
         },
     )  # fmt: skip
     return hp.io.declare_library(

@@ -37,7 +37,7 @@ def flown(paints: xr.Dataset, seed: int) -> xr.Dataset:
     """Return the flight line over the plates in these paints."""
     flight = pushbroom(180, 32, altitude=15.0, ground_sample=0.1, centre=(0.0, 0.0))
     traced = hp.simulation.trace(plates(), flight, ["noon"], samples=32, seed=seed)
-    cars = {f"car_{number}": str(name) for number, name in enumerate(paints["paint"].values)}
+    cars = {f"car_{number}": str(name) for number, name in enumerate(paints["signature"].values)}
     return hp.simulation.relight(traced, paints=cars, spectra=paints, atmosphere="noon")
 
 
@@ -57,12 +57,12 @@ def signatures(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
 
 def test_a_library_that_is_rendered_and_measured_again_is_the_same() -> None:
     drawn = starter_library(members=200)
-    truth = drawn.isel(paint=[list(drawn["paint"].values).index(name) for name in PAINTS])
+    truth = drawn.isel(signature=[list(drawn["signature"].values).index(name) for name in PAINTS])
     first = signatures(flown(truth, seed=1), PAINTS)
     second = signatures(flown(first, seed=2), PAINTS)
     good = (first.wavelength > 420.0) & (first.wavelength < 980.0)
     for number in range(len(PAINTS)):
-        one, again = (library.isel(paint=number, band=good) for library in (first, second))
+        one, again = (library.isel(signature=number, band=good) for library in (first, second))
         apart = np.abs(again.reflectance - one.reflectance)
         assert float((apart / one.reflectance_sd).max()) < 1.0
         # standard errors of both means, of so many independent pixels as the libraries say, and what coat

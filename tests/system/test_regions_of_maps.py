@@ -73,7 +73,7 @@ def pixels_of(library: xr.Dataset) -> dict[str, Pairs]:
     places = np.stack([library[name].values for name in names], axis=-1)
     return {
         str(paint): {(int(a), int(c)) for a, c in of_paint if a >= 0}
-        for paint, of_paint in zip(library["paint"].values, places, strict=True)
+        for paint, of_paint in zip(library["signature"].values, places, strict=True)
     }
 
 

@@ -50,7 +50,7 @@ def validated(paints: xr.Dataset, references: xr.Dataset) -> tuple[np.ndarray, l
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         agreement = hp.validate(paints, references)
-    rmse = np.array([value_of(agreement, "rmse", pair=pair) for pair in range(paints.sizes["paint"])])
+    rmse = np.array([value_of(agreement, "rmse", pair=pair) for pair in range(paints.sizes["signature"])])
     return rmse, [str(each.message) for each in said]
 
 
@@ -74,7 +74,7 @@ def test_a_laboratorys_own_figures(shared_data: Path, name: str) -> None:
 def test_put_right_nothing_is_said(shared_data: Path, name: str) -> None:
     folder = shared_data / "round_robin"
     paints, _ = laboratory(folder, name)
-    right = paints.assign_coords(paint=[SAMPLES[1], SAMPLES[0], *SAMPLES[2:]])
+    right = paints.assign_coords(signature=[SAMPLES[1], SAMPLES[0], *SAMPLES[2:]])
     rmse, said = validated(right, reference(folder))
     assert not [text for text in said if "exchanged?" in text]
     assert 0.029 < np.sqrt((rmse**2).mean()) < 0.0435

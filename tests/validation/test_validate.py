@@ -55,7 +55,7 @@ def test_identical_libraries_agree_wholly() -> None:
     found = hp.validate(paints, paints, tolerance=0.0)
     assert found.passed
     assert (found.statistics[["bias", "rmse", "mae", "spectral_angle"]].to_array() == 0).all()
-    assert found.statistics["paint"].values.tolist() == ["hood", "roof"]
+    assert found.statistics["signature"].values.tolist() == ["hood", "roof"]
 
 
 def test_a_factor_moves_scale_alone() -> None:
@@ -230,8 +230,8 @@ def test_order_of_paints_changes_nothing() -> None:
     values = np.stack([seen(NM, 6.0), 0.5 * seen(NM, 6.0)])
     paints = library(values, ("hood", "roof"), reflectance_u_random=np.full(values.shape, 0.01))
     references = field(np.stack([smooth(np.arange(380.0, 1021.0))] * 2), ("hood", "roof"))
-    one = hp.validate(paints, references).statistics.set_index(pair="paint")
-    other = hp.validate(paints.isel(paint=[1, 0]), references).statistics.set_index(pair="paint")
+    one = hp.validate(paints, references).statistics.set_index(pair="signature")
+    other = hp.validate(paints.isel(signature=[1, 0]), references).statistics.set_index(pair="signature")
     assert one["rmse_u"].equals(other["rmse_u"].sel(pair=one["pair"]))
 
 
@@ -241,12 +241,12 @@ def test_order_of_paints_changes_nothing() -> None:
 def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     names = ("hood", "roof", "door", "bonnet")
     paints = library([smooth(NM)] * 4, names).assign_coords(
-        reference=("paint", np.array(["red_01", "", "nowhere", ""], object))
+        reference=("signature", np.array(["red_01", "", "nowhere", ""], object))
     )
     nm = np.arange(380.0, 1021.0)
     references = field([smooth(nm)] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"])
     found = hp.validate(paints, references)
-    pairs = list(zip(found.statistics["paint"].values, found.statistics.reference.values, strict=True))
+    pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
     assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
     assert found.unpaired_signatures == ("door (wants 'nowhere')", "bonnet")
     assert found.unpaired_references == ("hood (ASD)", "other (ASD)")
@@ -258,7 +258,7 @@ def test_pairs_that_are_said() -> None:
     paints = library([smooth(NM)] * 2, ("hood", "roof"))
     references = field([smooth(np.arange(380.0, 1021.0))] * 2, ["a", "b"])
     found = hp.validate(paints, references, {"roof": "a"})
-    assert found.statistics["paint"].values.tolist() == ["roof"]
+    assert found.statistics["signature"].values.tolist() == ["roof"]
     assert found.unpaired_signatures == ("hood",)
     with pytest.raises(SchemaError, match=r"no paint 'door'.*\n.*no reference 'c'") as caught:
         hp.validate(paints, references, {"door": "a", "hood": ["a", "c"]})
@@ -291,7 +291,7 @@ def test_instruments_are_compared_with_each_other() -> None:
     between = found.between
     assert between is not None
     assert between.statistics["instrument"].values.tolist() == ["ASD against SVC"]
-    assert between.statistics["paint"].values.tolist() == ["hood"]
+    assert between.statistics["signature"].values.tolist() == ["hood"]
     inside = (nm >= 400) & (nm < 700)
     expected = np.sqrt((((1.0 - 1.03) * seen(nm, 3.5)[inside]) ** 2).mean())
     assert value_of(between, "rmse", "VIS") == pytest.approx(expected, rel=2e-3)

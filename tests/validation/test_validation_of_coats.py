@@ -23,10 +23,10 @@ NEAR = coated_reflectance(ALBEDO)
 def signature(values: np.ndarray = NEAR, quantity: str = BODY, **more: Any) -> xr.Dataset:
     component = "included" if quantity == OUTSIDE else "excluded"
     attrs = {"units": "1", "quantity": quantity, "specular_component": component}
-    variables = {name: ("paint", [value]) for name, value in more.items()}
+    variables = {name: ("signature", [value]) for name, value in more.items()}
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), values[None].astype(np.float32), attrs), **variables},
-        {"paint": ["hood"], "wavelength": ("band", NM, {"units": "nm"})},
+        {"reflectance": (("signature", "band"), values[None].astype(np.float32), attrs), **variables},
+        {"signature": ["hood"], "wavelength": ("band", NM, {"units": "nm"})},
     )
 
 
@@ -74,8 +74,8 @@ def test_the_light_leaves_less_to_be_judged() -> None:
     low = signature(sun_zenith=80.0)
     assert any("the shape can be judged" in note for note in hp.validate(low, reading(NEAR)).notes[0])
     odd = signature(sun_zenith=40.0, sky_state=np.int8(SKY_STATES.index("contradictory")))
-    share = (("paint", "band"), np.full((1, NM.size), 0.4), {"units": "1"})
-    stored = odd.assign(diffuse_fraction=share).chunk(paint=1)  # as it comes from a store
+    share = (("signature", "band"), np.full((1, NM.size), 0.4), {"units": "1"})
+    stored = odd.assign(diffuse_fraction=share).chunk(signature=1)  # as it comes from a store
     told = hp.validate(stored, reading(NEAR)).notes[0]
     assert any("contradicted every sky" in note for note in told)
     assert not any("contradicted" in note for note in hp.validate(odd, reading(NEAR)).notes[0])

@@ -109,7 +109,7 @@ def test_paints_of_one_name_are_refused() -> None:
     with pytest.raises(SchemaError, match="there are 2 paints 'hood'"):
         hp.validate(paints, agreeing()[1])
     # each names its own
-    named = paints.assign_coords(reference=("paint", np.array(["a", "b"], object)))
+    named = paints.assign_coords(reference=("signature", np.array(["a", "b"], object)))
     assert hp.validate(named, field([LEVEL] * 2, ["a", "b"])).statistics.sizes["pair"] == 2
 
 

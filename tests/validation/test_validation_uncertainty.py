@@ -59,10 +59,10 @@ def test_one_part_is_said_to_be_one_part(known: str) -> None:
 
 def test_pixels_that_are_not_independent_do_not_count() -> None:
     paints = library(PAINT, reflectance_sd=np.full(NM.size, 0.03)).assign(
-        n=("paint", [10_000], {"units": "1"}), n_eff=("paint", [25.0], {"units": "1"})
+        n=("signature", [10_000], {"units": "1"}), n_eff=("signature", [25.0], {"units": "1"})
     )
     assert value_of(hp.validate(paints, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 5, rel=0.1)
-    silent = paints.assign(n_eff=("paint", [np.nan], {"units": "1"}))
+    silent = paints.assign(n_eff=("signature", [np.nan], {"units": "1"}))
     assert value_of(hp.validate(silent, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 100, rel=0.1)
 
 
@@ -74,8 +74,8 @@ def test_errors_of_opposite_signs_leave_the_mean_over_bands() -> None:
     alike = hp.validate(paints, field(LEVEL))
     lags = np.ones((1, 1, NM.size))
     by_source = paints.assign(
-        reflectance_errors=(("paint", "error_source", "band"), 0.01 * signs, {"units": "1"}),
-        error_correlation=(("paint", "lag", "band"), lags, {"units": "1"}),
+        reflectance_errors=(("signature", "error_source", "band"), 0.01 * signs, {"units": "1"}),
+        error_correlation=(("signature", "lag", "band"), lags, {"units": "1"}),
     ).assign_coords(error_source=["wavelength"], error_form=("error_source", ["band systematic"]))
     apart = hp.validate(by_source, field(LEVEL))
     for each in (alike, apart):

@@ -59,7 +59,7 @@ def test_few_of_many_bands_pass_nothing_yet_can_fail() -> None:
 
 def test_a_reference_that_is_asked_for_must_be_there() -> None:
     paints = library([smooth(NM)] * 2, ("red", "blue")).assign_coords(
-        reference=("paint", np.array(["", "blu.sig"], object))
+        reference=("signature", np.array(["", "blu.sig"], object))
     )
     references = library([smooth(NM)] * 2, ("red", "blue"))
     found = hp.validate(paints, references)
@@ -72,7 +72,7 @@ def test_a_reference_that_is_asked_for_must_be_there() -> None:
 
 def test_all_paints_can_be_required() -> None:
     paints = library([smooth(NM)] * 2, ("red", "blue"))
-    references = paints.isel(paint=[0])
+    references = paints.isel(signature=[0])
     assert hp.validate(paints, references).passed
     found = hp.validate(paints, references, require_all=True)
     assert found.missing == ("blue",)

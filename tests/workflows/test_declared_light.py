@@ -178,7 +178,7 @@ def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_pat
             ).mean(["along_track", "cross_track"])
             for each in drawn
         ]
-        ratio = paints.reflectance / xr.concat(expected, "paint").values
+        ratio = paints.reflectance / xr.concat(expected, "signature").values
         departures.append(float(ratio.median()) - 1.0)
     np.testing.assert_allclose(departures, [0.08, 0.0], atol=0.01)
     line = hp.open_store(store, "flightlines/raw_0")

@@ -31,15 +31,15 @@ ground_sample_m = 0.1
 def library(*names: str) -> xr.Dataset:
     values = np.linspace(0.1, 0.5, len(names))[:, None] * np.ones_like(NM)
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), values.astype(np.float32), {"units": "1"})},
-        {"paint": list(names), "wavelength": ("band", NM, {"units": "nm"})},
+        {"reflectance": (("signature", "band"), values.astype(np.float32), {"units": "1"})},
+        {"signature": list(names), "wavelength": ("band", NM, {"units": "nm"})},
     )
 
 
 def exported(tmp_path: Path, text: str, paints: xr.Dataset | None = None) -> dict[str, int]:
     (tmp_path / "scene.toml").write_text(text)
     summary = export_dirsig_scene(tmp_path / "scene.toml", tmp_path / "out", paints)
-    return dict(zip(summary["paint"].values.tolist(), summary["faces"].values.tolist(), strict=True))
+    return dict(zip(summary["signature"].values.tolist(), summary["faces"].values.tolist(), strict=True))
 
 
 def test_foreign_names_are_dealt_to_the_cars(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_file_of_two_columns_repaints(tmp_path: Path) -> None:
 
 def test_paints_of_libraries_in_a_file_have_its_names() -> None:
     spectra: dict[str, Any] = {"mine": library("a", "b"), "one": library("c"), "flat": (NM, NM)}
-    names = [each["paint"].values.tolist() for each in named_libraries(spectra)]
+    names = [each["signature"].values.tolist() for each in named_libraries(spectra)]
     assert names == [["mine/a", "mine/b"], ["one/c"], ["one"]]
 
 

@@ -158,19 +158,19 @@ def test_products_of_another_library_are_made_again(day: FieldDay, folder: Path,
     library = copied / "products" / "paints.zarr"
     first = hp.open_library(library).load()
     shutil.rmtree(library)
-    hp.write_library(first.isel(paint=slice(0, 3)), library)
+    hp.write_library(first.isel(signature=slice(0, 3)), library)
     skip = ["map", "mosaic", "report"]
     again = run_field_day(copied, skip=skip)
     states = {outcome.step: outcome for outcome in again.outcomes}
     assert states["signatures"].state == "failed"
     assert "paints.zarr: not written by a run" in states["signatures"].text
-    assert hp.open_library(library).sizes["paint"] == 3  # it is the user's
+    assert hp.open_library(library).sizes["signature"] == 3  # it is the user's
     used = run_field_day(copied, skip=["signatures", *skip])
     assert {one.step: one.text for one in used.outcomes}["dirsig"].endswith("3 materials")
     mended = run_field_day(copied, skip=skip, overwrite=True)
     states = {outcome.step: outcome for outcome in mended.outcomes}
     assert {states[step].state for step in ("signatures", "validate", "dirsig")} == {"done"}
-    assert hp.open_library(library).sizes["paint"] == first.sizes["paint"]
+    assert hp.open_library(library).sizes["signature"] == first.sizes["signature"]
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine

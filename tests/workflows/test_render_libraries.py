@@ -29,8 +29,8 @@ Write = Callable[[xr.Dataset, Path], Path]
 
 def library() -> xr.Dataset:
     """Return three paints with populations."""
-    paints = starter_library(members=4).isel(paint=[5, 9, 0])
-    return paints.assign_coords(paint=("paint", np.array(NAMES, object)))
+    paints = starter_library(members=4).isel(signature=[5, 9, 0])
+    return paints.assign_coords(signature=("signature", np.array(NAMES, object)))
 
 
 def export(**options: str) -> Write:
@@ -73,7 +73,7 @@ def test_every_export_gives_its_paints_back(
     record = SceneRecord.of(two_cars())
     for paint, place in zip(paints, [1] if len(paints) == 1 else range(3), strict=True):
         spectra = factor_spectra(record, BANDS, {"car_0": paint}, read)
-        one = truth.isel(paint=place)
+        one = truth.isel(signature=place)
         # the curves of a single .ems have no centre but their mean
         centre = one.member_reflectance.mean("member") if "ems" in str(path) else one.reflectance
         expected = factor_spectra(record, BANDS, {"car_0": "it"}, {"it": centre})
@@ -88,7 +88,7 @@ def test_a_library_in_spectra_names_its_paints_behind_its_own(tmp_path: Path) ->
     assert "mine/Türkis" in factor_spectra(record, BANDS, {"red": "mine/Türkis"}, mine).names
     with pytest.raises(SchemaError, match=r"it has 'mine/red, matt', 'mine/Türkis', 'mine/white'; name one"):
         factor_spectra(record, BANDS, {"red": "mine"}, mine)
-    one = {"mine": library().isel(paint=[1])}
+    one = {"mine": library().isel(signature=[1])}
     assert "mine" in factor_spectra(record, BANDS, {"red": "mine"}, one).names
 
 
@@ -103,7 +103,7 @@ def test_a_digest_follows_every_value() -> None:
 
 
 def test_bands_without_values_are_named_and_held_on_request() -> None:
-    paints = library().isel(paint=[0])
+    paints = library().isel(signature=[0])
     nm = paints.wavelength.values
     hole = (nm < 430.0) | ((nm > 755.0) & (nm < 765.0))
     paints["reflectance"] = paints.reflectance.where(xr.DataArray(~hole, dims="band"))
@@ -118,7 +118,7 @@ def test_bands_without_values_are_named_and_held_on_request() -> None:
     short = paints.isel(band=slice(60, 200))
     with pytest.raises(SchemaError, match=r"covers 532\.8 to 840\.6 nm.*hold_edges=True"):
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, short)
-    bad = library().isel(paint=[0]).assign_coords(good=("band", nm < 900.0))
+    bad = library().isel(signature=[0]).assign_coords(good=("band", nm < 900.0))
     with pytest.raises(SchemaError, match=r"not finite at 900\.4 to 97"):
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, bad)
 
@@ -137,14 +137,14 @@ def test_what_may_mislead_is_said() -> None:
 
 def test_a_library_paints_the_cars_of_a_traced_scene() -> None:
     traced = hp.simulation.trace(two_cars(), flight(), [SUN], samples=4).compute()
-    paints = library().isel(paint=[0, 1])
+    paints = library().isel(signature=[0, 1])
     dealt = traced.paint.relight(BANDS, paints=paints, atmosphere=flat_light()).radiance
     named = traced.paint.relight(
         BANDS, paints={"car_0": "red, matt", "car_1": "Türkis"}, spectra=paints, atmosphere=flat_light()
     ).radiance
     np.testing.assert_array_equal(dealt.values, named.values)
     with pytest.raises(SchemaError, match="two paints 'red, matt'"):
-        traced.paint.relight(BANDS, paints=library().isel(paint=[0, 0]), atmosphere=flat_light())
+        traced.paint.relight(BANDS, paints=library().isel(signature=[0, 0]), atmosphere=flat_light())
 
 
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
 
 from .dirsig_writing import (
@@ -101,8 +101,8 @@ def write_dirsig_scene(
     folder
         New or empty.
     paints
-        A paint library, or several of which the first that has a name counts: ``reflectance`` (paint, band)
-        [1] under the names of the spectra that the scene's materials have. Members become a population.
+        A paint library, or several of which the first that has a name counts: ``reflectance`` (signature,
+        band) [1] under the names of the spectra that the scene's materials have. Members become a population.
     repaint
         New spectra by the name of an instance (its paint), of a material, or of a spectrum; the first counts
         most.
@@ -125,7 +125,7 @@ def write_dirsig_scene(
     Returns
     -------
     Dataset
-        What was written (paint): ``material_id``, ``curves``, ``complete``, ``thinned``,
+        What was written (signature): ``material_id``, ``curves``, ``complete``, ``thinned``,
         ``specular_fraction``, ``faces``, and ``texture`` where there is one. Attributes: ``name``,
         ``features``, ``coverage_nm``.
 
@@ -149,9 +149,9 @@ def write_dirsig_scene(
     >>> import tempfile, xarray as xr
     >>> from hyperpaint.simulation.rendering.materials import Material
     >>> from hyperpaint.simulation.rendering.scene import plane
-    >>> grey = xr.DataArray([[0.2, 0.2]], dims=("paint", "band"), attrs={"units": "1"})
+    >>> grey = xr.DataArray([[0.2, 0.2]], dims=("signature", "band"), attrs={"units": "1"})
     >>> nm = ("band", [400.0, 1000.0], {"units": "nm"})
-    >>> paints = xr.Dataset({"reflectance": grey}, {"paint": ["panel_20"], "wavelength": nm})
+    >>> paints = xr.Dataset({"reflectance": grey}, {"signature": ["panel_20"], "wavelength": nm})
     >>> scene = plane(2.0, Material("grey", "panel_20", "panel"))
     >>> with tempfile.TemporaryDirectory() as out:
     ...     summary = write_dirsig_scene(scene, out, paints)
@@ -247,7 +247,7 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
     """Return, of every library, the surfaces that it paints: their numbers, and places of their paints."""
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    places = [{str(name): place for place, name in enumerate(each[PAINT].values)} for each in libraries]
+    places = [{str(name): place for place, name in enumerate(each[SIGNATURE].values)} for each in libraries]
     for number, surface in enumerate(surfaces):
         owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
         if owner is None:
@@ -271,7 +271,7 @@ def _write_materials(
         numbers, places = zip(*share, strict=True)
         mirrored = np.array([surfaces[number].mirrored for number in numbers])
         is_body = mirror_reflection(library) == EXCLUDED
-        part = _with_coats(library.isel({PAINT: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
+        part = _with_coats(library.isel({SIGNATURE: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
         taken = [Material(record["id"], record["name"], Section("")) for record in records]
         mine = paint_records(part, taken)
         kind = "members" if "member_reflectance" in part.variables else "centre"
@@ -293,13 +293,13 @@ def _write_materials(
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    """Return a library whose coats mirror so much (paint,) [1]: beside the body, or as a BRDF with it."""
+    """Return a library whose coats mirror so much (signature,) [1]: beside the body, or as a BRDF with it."""
     import xarray as xr
 
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
-    level = xr.DataArray(mirrored.astype(np.float32), dims=PAINT)
+    level = xr.DataArray(mirrored.astype(np.float32), dims=SIGNATURE)
     if not as_brdf:
         specular = (xr.zeros_like(plain["reflectance"]) + level).assign_attrs(units="1")
         return plain.assign({_SPECULAR: specular.transpose(*plain["reflectance"].dims)})
@@ -392,7 +392,7 @@ def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> 
     import xarray as xr
 
     def column(key: str, dtype: Any) -> tuple[str, Array]:
-        return PAINT, np.array([record[key] for record in records], dtype)
+        return SIGNATURE, np.array([record[key] for record in records], dtype)
 
     values: dict[str, Any] = {
         key: column(key, np.int64) for key in ("curves", "complete", "thinned", "faces", "interpolated")
@@ -401,5 +401,5 @@ def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> 
         "specular_fraction": column("specular_fraction", np.float64),
         "texture": column("texture", object),
     }
-    coords = {PAINT: column("paint", object), "material_id": column("id", object)}
+    coords = {SIGNATURE: column("paint", object), "material_id": column("id", object)}
     return xr.Dataset(values, coords, {"title": "DIRSIG scene", **attrs})

@@ -16,7 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_folder
 
@@ -130,7 +130,7 @@ def write_dirsig(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (paint, band) [1], ``wavelength`` (band) [nm], in any order.
+        A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm], in any order.
     folder
         New or empty.
     curves
@@ -151,7 +151,7 @@ def write_dirsig(
         Curves of a paint at the most, at even ranks of their brightness, complete ones first; None for all.
     specular
         Fraction of reflectance that DIRSIG shall mirror [1], or ``library`` to take it from the library's
-        ``specular_reflectance`` (paint, band). Only for reflectance without mirrored light.
+        ``specular_reflectance`` (signature, band). Only for reflectance without mirrored light.
     surface
         What the materials use: ``ClassicEmissivity`` (the ``.ems``) or ``SimpleReflectance`` (the ``.txt``).
     rad_solver
@@ -172,7 +172,7 @@ def write_dirsig(
     Returns
     -------
     Dataset
-        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
+        What was written (signature): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
         ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
         and ``centre_interpolated``, members ``left_out`` and ``thinned``, the range and ``extrapolated``. Its
         attributes say what became of mirrored light: ``mirror_reflection``, ``specular_term``.
@@ -212,9 +212,9 @@ def write_dirsig(
     Examples
     --------
     >>> import tempfile, numpy as np, xarray as xr
-    >>> seen = xr.DataArray(np.float32([[0.04, 0.05, 0.6]]), dims=("paint", "band"), attrs={"units": "1"})
+    >>> seen = xr.DataArray(np.float32([[0.04, 0.05, 0.6]]), dims=("signature", "band"), attrs={"units": "1"})
     >>> nm = ("band", [450.0, 550.0, 650.0], {"units": "nm"})
-    >>> paints = xr.Dataset({"reflectance": seen}, {"paint": ["Türkis, matt"], "wavelength": nm})
+    >>> paints = xr.Dataset({"reflectance": seen}, {"signature": ["Türkis, matt"], "wavelength": nm})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     made = write_dirsig(paints, folder)
     ...     print(made.emissivity_file.item(), *sorted(path.name for path in Path(folder).iterdir()))
@@ -265,7 +265,7 @@ def _checked(
     problems = Problems("no DIRSIG materials can be written", SchemaError)
     kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are judged without reading values: an empty library has them, too
-    empty = library.isel({PAINT: slice(0)}) if PAINT in library.dims else library
+    empty = library.isel({SIGNATURE: slice(0)}) if SIGNATURE in library.dims else library
     names = {"reflectance", "wavelength", CURVES.get(kind, "reflectance")} & {*map(str, library.variables)}
     require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
     if kind not in CURVES:
@@ -274,7 +274,7 @@ def _checked(
         problems.add(f"curves={kind!r} needs {CURVES[kind]}, which the library has not; pass curves='centre'")
     elif library[CURVES[kind]].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
         problems.add(f"{CURVES[kind]} is {library[CURVES[kind]].dtype}, expected numbers")
-    if not library.sizes[PAINT]:
+    if not library.sizes[SIGNATURE]:
         problems.add("the library has no paints")
     if wavelength_range is not None and not _is_range(wavelength_range):
         problems.add(
@@ -311,11 +311,13 @@ def paint_records(library: xr.Dataset, taken: Collection[Material]) -> list[dict
 
     IDs and names of materials that are ``taken`` are not used again.
     """
-    names = [str(name) for name in library[PAINT].values] if PAINT in library.variables else []
-    names = names or [f"paint {number}" for number in range(1, library.sizes[PAINT] + 1)]
+    names = [str(name) for name in library[SIGNATURE].values] if SIGNATURE in library.variables else []
+    names = names or [f"paint {number}" for number in range(1, library.sizes[SIGNATURE] + 1)]
     tokens = material_ids(names, [material.id for material in taken])
     plain = material_names(names, [material.name for material in taken])
-    about = [name for name, column in library.coords.items() if column.dims == (PAINT,) and name != PAINT]
+    about = [
+        name for name, column in library.coords.items() if column.dims == (SIGNATURE,) and name != SIGNATURE
+    ]
     texts = {str(name): [str(value) for value in library[name].values] for name in sorted(about, key=str)}
     return [
         {
@@ -440,7 +442,7 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
     import xarray as xr
 
     def column(key: str, dtype: Any) -> tuple[str, Array]:
-        return PAINT, np.array([record[key] for record in records], dtype)
+        return SIGNATURE, np.array([record[key] for record in records], dtype)
 
     counts = (
         "curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out",
@@ -450,11 +452,11 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
     values["specular_fraction"] = column("specular_fraction", np.float64)
     values["range"] = (
-        (PAINT, "end"),
+        (SIGNATURE, "end"),
         np.array([record["wavelength"] for record in records]),
         {"units": "nm"},
     )
     # pandas keeps texts as Arrow's where pyarrow is installed, and cannot hold halves of surrogate pairs
     names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
-    coords = {PAINT: (PAINT, np.array(names, object)), "material_id": column("id", object)}
+    coords = {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": column("id", object)}
     return xr.Dataset(values, {**coords, "end": ["low", "high"]}, {"title": "DIRSIG materials", **attrs})

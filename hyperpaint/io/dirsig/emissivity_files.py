@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import read_limited_text
 
 if TYPE_CHECKING:
@@ -284,8 +284,8 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``member_reflectance`` (paint, member, band) = 1 - emissivity and ``reflectance`` (paint, band), their
-        mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are left out.
+        ``member_reflectance`` (signature, member, band) = 1 - emissivity and ``reflectance`` (signature,
+        band), their mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are left out.
 
     Raises
     ------
@@ -309,15 +309,15 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     nm = np.round(wavelength * 1e3, 10)
     return xr.Dataset(
         {
-            "reflectance": ((PAINT, BAND), centre, about_centre),
+            "reflectance": ((SIGNATURE, BAND), centre, about_centre),
             "member_reflectance": (
-                (PAINT, MEMBER, BAND),
+                (SIGNATURE, MEMBER, BAND),
                 members[np.newaxis].astype(np.float32),
                 about_members,
             ),
         },
         {
-            PAINT: np.array([place.stem], object),
+            SIGNATURE: np.array([place.stem], object),
             "wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs),
         },
         {"source": place.name, "layout": f"DIRSIG emissivity, {file.layout}"},

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, Variable, require
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
 from .emissivity_files import WAVELENGTH_DECIMALS
 
@@ -92,7 +92,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
         problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
     if specular == "library" and not apart:
-        problems.add("specular='library', but the library has no specular_reflectance (paint, band)")
+        problems.add("specular='library', but the library has no specular_reflectance (signature, band)")
     elif specular != 0.0 and mirror == INCLUDED:
         problems.add(
             f"specular={specular!r}, but the reflectance holds the mirrored light already: the clear coat "
@@ -106,7 +106,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
 _SPECULAR = "specular_reflectance"
 _ROWS = {
     **LIBRARY_VARIABLES,
-    _SPECULAR: Variable(_SPECULAR, (PAINT, BAND), "1", "float32", "Mirror reflectance"),
+    _SPECULAR: Variable(_SPECULAR, (SIGNATURE, BAND), "1", "float32", "Mirror reflectance"),
 }
 
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
@@ -191,21 +191,21 @@ class Axis:
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
     """Yield a library's values block by block of paints, so that memory does not grow with it.
 
-    Yields the paints of the block; ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the
-    library's own order of bands.
+    Yields the paints of the block; ``centre`` (signature, band) and ``curves`` (signature, curve, band) [1],
+    in the library's own order of bands.
     """
     name = CURVES[choices.curves]
     names = [key for key in dict.fromkeys(["reflectance", name, _SPECULAR]) if key in library.variables]
-    count = library.sizes[PAINT]
+    count = library.sizes[SIGNATURE]
     size = 4 * library[name].size // max(count, 1)
     step = max(1, _BLOCK_BYTES // max(size, 1))
     # a chunk is decoded as a whole: once is enough
     stored = library[name].chunksizes or library[name].encoding.get("preferred_chunks", {})
-    chunk = max(1, int(np.ravel(stored.get(PAINT, 1))[0]))
+    chunk = max(1, int(np.ravel(stored.get(SIGNATURE, 1))[0]))
     step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
     for start in range(0, count, step):
         paints = slice(start, min(start + step, count))
-        part = library[names].isel({PAINT: paints}).load()
+        part = library[names].isel({SIGNATURE: paints}).load()
         arrays = require(part, names, "DIRSIG materials", _ROWS)
         blocks = {key: array.values for key, array in arrays.items()}
         curves = blocks[name] if blocks[name].ndim == 3 else blocks[name][:, np.newaxis]

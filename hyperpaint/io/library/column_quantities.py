@@ -187,7 +187,7 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
 def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> None:
     """Warn of spectra with the oxygen band of sunlight, which reflectance does not have.
 
-    wavelength: (band,) [nm]; reflectance: (paint, band) [1].
+    wavelength: (band,) [nm]; reflectance: (signature, band) [1].
 
     Warns PaintWarning: One has it.
     """

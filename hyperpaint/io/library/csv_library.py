@@ -20,7 +20,8 @@ import numpy as np
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import open_input
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.old_names import NEW_NAMES
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers
 from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["is_csv_library", "read_csv_library", "write_csv_library"]
 
+_NAMES = (SIGNATURE, "paint")
+"""Heading of the names; the second was that of hyperpaint 0.2 and before."""
 _KIND = ["variable", "place"]
 _MOST_BANDS = 100_000
 _MOST_BYTES = 2**32
@@ -42,10 +45,11 @@ _MOST_SHOWN = 5
 
 def is_csv_library(head: str) -> bool:
     """Tell from its beginning whether a text is such a library: paints, and wavelengths across."""
-    first, end, _ = head.partition("\n")
-    cells = first.strip("\r").split(",")
+    row, end, _ = head.partition("\n")
+    cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
-    return cells[0] == PAINT and nm is not None and nm >= SHORTEST
+    first = next(filter(None, cells[:2]), "")  # after the index of pandas
+    return first in _NAMES and nm is not None and nm >= SHORTEST
 
 
 # --- writing -----------------------------------------------------------------------------------------------
@@ -69,7 +73,7 @@ def write_csv_library(
     kind = [] if variables == [CENTRE] else _KIND
     head = _line(
         [
-            PAINT,
+            SIGNATURE,
             *kind,
             *map(safe_cell, columns),
             *(repr(float(value)) for value in library["wavelength"].values),
@@ -129,7 +133,10 @@ class _Table(NamedTuple):
 def _table(path: Path) -> _Table:
     problems = Problems(f"{path.name} cannot be read", FormatError)
     cells = _cells(path)
-    head, wavelength = _head(next(cells, []), path.name)
+    first_row = next(cells, [])
+    if first_row[:1] == [""]:
+        first_row, cells = first_row[1:], _without_index(cells, path.name)
+    head, wavelength = _head(first_row, path.name)
     has_kind = head[1:3] == _KIND
     first = 3 if has_kind else 1
     table = _Table(wavelength, [], {text_of_cell(name): [] for name in head[first:]}, [], [])
@@ -165,6 +172,7 @@ class _Owner:
         self._last: dict[tuple[str, str], tuple[int, int]] = {}
 
     def key(self, name: str, variable: str, place: str) -> Key | None:
+        place = place.removesuffix(".0")  # pandas writes whole numbers so, where some cells are empty
         if variable == CENTRE and not place:
             self._paints.setdefault(name, []).append(self._count)
             self._count += 1
@@ -191,6 +199,17 @@ def _cells(path: Path) -> Iterator[list[str]]:
         raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error
 
 
+def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
+    """Yield rows without the unnamed first column in which pandas counts them from 0."""
+    for at, row in enumerate(rows):
+        if row[0] != str(at):
+            raise FormatError(
+                f"{source}: its first column has no name and holds {row[0][:30]!r}, expected {SIGNATURE} as "
+                "the first column, or row numbers of pandas before it; write it with to_csv(index=False)"
+            )
+        yield row[1:]
+
+
 def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
     """Return the names of the columns before the wavelengths, and these."""
     first = len(row)
@@ -198,11 +217,13 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
         first -= 1
     head, wavelengths = row[:first], numbers(row[first:]) or []
     plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if head[:1] != [PAINT] or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
+    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
         raise FormatError(
-            f"{source}: its first row is {','.join(row)[:60]!r}, expected {PAINT}, names of columns, each "
-            "once, and wavelengths"
+            f"{source}: its first row is {','.join(row)[:60]!r}, expected {SIGNATURE}, names of columns, "
+            "each once, and wavelengths"
         )
+    if head[0] != SIGNATURE:
+        head = [NEW_NAMES.get(name, name) for name in head]
     return head, np.array(wavelengths, np.float64)
 
 

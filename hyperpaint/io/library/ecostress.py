@@ -17,7 +17,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
-from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.files.reading import decoded_text, number, numbers, unique_names
 
@@ -161,7 +161,7 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
     if not isinstance(entries, dict):
         raise FormatError(f"{where} holds {type(entries).__name__}, expected names and values")
     for name, value in entries.items():
-        if not name.isidentifier() or name in {*columns, "paint", "band", "wavelength", "reflectance"}:
+        if not name.isidentifier() or name in {*columns, SIGNATURE, "band", "wavelength", "reflectance"}:
             raise FormatError(f"{where} names {name[:60]!r}, expected a new plain name")
         columns[name] = _metadata_column(name, value, source)
     return columns
@@ -169,7 +169,7 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
 
 def _metadata_column(name: str, value: Any, source: str) -> Any:
     row = LIBRARY_VARIABLES.get(name)
-    if row is not None and row.dims == (PAINT,):
+    if row is not None and row.dims == (SIGNATURE,):
         try:
             return typed_values([value], row.dtype)
         except ValueError as error:
@@ -285,7 +285,7 @@ def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any
         "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
         "wavelength_range": _range(micrometres),
     }
-    return {name: [str(value)] * library.sizes[PAINT] for name, value in fields.items() if value}
+    return {name: [str(value)] * library.sizes[SIGNATURE] for name, value in fields.items() if value}
 
 
 def _range(micrometres: Floats) -> str:

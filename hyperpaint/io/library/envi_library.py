@@ -23,7 +23,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.input_files import open_input, read_limited
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_grammar import bare, braced
 from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
@@ -240,7 +240,9 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
     return {
         key: text_column([row[at] for row in rows[1:]])
         for at, key in enumerate(rows[0])
-        if at and key.isidentifier() and key not in ("record", "paint", "band", "wavelength", "fwhm", "good")
+        if at
+        and key.isidentifier()
+        and key not in ("record", SIGNATURE, "band", "wavelength", "fwhm", "good")
     }
 
 
@@ -350,14 +352,14 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     if "good" in library.variables:
         lists["bbl"] = ["1" if value else "0" for value in library["good"].values]
     lists["spectra names"] = list(records)
-    if len(records) == library.sizes[PAINT]:
+    if len(records) == library.sizes[SIGNATURE]:
         columns = table_columns(library).items()
         lists |= {
             f"paint {name}": [cell.translate(_FORBIDDEN) for cell in column] for name, column in columns
         }
     lines = [
         "ENVI",
-        f"description = {{Paint library of hyperpaint: {library.sizes[PAINT]} paints}}",
+        f"description = {{Paint library of hyperpaint: {library.sizes[SIGNATURE]} paints}}",
         f"samples = {library.sizes[BAND]}",
         f"lines = {len(records)}",
         "bands = 1",

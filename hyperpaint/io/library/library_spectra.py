@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -61,10 +61,10 @@ class Spectra:
     form: str  # name of the format
     names: Sequence[str]  # of the spectra, as the file spells them
     wavelength: Floats  # (band) [nm], in the order of the file
-    reflectance: Floats32  # (paint, band) float32, as a fraction; NaN where there is no value
+    reflectance: Floats32  # (signature, band) float32, as a fraction; NaN where there is no value
     fwhm: Floats | None = None  # (band); None where the file does not say
     good: npt.NDArray[np.bool_] | None = None
-    # Further variables on (paint, band): rows of `LIBRARY_VARIABLES` by name
+    # Further variables on (signature, band): rows of `LIBRARY_VARIABLES` by name
     others: Mapping[str, Floats32] = field(default_factory=dict)
     # What the file says of each spectrum in words
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
@@ -88,15 +88,15 @@ def library_of(spectra: Spectra) -> xr.Dataset:
             )
     rows = LIBRARY_VARIABLES
     data = {"reflectance": spectra.reflectance, **spectra.others}
-    variables = {name: ((PAINT, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
+    variables = {name: ((SIGNATURE, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
     variables["reflectance"][2]["long_name"] = "Reflectance, as the library gives it"
     axes = {"wavelength": spectra.wavelength, "fwhm": spectra.fwhm, "good": spectra.good}
-    coords: dict[str, Any] = {PAINT: (PAINT, text_column(spectra.names), rows[PAINT].attrs)}
+    coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(spectra.names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     for name, column in spectra.columns.items():
         row_attrs = rows[name].attrs if name in rows else {"long_name": name.replace("_", " ").capitalize()}
         flags = quality_attrs() if name == "quality" else {}
-        coords[name] = (PAINT, np.asarray(column), {**row_attrs, **flags})
+        coords[name] = (SIGNATURE, np.asarray(column), {**row_attrs, **flags})
     attrs: dict[str, Any] = {"title": "Spectral library", "source": spectra.source, "format": spectra.form}
     if spectra.notes:
         attrs["notes"] = "; ".join(spectra.notes)

@@ -19,7 +19,8 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import BAND, PAINT, quality_attrs
+from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
+from hyperpaint.base.schema import BAND, SIGNATURE, quality_attrs
 
 from .library_spectra import text_column
 
@@ -31,7 +32,8 @@ __all__ = [
     "typed_values",
 ]  # fmt: skip
 
-VERSION = 1
+VERSION = 2
+"""Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""
 MOST_BYTES = 16 * 2**20
 _MOST_DIMS = 4
 _DTYPES = (
@@ -71,7 +73,7 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     """
     names = list(spectra)
     problems = Problems("the library's metadata cannot be written", SchemaError)
-    inner = {dim for name in names for dim in library[name].dims} - {PAINT, BAND}
+    inner = {dim for name in names for dim in library[name].dims} - {SIGNATURE, BAND}
     parts = {
         "hyperpaint_library": VERSION,
         "attrs": _attrs(library.attrs, "the library", problems),
@@ -108,7 +110,7 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
         # the name of a file that was read is none of the file that is written
-        if array.dims != (PAINT,) or name in (PAINT, "file") or not str(name).isidentifier():
+        if array.dims != (SIGNATURE,) or name in (SIGNATURE, "file") or not str(name).isidentifier():
             continue
         values = array.values
         if values.dtype.kind == "M":
@@ -197,9 +199,12 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
         ) from error
     problems = Problems(f"{path.name} does not go with its library", FormatError)
     metadata = Metadata()
-    if not isinstance(document, dict) or document.get("hyperpaint_library") != VERSION:
+    if not isinstance(document, dict) or document.get("hyperpaint_library") not in (1, VERSION):
         problems.add(f'expected an object with "hyperpaint_library": {VERSION}')
     else:
+        if document["hyperpaint_library"] == 1:
+            warn_of_old_names(path.name)
+            document = _with_new_names(document)
         _read_document(document, metadata, dict(sizes), problems)
     problems.raise_if_any()
     return metadata
@@ -207,6 +212,25 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
 
 def _refuse_constant(text: str) -> None:
     raise ValueError(f"{text} is no JSON")
+
+
+def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
+    """Return metadata of version 1 as version 2; what is damaged is left for `_read_document` to refuse."""
+
+    def renamed(entry: Any) -> Any:
+        dims = entry.get("dims") if isinstance(entry, dict) else None
+        if not isinstance(dims, list):
+            return entry
+        return {**entry, "dims": [NEW_NAMES.get(dim, dim) if isinstance(dim, str) else dim for dim in dims]}
+
+    document = dict(document)
+    for part in ("spectra", "variables"):
+        if isinstance(entries := document.get(part), dict):
+            document[part] = {NEW_NAMES.get(name, name): renamed(entry) for name, entry in entries.items()}
+    attrs = document.get("attrs")
+    if isinstance(attrs, dict) and attrs.get(VERSION_NAME) == 1:
+        document["attrs"] = {**attrs, VERSION_NAME: 2}
+    return document
 
 
 def _read_document(
@@ -219,7 +243,7 @@ def _read_document(
         return
     metadata.attrs = _plain_attrs(document["attrs"], "attrs", problems)
     for dim, size in document["sizes"].items():
-        if type(size) is not int or not 0 <= size <= 2**31 or dim in (PAINT, BAND):
+        if type(size) is not int or not 0 <= size <= 2**31 or dim in (SIGNATURE, BAND):
             problems.add(f"size of {dim[:60]!r} is {str(size)[:30]}, expected a whole number")
         else:
             metadata.sizes[dim] = size

@@ -15,7 +15,8 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
 from hyperpaint.base.input_files import head_of
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.old_names import with_new_names
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 
 from .column_quantities import warn_of_light
@@ -97,7 +98,7 @@ def open_library(
     Returns
     -------
     xarray.Dataset
-        `reflectance` (paint, band) float32 [1], NaN where the file has none; coordinates `paint`,
+        `reflectance` (signature, band) float32 [1], NaN where the file has none; coordinates `signature`,
         `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and what the file
         says of each spectrum, where it does. Names are those of the file, equal ones included. Error bars of
         the USGS are `reflectance_u_random`. Attributes `source`, `format` and `notes` say where it comes from
@@ -114,7 +115,8 @@ def open_library(
     Warns
     -----
     PaintWarning
-        Names or metadata are missing, or something was inferred that may make values wrong. Spectra have
+        The library is one of hyperpaint 0.2 or before, whose dimension `paint` is renamed `signature`. Names
+        or metadata are missing, or something was inferred that may make values wrong. Spectra have
         the oxygen band of sunlight, as radiance and irradiance do.
 
     Examples
@@ -124,7 +126,7 @@ def open_library(
     >>> file = Path(scratch.name) / "red.csv"
     >>> _ = file.write_text("wavelength (nm),reflectance (%)\n450,10\n650,50\n")
     >>> library = open_library(file)
-    >>> library["paint"].item(), library["reflectance"].values.tolist()
+    >>> library["signature"].item(), library["reflectance"].values.tolist()
     ('red', [[0.10000000149011612, 0.5]])
     >>> scratch.cleanup()
     """
@@ -292,7 +294,7 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     for path, library in opened:
         if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
             problems.add(f"{path.name} has {_grid(library)}, expected {_grid(first)} like {first_path.name}")
-        if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (PAINT, BAND)):
+        if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)):
             problems.add(f"{path.name} has {', '.join(more)}; open it by itself")
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
             break
@@ -302,17 +304,19 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     for name in dict.fromkeys(name for library in libraries for name in library.data_vars):
         attrs = next(library[name].attrs for library in libraries if name in library)
         values = [library[name].values if name in library else _unknown(library) for library in libraries]
-        merged[name] = ((PAINT, BAND), np.concatenate(values), attrs)
+        merged[name] = ((SIGNATURE, BAND), np.concatenate(values), attrs)
     for name in _OF_BANDS:
         having = [library[name] for library in libraries if name in library.coords]
         if len(having) == len(libraries) and all(np.array_equal(a.values, having[0].values) for a in having):
             merged = merged.assign_coords({name: having[0]})
         elif having:
             notes.append(f"{name} differs from file to file and is left out")
-    names = dict.fromkeys(name for lib in libraries for name, a in lib.coords.items() if a.dims == (PAINT,))
+    names = dict.fromkeys(
+        name for lib in libraries for name, a in lib.coords.items() if a.dims == (SIGNATURE,)
+    )
     merged = merged.assign_coords({name: _column(name, libraries) for name in names})
-    files = text_column([path.name for path, library in opened for _ in range(library.sizes[PAINT])])
-    merged = merged.assign_coords(file=(PAINT, files, {"long_name": "File"}))
+    files = text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])])
+    merged = merged.assign_coords(file=(SIGNATURE, files, {"long_name": "File"}))
     forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
     merged.attrs = {
         "title": "Spectral library",
@@ -325,7 +329,7 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
 
 
 def _of_paints(library: xr.Dataset) -> list[str]:
-    return [str(name) for name, array in library.data_vars.items() if array.dims == (PAINT,)]
+    return [str(name) for name, array in library.data_vars.items() if array.dims == (SIGNATURE,)]
 
 
 def _grid(library: xr.Dataset) -> str:
@@ -334,7 +338,7 @@ def _grid(library: xr.Dataset) -> str:
 
 
 def _unknown(library: xr.Dataset) -> Array:
-    return np.full((library.sizes[PAINT], library.sizes[BAND]), np.nan, np.float32)
+    return np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
@@ -343,13 +347,13 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
     kinds = {array.dtype.kind for array in having}
     attrs = having[0].attrs
     if len(kinds) == 1 and len(having) == len(libraries) and not kinds <= set("OUT"):
-        return PAINT, np.concatenate([array.values for array in having]), attrs
+        return SIGNATURE, np.concatenate([array.values for array in having]), attrs
     absent: Any = np.nan if kinds <= set("biuf") else ""
-    parts = (lib[name].values if name in lib.coords else [absent] * lib.sizes[PAINT] for lib in libraries)
+    parts = (lib[name].values if name in lib.coords else [absent] * lib.sizes[SIGNATURE] for lib in libraries)
     values = list(itertools.chain.from_iterable(parts))
     if kinds <= set("biuf"):
-        return PAINT, np.array(values, np.float64), attrs
-    return PAINT, text_column(values if kinds <= set("OUT") else list(map(str, values))), attrs
+        return SIGNATURE, np.array(values, np.float64), attrs
+    return SIGNATURE, text_column(values if kinds <= set("OUT") else list(map(str, values))), attrs
 
 
 # --- Zarr stores -------------------------------------------------------------------------------------------
@@ -367,8 +371,8 @@ def _read_store(path: str | os.PathLike[str]) -> xr.Dataset:
     if "" not in groups:
         named = ", ".join(f"{os.fspath(path)}/{group}" for group in groups) or "none"
         raise FormatError(f"{os.fspath(path)} holds no paint library at its root; groups found: {named}")
-    library = open_store(path, "")
-    rows = {name: LIBRARY_VARIABLES[name] for name in (PAINT, "reflectance", "wavelength")}
+    library = with_new_names(open_store(path, ""))
+    rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):

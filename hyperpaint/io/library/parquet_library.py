@@ -16,7 +16,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, needs_extra
-from hyperpaint.base.schema import BAND
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.files.publishing import published_files
 
 from .library_spectra import Spectra, check_wavelengths, library_of, reflectances
@@ -148,7 +148,7 @@ def _row(
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
-    more = {**about, "variable": variable, "paint": paint, "place": place}
+    more = {**about, "variable": variable, SIGNATURE: paint, "place": place}
     keywords = [str(about[each]) for each in ("colour", "finish", "make", "model") if about.get(each)]
     return common | {
         "id": f"hyperpaint:{identity}", "name": name, "source.original_id": identity, "material.name": name,
@@ -230,7 +230,11 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
     for at, row in enumerate(rows):
         try:
             more = json.loads(row["additional_properties"])
-            key = (str(more["variable"]), int(more["paint"]), int(more["place"]))
+            key = (
+                str(more["variable"]),
+                int(more[SIGNATURE] if SIGNATURE in more else more["paint"]),
+                int(more["place"]),
+            )
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
                 f"{path.name}: row {at} does not say what it is; write the library anew"

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import text_column
@@ -62,7 +62,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     Raises SchemaError: It is no paint library: variables are missing, or have other dims or units; all are
         listed.
     """
-    required = dict.fromkeys((PAINT, CENTRE, "wavelength"))
+    required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength"))
     required |= {name: None for name in LIBRARY_VARIABLES if name in library.variables}
     names = [name for name in required if not _is_plain_number(library, name)]
     variables, wrong = schema.find(library, names, LIBRARY_VARIABLES)
@@ -77,7 +77,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     if CENTRE in variables and not variables[CENTRE].size:
         problems.add(f"reflectance is {dict(variables[CENTRE].sizes)}, expected a paint and a band at least")
     for other, array in library.variables.items():
-        if {PAINT, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
+        if {SIGNATURE, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
             problems.add(f"{other!r} has dims {array.dims}, expected one beside paint and band at most")
     for name in ("wavelength", "fwhm", "good"):
         if name in variables and variables[name].dims != (BAND,):
@@ -104,7 +104,7 @@ def names_of(library: xr.Dataset) -> list[str]:
     Raises SchemaError: They are no texts, or hold characters that end lines; all are listed.
     """
     problems = Problems("the library cannot be written", SchemaError)
-    names: list[Any] = library[PAINT].values.tolist()
+    names: list[Any] = library[SIGNATURE].values.tolist()
     for at, name in enumerate(names):
         if not isinstance(name, str):
             problems.add(f"paint {at} is named {name!r}, expected text")
@@ -121,7 +121,7 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
     names = [
         str(name)
         for name, variable in library.variables.items()
-        if {PAINT, BAND} <= set(variable.dims) and variable.dtype.kind == "f" and variable.ndim <= 3
+        if {SIGNATURE, BAND} <= set(variable.dims) and variable.dtype.kind == "f" and variable.ndim <= 3
     ]
     return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
 
@@ -131,11 +131,11 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
 
     Lazy arrays are computed one chunk of paints at a time. ``progress`` counts the paints of all variables.
     """
-    paints = library.sizes[PAINT]
+    paints = library.sizes[SIGNATURE]
     for number, name in enumerate(names):
         array = library[name]
-        inner = [dim for dim in array.dims if dim not in (PAINT, BAND)]
-        array = array.transpose(PAINT, *inner, BAND)
+        inner = [dim for dim in array.dims if dim not in (SIGNATURE, BAND)]
+        array = array.transpose(SIGNATURE, *inner, BAND)
         for start, stop in _pieces(array):
             values: Floats32 = np.asarray(array[start:stop].values, np.float32)
             if inner:
@@ -228,7 +228,7 @@ def restored(
     bands = len(axes["wavelength"])
     placed = placements(keys, len(names), bands, path.name)
     sidecar = metadata_path(path)
-    metadata = read_metadata(sidecar, {PAINT: len(names), BAND: bands}) if sidecar.exists() else None
+    metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
         text = f"{path.name}: {sidecar.name} is missing: names and columns are those of the file, units lost"
         warnings.warn(text, PaintWarning, stacklevel=6)
@@ -243,7 +243,7 @@ def restored(
         warnings.warn(f"{text}take the table", PaintWarning, stacklevel=6)
     # numbers of the table of variables would come without their units
     taken = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
-    added = {name: (PAINT, _column(cells)) for name, cells in columns.items() if name not in taken}
+    added = {name: (SIGNATURE, _column(cells)) for name, cells in columns.items() if name not in taken}
     return library.assign_coords(added)
 
 
@@ -264,7 +264,7 @@ def with_metadata(
 ) -> xr.Dataset:  # fmt: skip
     """Return spectra and their metadata as the library that was written.
 
-    data: Values of the variables, (paint, band) or (paint, place, band).
+    data: Values of the variables, (signature, band) or (signature, place, band).
     axes: Wavelengths and what else the file of spectra itself says of the bands.
     names: Of the paints, as the file of spectra spells them; the metadata's own win.
     metadata: None where it is lost.
@@ -277,7 +277,7 @@ def with_metadata(
     library = xr.Dataset()
     for name, values in data.items():
         dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
-        if len(dims) != values.ndim or dims[0] != PAINT or dims[-1] != BAND:
+        if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
             problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
             continue
         if clash := sorted(set(dims) & data.keys()):
@@ -293,7 +293,7 @@ def with_metadata(
         for missing in sorted(metadata.spectra.keys() - data.keys()):
             problems.add(f"{missing[:60]!r} has no record in the file")
     problems.raise_if_any()
-    coords: dict[str, Any] = {PAINT: (PAINT, text_column(names), rows[PAINT].attrs)}
+    coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     if metadata is None:
         return library.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
@@ -307,7 +307,7 @@ def _with_variables(
     for name in sorted(clash):
         problems.add(f"{name[:60]!r} is both among the spectra and in the metadata")
     for name, (dims, values, _) in metadata.variables.items():
-        if name in coords and name != PAINT and not np.array_equal(values, coords[name][1]):
+        if name in coords and name != SIGNATURE and not np.array_equal(values, coords[name][1]):
             problems.add(f"{name!r} differs; they are of two libraries")
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
             problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(library.sizes)}")
@@ -328,7 +328,7 @@ def _dims_and_attrs(
     row = LIBRARY_VARIABLES.get(name)
     if row is not None and len(row.dims) == ndim:
         return row.dims, dict(row.attrs)
-    return (PAINT, BAND) if ndim == 2 else (PAINT, f"place_of_{name}", BAND), {}
+    return (SIGNATURE, BAND) if ndim == 2 else (SIGNATURE, f"place_of_{name}", BAND), {}
 
 
 def _widened(values: Floats32, size: int | None) -> Floats32:

@@ -15,7 +15,8 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.old_names import VERSION_NAME, with_new_names
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
 from .records import CENTRE
 
@@ -24,9 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["TERMS", "LibraryFinding", "LibraryReport", "check_library", "declare_library", "library_terms"]
 
-VERSION = 1
-"""Version of the specification, the attribute `VERSION_NAME` of a library."""
-VERSION_NAME = "paint_library_version"
+VERSION = 2
+"""Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""
 UNKNOWN = "unknown"
 _LONGEST_TEXT = 4000
 _MOST_NAMES = 5
@@ -119,8 +119,8 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     --------
     >>> import numpy as np, xarray as xr
     >>> paints = xr.Dataset(
-    ...     {"reflectance": (("paint", "band"), np.float32([[5.0, 40.0]]), {"units": "1"})},
-    ...     coords={"paint": ["red"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ...     {"reflectance": (("signature", "band"), np.float32([[5.0, 40.0]]), {"units": "1"})},
+    ...     coords={"signature": ["red"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
     ... )
     >>> [finding.rule for finding in check_library(declare_library(paints)).findings]
     ['reflectance-range', 'uncertainty']
@@ -130,7 +130,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
 
         source, dataset = os.fspath(library), open_library(library)
     else:
-        source, dataset = str(library.attrs.get("source", "the library")), library
+        source, dataset = str(library.attrs.get("source", "the library")), with_new_names(library)
     findings = list(_structure(dataset))
     if not findings:  # nothing else can be looked at without it
         rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
@@ -138,7 +138,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
         )  # fmt: skip
         for rule in rules:
             findings.extend(rule(dataset))
-    return LibraryReport(source, dataset.sizes.get(PAINT, 0), dataset.sizes.get(BAND, 0), tuple(findings))
+    return LibraryReport(source, dataset.sizes.get(SIGNATURE, 0), dataset.sizes.get(BAND, 0), tuple(findings))
 
 
 def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
@@ -169,6 +169,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
             raise SchemaError(f"there is no term {name!r}", expected=f"one of {', '.join(terms)}, title")
         if name in terms and terms[name].words and word not in terms[name].words:
             raise SchemaError(f"{name} is {word!r}", expected=f"one of {', '.join(terms[name].words)}")
+    library = with_new_names(library)
     said = library_terms(library)
     attrs = {name: UNKNOWN for name in terms if said[name] is None}
     title = {} if library.attrs.get("title") else {"title": "Paint library"}
@@ -180,7 +181,7 @@ def library_terms(library: xr.Dataset) -> dict[str, Any]:
     attrs = {**library.attrs, **library[CENTRE].attrs}
     said: dict[str, Any] = {}
     for term in TERMS:
-        if term.name in library.variables and library[term.name].dims == (PAINT,):
+        if term.name in library.variables and library[term.name].dims == (SIGNATURE,):
             said[term.name] = [str(word) for word in library[term.name].values.tolist()]
         else:
             said[term.name] = attrs.get(term.name)
@@ -196,7 +197,7 @@ def _finding(rule: str, found: str, expected: str) -> LibraryFinding:
 
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
     """Yield what is missing, or on other dims."""
-    for name in (CENTRE, "wavelength", PAINT):
+    for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
         if name not in library.variables:
@@ -205,16 +206,16 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
             yield _finding("structure", problem.partition(",")[0], expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
-        if row_of is not None and key not in (CENTRE, "wavelength", PAINT):
+        if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
             wrong = row_of.dim_problem(library[key])
-            if wrong and array.dims != (PAINT, *row_of.dims):
+            if wrong and array.dims != (SIGNATURE, *row_of.dims):
                 yield _finding(
                     "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
                 )
 
 
 def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    names = library[PAINT].values.tolist()
+    names = library[SIGNATURE].values.tolist()
     if not names:
         yield _finding("paint-names", "there is no paint", "at least one")
     if odd := [name for name in names if not isinstance(name, str) or not name.strip()]:
@@ -257,7 +258,7 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
     if reflectance.dtype.kind != "f":
         yield _finding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
         return
-    values = reflectance.transpose(PAINT, BAND).values
+    values = reflectance.transpose(SIGNATURE, BAND).values
     low, high = _REFLECTANCE_RANGE
     good = (
         library["good"].values.astype(bool) if "good" in library.variables else np.ones(values.shape[1], bool)
@@ -295,7 +296,7 @@ def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
         )  # fmt: skip
     if "reflectance_quantiles" in library.variables and "quantile" in library.variables:
         levels = library["quantile"].values
-        values = library["reflectance_quantiles"].transpose(PAINT, "quantile", BAND).values
+        values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
         if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
             yield _finding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
         elif (np.diff(values, axis=1) < 0).any():
@@ -311,7 +312,7 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
     if len(counts) == 2 and (counts["n_eff"] > counts["n"] * (1 + 1e-6)).any():
         yield _finding("n", "more independent pixels than pixels", "n_eff at most n")
     if "member_reflectance" in library.variables:
-        members = library["member_reflectance"].transpose(PAINT, "member", BAND)
+        members = library["member_reflectance"].transpose(SIGNATURE, "member", BAND)
         if members.sizes["member"] and not np.isfinite(members.values).any():
             yield _finding("members", "no member has a value", "spectra of single pixels, or none of them")
 
@@ -384,7 +385,7 @@ def _some(names: list[str]) -> str:
 
 
 def _paints_of(library: xr.Dataset, chosen: Array) -> str:
-    return _some([str(name) for name in library[PAINT].values[chosen]])
+    return _some([str(name) for name in library[SIGNATURE].values[chosen]])
 
 
 def _extremes(values: Array) -> str:

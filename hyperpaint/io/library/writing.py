@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
 from .csv_library import write_csv_library
@@ -31,7 +31,7 @@ def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: 
     """
     from hyperpaint.io.store import to_store
 
-    total = library.sizes[PAINT]
+    total = library.sizes[SIGNATURE]
     if progress is not None:
         progress(0, total)
     to_store(library, path, overwrite=overwrite)
@@ -89,7 +89,7 @@ def write_library(
     ----------
     library
         A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
-        (paint, band), `wavelength` (band), and whatever else is known of the paints.
+        (signature, band), `wavelength` (band), and whatever else is known of the paints.
     path
         The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
         to a name without a suffix.
@@ -128,15 +128,15 @@ def write_library(
     >>> import tempfile
     >>> import numpy as np, xarray as xr
     >>> paints = xr.Dataset(
-    ...     {"reflectance": (("paint", "band"), np.float32([[0.1, 0.5], [0.2, 0.3]]), {"units": "1"})},
-    ...     coords={"paint": ["red, matt", "blue"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ...     {"reflectance": (("signature", "band"), np.float32([[0.1, 0.5], [0.2, 0.3]]), {"units": "1"})},
+    ...     {"signature": ["red, matt", "blue"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
     ... )
     >>> scratch = tempfile.TemporaryDirectory()
     >>> path = write_library(paints, Path(scratch.name) / "paints.sli")
     >>> sorted(file.name for file in path.parent.iterdir())
     ['paints.hdr', 'paints.sli', 'paints.sli.json']
     >>> from hyperpaint.io.library import open_library
-    >>> open_library(path)["paint"].values.tolist()
+    >>> open_library(path)["signature"].values.tolist()
     ['red, matt', 'blue']
     >>> scratch.cleanup()
     """
@@ -161,7 +161,7 @@ def write_library(
 def _centres(library: xr.Dataset) -> xr.Dataset:
     """Return a library with one spectrum a paint, and what belongs to no other."""
     others = [name for name in spectral_variables(library) if name != CENTRE]
-    inner = {dim for name in others for dim in library[name].dims} - {PAINT, BAND}
+    inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
     return library.drop_vars(others).drop_dims(inner, errors="ignore")
 
 

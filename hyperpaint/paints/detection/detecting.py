@@ -16,9 +16,10 @@ from hyperpaint.base.schema import (
     CROSS_TRACK,
     CUBE,
     LIBRARY_VARIABLES,
-    PAINT,
+    SIGNATURE,
     Quality,
 )
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.paint_search import interpolated
 from hyperpaint.paints.signatures import EXCLUDED
 
@@ -48,6 +49,7 @@ _OF_DETECTOR = {
 }  # fmt: skip
 
 
+@takes_quantities()
 def detect(
     line: xr.Dataset,
     library: xr.Dataset,
@@ -71,7 +73,7 @@ def detect(
     line
         ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality``, where it has it.
     library
-        Paints to look for: ``reflectance`` (paint, band) [1] of the body under its clear coat
+        Paints to look for: ``reflectance`` (signature, band) [1] of the body under its clear coat
         (``specular_component`` excluded), interpolated to the bands of the line.
     method
         "ace", the adaptive coherence (cosine) estimator; "matched_filter"; or "spectral_angle".
@@ -104,11 +106,11 @@ def detect(
     Dataset
         (along_track, cross_track): ``best_paint``, number of the paint, which the attribute
         ``flag_meanings`` names, -1 where a value is missing; ``detection_score`` of it; ``paint_distance``
-        and ``paint_level``; ``detected``. (paint): ``score_threshold``, ``distance_limit``, 0 where a paint
-        cannot be told from others at that rate. ``checked_rate`` with ``checked_rate_u``: share of alarms in
-        each eighth of the line's background under thresholds from the rest, and half of its 95 % interval.
-        ``explained_share`` of the valid pixels was left out of that background since a paint explains them,
-        be they the paint or not; 0 with ``background=``.
+        and ``paint_level``; ``detected``. (signature): ``score_threshold``, ``distance_limit``, 0 where a
+        paint cannot be told from others at that rate. ``checked_rate`` with ``checked_rate_u``: share of
+        alarms in each eighth of the line's background under thresholds from the rest, and half of its 95 %
+        interval. ``explained_share`` of the valid pixels was left out of that background since a paint
+        explains them, be they the paint or not; 0 with ``background=``.
 
     Raises
     ------
@@ -179,7 +181,7 @@ def detect(
         line, cube, clear if background is None else clear & _mask(background, clear), bands, paints, unknown,
         DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None), sky,
     )  # fmt: skip
-    names = [str(name) for name in library[PAINT].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
     return _search(line, cube, clear, detector, names, attrs)
 
@@ -206,7 +208,7 @@ def _check(
 def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
-    """Return the paints (paint, band), the bands that are compared, and spectra of others (other, band)."""
+    """Return the paints (signature, band), the bands compared, and spectra of others (other, band)."""
     from hyperpaint.paints.starter_paints import starter_library
 
     nm = np.asarray(wavelength, np.float64)
@@ -224,8 +226,8 @@ def _spectra(
         )
     if others is None:
         others = starter_library(wavelength=np.unique(nm[bands]))
-    names = {str(name) for name in library[PAINT].values}
-    others = others.isel({PAINT: [str(name) not in names for name in others[PAINT].values]})
+    names = {str(name) for name in library[SIGNATURE].values}
+    others = others.isel({SIGNATURE: [str(name) not in names for name in others[SIGNATURE].values]})
     unknown = _on_bands(others, nm[bands], members=True)
     unknown = unknown[np.isfinite(unknown).all(axis=1)]
     if not len(unknown):
@@ -391,7 +393,7 @@ def _search(
         name: array for name, array in line.coords.items() if set(array.dims) <= set(pixel) and array.dims
     }
     identity = {"name": line.attrs["name"]} if line.attrs.get("name") else {}
-    return xr.Dataset(arrays, {**places, PAINT: (PAINT, names)}, identity | attrs)
+    return xr.Dataset(arrays, {**places, SIGNATURE: (SIGNATURE, names)}, identity | attrs)
 
 
 def search_block(cube: Array, clear: Bools, detector: Detector) -> tuple[Array, ...]:

@@ -18,7 +18,7 @@ class Projection(NamedTuple):
 
     offset: Floats  #: (band,)
     matrix: Floats  #: (band, band): whitens, and takes the mirrored sky away
-    targets: Floats  #: (paint, band): the paints, projected
+    targets: Floats  #: (signature, band): the paints, projected
 
 
 def projection(
@@ -28,7 +28,7 @@ def projection(
 
     Parameters
     ----------
-    paints : (paint, band)
+    paints : (signature, band)
         Reflectance.
     sky : (band,), or None
         Spectrum of what a clear coat mirrors, in any amount; None where none is taken away.
@@ -52,7 +52,7 @@ def projection(
 
 
 def scores(spectra: Floats, project: Projection, method: str) -> Floats:
-    """Return the scores (spectrum, paint) of spectra (spectrum, band), by one of `METHODS`.
+    """Return the scores (spectrum, signature) of spectra (spectrum, band), by one of `METHODS`.
 
     With z and t the projected spectrum and paint: ACE is (z't)^2 / (z'z t't) with the sign of z't, the
     matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z has no length, as
@@ -69,10 +69,10 @@ def scores(spectra: Floats, project: Projection, method: str) -> Floats:
 
 
 def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Array, Array]:
-    r"""Return how far spectra (spectrum, band) are from each paint (paint, band), and at which level.
+    r"""Return how far spectra (spectrum, band) are from each paint (signature, band), and at which level.
 
     Least squares fit x = a t + m sky + rest; the level is a, the distance \|rest\| / \|a t\|, infinite where
-    a is not positive. Both (spectrum, paint) [1].
+    a is not positive. Both (spectrum, signature) [1].
     """
     product, square = spectra @ paints.T, np.einsum("nb,nb->n", spectra, spectra)
     own = length = np.einsum("kb,kb->k", paints, paints)

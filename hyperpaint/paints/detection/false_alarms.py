@@ -104,18 +104,18 @@ class Detector(NamedTuple):
 
     method: str
     bands: Ints  #: Of the cube, those that are compared
-    paints: Floats  #: (paint, band)
+    paints: Floats  #: (signature, band)
     sky: Floats | None
     project: Projection
-    usual: Floats  #: (paint,): median score of the background
-    threshold: Floats  #: (paint,)
-    distance_limit: Floats  #: (paint,)
+    usual: Floats  #: (signature,): median score of the background
+    threshold: Floats  #: (signature,)
+    distance_limit: Floats  #: (signature,)
     checked_rate: float  #: Share above the thresholds of pixels that these were not drawn from
     checked_rate_u: float  #: Half of its 95 % interval
     explained_share: float  #: Of pixels that a paint explains, which were left out of the background
 
     def is_near(self, distance: Array, level: Array) -> Bools:
-        """Return which spectra each paint explains (spectrum, paint)."""
+        """Return which spectra each paint explains (spectrum, signature)."""
         return _is_near(distance, level, self.distance_limit)
 
 
@@ -134,9 +134,9 @@ def make_detector(
 ) -> Detector:
     """Return the detector of an image, from the sums over all of it.
 
-    Takes ``bands`` of the cube that are compared, and in these ``paints`` (paint, band), ``sky`` (band,) and
-    ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few pixels.
-    Warns where many pixels that the paints explain were left out: the rate says nothing of these.
+    Takes ``bands`` of the cube that are compared, and in these ``paints`` (signature, band), ``sky`` (band,)
+    and ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few
+    pixels. Warns where many pixels that the paints explain were left out: the rate says nothing of these.
     """
     if not part.pixels:
         raise SchemaError(
@@ -200,7 +200,7 @@ def make_detector(
 def _joint_rank(ranks: Ints, allowed: float) -> int:
     """Return the largest rank at which no more rows than allowed are ranked so or better for any paint.
 
-    Ranks (row, paint) begin at 1; that of a row is the best it has for any paint (Westfall and Young's
+    Ranks (row, signature) begin at 1; that of a row is the best it has for any paint (Westfall and Young's
     minP), so that the rate is one of all paints together.
     """
     best = np.sort(ranks.min(axis=1))

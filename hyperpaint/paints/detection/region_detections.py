@@ -9,14 +9,14 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import PAINT
+from hyperpaint.base.schema import SIGNATURE
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["detected_regions"]
 
-_COLUMNS = ("pixels", "detected_share", "paint", "p_value", "placements")
+_COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
 
 def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
@@ -53,10 +53,10 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     >>> pixels = ("along_track", "cross_track")
     >>> detections = xr.Dataset(
     ...     {"detected": (pixels, shown), "best_paint": (pixels, np.zeros((24, 24), np.int16))},
-    ...     {"paint": ["red"]})
+    ...     {"signature": ["red"]})
     >>> car = Region("car", [(3.5, 3.5), (9.5, 3.5), (9.5, 7.5), (3.5, 7.5)])
     >>> cars = detected_regions(detections, [car])
-    >>> cars["paint"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
+    >>> cars["signature"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
     ('red', 1.0, 0.04)
     """
     import xarray as xr
@@ -80,7 +80,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     taken = np.zeros(detected.shape, bool)
     for place in places:
         taken[place] = True
-    names = [str(name) for name in detections[PAINT].values]
+    names = [str(name) for name in detections[SIGNATURE].values]
     shown = np.where(detected, best, -1)
     rows = []
     for along, across in places:
@@ -94,7 +94,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
     return xr.Dataset(
         {
-            name: ("region", np.array(values), {} if name == "paint" else {"units": "1"})
+            name: ("region", np.array(values), {} if name == "signature" else {"units": "1"})
             for name, values in columns.items()
         },
         {"region": ("region", list(region_list.names))},

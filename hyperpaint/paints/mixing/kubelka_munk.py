@@ -120,7 +120,7 @@ class Coating:
     mirrored: Floats  #: (band,) or (): Mirrored light that the reflectance holds [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
-        """Return K/S [1] of spectra (paint, ..., band); NaN where there is none.
+        """Return K/S [1] of spectra (signature, ..., band); NaN where there is none.
 
         Raises `SchemaError`: over a twentieth of the spectra of a paint is darker than the light that the
         coat mirrors; all such paints are listed. Warns of values that no such layer can have; they are

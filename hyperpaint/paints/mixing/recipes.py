@@ -12,7 +12,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import PAINT
+from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
 from .kubelka_munk import coating_of
@@ -45,7 +45,7 @@ def mix_paints(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (paint, band) [1], of opaque paints.
+        A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     recipes
         Of every new paint, by its name: parts of each of its parents, by their names. Only their ratio
         counts.
@@ -66,12 +66,11 @@ def mix_paints(
     Returns
     -------
     Dataset
-        A paint library with ``reflectance`` (paint, band), float32 [1], 0 to 1; mirrored light is in it as it
-        is in the library. ``member_reflectance`` (paint, member, band), where all parents have some: the
-        first of each parent are mixed, then the second, as far as the parent with the fewest has some; NaN
-        beyond; with ``reflectance_sd`` and
-        ``reflectance_quantiles``. Coordinates ``provenance`` ("synthetic"),
-        ``parents``, ``weights`` (JSON, normalised to 1) and ``method`` (paint).
+        A paint library with ``reflectance`` (signature, band), float32 [1], 0 to 1; mirrored light is in it
+        as it is in the library. ``member_reflectance`` (signature, member, band), where all parents have
+        some: the first of each parent are mixed, then the second, as far as the parent with the fewest has
+        some; NaN beyond; with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates ``provenance``
+        ("synthetic"), ``parents``, ``weights`` (JSON, normalised to 1) and ``method`` (signature).
 
     Raises
     ------
@@ -148,7 +147,7 @@ def shade_paints(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (paint, band) [1], of opaque paints.
+        A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     depths
         Of shade, relative to the paint as it is [1]: pigment per scatterer. 0.1 is a tint, a part of the
         paint in nine of a white that absorbs nothing; 2 has twice the pigment. To darken with black, mix it
@@ -160,7 +159,7 @@ def shade_paints(
     -------
     Dataset
         A paint library as of `hyperpaint.paints.mix_paints`, every paint at every depth, named
-        ``"<paint> x <depth>"``; the coordinate ``depth`` (paint) [1] says which.
+        ``"<paint> x <depth>"``; the coordinate ``depth`` (signature) [1] says which.
 
     Raises
     ------
@@ -182,16 +181,16 @@ def shade_paints(
     Examples
     --------
     >>> from hyperpaint.paints import starter_library
-    >>> red = starter_library(members=0).isel(paint=[5])
+    >>> red = starter_library(members=0).isel(signature=[5])
     >>> ladder = shade_paints(red, [0.1, 1.0])
-    >>> ladder["paint"].values.tolist(), ladder.reflectance[:, :60].mean("band").values.round(2)
+    >>> ladder["signature"].values.tolist(), ladder.reflectance[:, :60].mean("band").values.round(2)
     (['Synthetic Signal Red x 0.1', 'Synthetic Signal Red x 1'], array([0.15, 0.02], dtype=float32))
     """
     factors = np.asarray(depths, np.float64)
     if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
         raise SchemaError(f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]")
     _require(library)
-    names = [str(name) for name in library[PAINT].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     coating = coating_of(library, k1, k2, mirrored)
     values = _spectra(library, None)
     count = len(names)
@@ -210,11 +209,11 @@ def shade_paints(
         library, shades, _trimmed(spectra), parents, "kubelka-munk shade", k1=k1, k2=k2
     )
     attrs = {"long_name": "Pigment relative to that of the parent", "units": "1"}
-    return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), attrs))
+    return shaded.assign_coords(depth=(SIGNATURE, np.tile(factors, count), attrs))
 
 
 def _averaged(weights: Floats, values: Floats) -> Floats:
-    """Return weighted sums (new, ..., band) of (paint, ..., band); what a recipe does not take is no NaN."""
+    """Return weighted sums (new, ..., band) of (signature, ..., band); NaN of weight 0 counts as 0."""
     sums = np.zeros((len(weights), *values.shape[1:]))
     for row, shares in zip(sums, weights, strict=True):
         for number in np.flatnonzero(shares):
@@ -224,15 +223,15 @@ def _averaged(weights: Floats, values: Floats) -> Floats:
 
 def _require(library: xr.Dataset) -> None:
     """Refuse what is no paint library."""
-    names = [PAINT, "reflectance", "wavelength"]
+    names = [SIGNATURE, "reflectance", "wavelength"]
     schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
     """Return what can be mixed of paints, by variable, float64 [1]; of all paints without names."""
     if parents is not None:
-        names = [str(name) for name in library[PAINT].values]
-        library = library.isel({PAINT: [names.index(name) for name in parents]})
+        names = [str(name) for name in library[SIGNATURE].values]
+        library = library.isel({SIGNATURE: [names.index(name) for name in parents]})
     names = [name for name in ("reflectance", MEMBERS) if name in library.variables]
     variables = schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
     spectra = {name: np.asarray(array.values, np.float64) for name, array in variables.items()}
@@ -290,7 +289,7 @@ def _checked(
     """Return shares by name of the new paint and of its parents, each recipe's sum 1."""
     _require(library)
     problems = Problems("paints cannot be mixed", SchemaError)
-    paint_names = [str(name) for name in library[PAINT].values]
+    paint_names = [str(name) for name in library[SIGNATURE].values]
     if method not in METHODS:
         problems.add(f"method={method!r}, expected one of {', '.join(METHODS)}")
     if not recipes:

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
-from hyperpaint.base.units import convert
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE
+from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
 if TYPE_CHECKING:
@@ -28,17 +28,17 @@ __all__ = [
 
 
 MEMBERS = "member_reflectance"
-"""Single pixels of a paint, or variants (paint, member, band)."""
+"""Single pixels of a paint, or variants (signature, member, band)."""
 
 SPECULAR = "specular_reflectance"
-"""What a coat mirrors (paint, band), which not every library has."""
+"""What a coat mirrors (signature, band), which not every library has."""
 
 _DIMS = {
-    "reflectance": (PAINT, BAND),
-    "reflectance_sd": (PAINT, BAND),
-    "reflectance_quantiles": (PAINT, QUANTILE, BAND),
-    SPECULAR: (PAINT, BAND),
-    MEMBERS: (PAINT, MEMBER, BAND),
+    "reflectance": (SIGNATURE, BAND),
+    "reflectance_sd": (SIGNATURE, BAND),
+    "reflectance_quantiles": (SIGNATURE, QUANTILE, BAND),
+    SPECULAR: (SIGNATURE, BAND),
+    MEMBERS: (SIGNATURE, MEMBER, BAND),
 }
 _MEANINGS = {
     "reflectance": "Reflectance of a synthetic paint",
@@ -59,8 +59,8 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
 
 
 def specular_of(library: xr.Dataset) -> Array:
-    """Return what the coats of a library mirror (paint, band) [1]."""
-    return np.asarray(convert(library[SPECULAR], "1").transpose(PAINT, BAND).values)
+    """Return what the coats of a library mirror (signature, band) [1]."""
+    return np.asarray(convert(library[SPECULAR], "1").transpose(SIGNATURE, BAND).values)
 
 
 def synthetic_library(
@@ -93,9 +93,9 @@ def synthetic_library(
     bands = {name: array for name, array in library.coords.items() if array.dims == (BAND,)}
     paints = paints.assign_coords(bands).assign_coords(
         {
-            PAINT: (PAINT, text_column(names), LIBRARY_VARIABLES[PAINT].attrs),
+            SIGNATURE: (SIGNATURE, text_column(names), LIBRARY_VARIABLES[SIGNATURE].attrs),
             **{
-                name: (PAINT, text_column(column), {"long_name": meaning})
+                name: (SIGNATURE, text_column(column), {"long_name": meaning})
                 for name, meaning, column in (
                     ("provenance", "Where the paint comes from", ["synthetic"] * len(names)),
                     ("parents", "Paints it was made from, as JSON", [_json(list(one)) for one in parents]),
@@ -115,7 +115,7 @@ def synthetic_library(
 
 
 def _spread(members: Array) -> dict[str, Array]:
-    """Return how far members (paint, member, band) are apart; NaN of fewer than two, or one."""
+    """Return how far members (signature, member, band) are apart; NaN of fewer than two, or one."""
     # one paint after the other: a copy of all members would double the memory
     spreads = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
     return {
@@ -160,6 +160,7 @@ with 4, noise as large as the reflectance grows by 16 %; with 8, what shade take
 _METHOD = "smoothed bootstrap of principal components of logit reflectance"
 
 
+@takes_quantities()
 def sample_paints(
     library: xr.Dataset, count: int, *, seed: int = 0, form: Form = "members", bandwidth: float | None = None
 ) -> xr.Dataset:
@@ -168,7 +169,7 @@ def sample_paints(
     Parameters
     ----------
     library
-        A paint library with ``member_reflectance`` (paint, member, band) [1], such as single pixels.
+        A paint library with ``member_reflectance`` (signature, member, band) [1], such as single pixels.
     count
         Variants of each paint.
     seed
@@ -183,7 +184,7 @@ def sample_paints(
     Returns
     -------
     Dataset
-        A paint library: ``reflectance`` (paint, band), of "members" their mean, float32 [1], 0 to 1;
+        A paint library: ``reflectance`` (signature, band), of "members" their mean, float32 [1], 0 to 1;
         ``member_reflectance``, ``reflectance_sd`` and ``reflectance_quantiles`` of "members". Coordinates
         that the library has of its paints, such as make and colour, and ``provenance`` ("synthetic"),
         ``parents``, ``weights`` and ``method``. Names end in "(synthetic)", or "(synthetic 1)" and so on.
@@ -222,12 +223,12 @@ def sample_paints(
     --------
     >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=50)
-    >>> drawn = sample_paints(paints.isel(paint=[0]), 200)
-    >>> drawn["paint"].item(), dict(drawn.member_reflectance.sizes)
-    ('Synthetic Polar White (synthetic)', {'paint': 1, 'member': 200, 'band': 272})
+    >>> drawn = sample_paints(paints.isel(signature=[0]), 200)
+    >>> drawn["signature"].item(), dict(drawn.member_reflectance.sizes)
+    ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
     members = _members(library, count, form, bandwidth)
-    names = [str(name) for name in library[PAINT].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     problems = Problems("variants cannot be drawn", SchemaError)
     drawn = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
     left_out = outside = 0
@@ -292,8 +293,8 @@ def _margins(members: Floats) -> tuple[Floats, Floats]:
 
 
 def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> Floats32:
-    """Return the population (paint, member, band), if all options can be."""
-    names = [PAINT, "reflectance", "member_reflectance", "wavelength"]
+    """Return the population (signature, member, band), if all options can be."""
+    names = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
     variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
     for problem in wrong:
@@ -321,8 +322,8 @@ def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.D
     """Return what was drawn, with what is known of the paints."""
     count = drawn.shape[1]
     repeats = 1 if form == "members" else count
-    which = np.repeat(np.arange(library.sizes[PAINT]), repeats)
-    parents = [str(library[PAINT].values[number]) for number in which]
+    which = np.repeat(np.arange(library.sizes[SIGNATURE]), repeats)
+    parents = [str(library[SIGNATURE].values[number]) for number in which]
     if form == "members":
         names = [f"{name} (synthetic)" for name in parents]
         values = {"reflectance": drawn.mean(axis=1, dtype=np.float64), "member_reflectance": drawn}
@@ -333,8 +334,8 @@ def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.D
         values[SPECULAR] = specular_of(library)[which]
     paints = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
     about = {
-        name: (PAINT, array.values[which], array.attrs)
+        name: (SIGNATURE, array.values[which], array.attrs)
         for name, array in library.coords.items()
-        if array.dims == (PAINT,) and name not in paints.coords
+        if array.dims == (SIGNATURE,) and name not in paints.coords
     }
     return paints.assign_coords(about).drop_vars(MEMBER, errors="ignore")

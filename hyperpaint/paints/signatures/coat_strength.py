@@ -21,7 +21,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
-from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.surroundings.corrections import NORMAL_REFLECTANCE
@@ -128,7 +128,7 @@ def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
 
 
 def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
-    """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (paint).
+    """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (signature).
 
     Of a library with ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of each paint, before its coat is
     corrected; a mirrored sky that was subtracted is added again. Light that was corrected leaves nothing to
@@ -140,8 +140,8 @@ def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> 
     good = library["good"].values.astype(bool)
     nm = library["wavelength"].values
     clear = {SKY_STATES.index("clear"), SKY_STATES.index("hazy")}
-    for number in range(library.sizes[PAINT]):
-        one = library.isel({PAINT: number})
+    for number in range(library.sizes[SIGNATURE]):
+        one = library.isel({SIGNATURE: number})
         members = one["member_reflectance"].values.astype(np.float64)
         members = members[np.isfinite(members).any(axis=1)]
         # bands at the ends may have no value in any pixel
@@ -160,7 +160,7 @@ def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> 
             columns.append(strength_of(members + added * light.diffuse * light.above, light))
     names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
     variables: dict[str, Any] = {
-        name: (PAINT, np.array(column, object if name.endswith("reason") else np.float64))
+        name: (SIGNATURE, np.array(column, object if name.endswith("reason") else np.float64))
         for name, column in zip(names, zip(*columns, strict=True), strict=True)
     }
     result = library.assign(variables).set_coords("coat_strength_reason")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.base.schema import PAINT
+from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.regions import Regions
 from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
@@ -48,7 +48,7 @@ def without_coat(
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
     if is_paint.all():
         return corrected
-    paint = xr.DataArray(is_paint, dims=PAINT)
+    paint = xr.DataArray(is_paint, dims=SIGNATURE)
     as_seen = library.assign(
         coat_transmission=xr.ones_like(corrected["coat_transmission"]),
         coat_transmission_u=xr.zeros_like(corrected["coat_transmission_u"]),

@@ -16,7 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import PAINT, Quality, flag_names
+from hyperpaint.base.schema import SIGNATURE, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.regions import Regions, pixels_of, regions_from
@@ -126,24 +126,25 @@ def extract_signatures(
     Returns
     -------
     Dataset
-        ``reflectance``, ``reflectance_sd``, ``reflectance_u_random``, ``reflectance_u_systematic`` (paint,
-        band), ``reflectance_quantiles`` (paint, quantile, band), ``member_reflectance`` (paint, member,
-        band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded`` (paint) pixels;
-        ``quality`` (paint), the flags of the pixels that were used; ``quality_share`` (paint, flag), how many
-        of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``, ``view_zenith``, ``view_azimuth``,
-        ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint); ``diffuse_fraction``,
-        ``diffuse_fraction_u`` (paint, band) [1], NaN where nothing says it, and ``sky_state`` (paint);
-        ``coat_transmission``, ``coat_transmission_u`` and ``reflectance_u_coat`` (paint, band) [1] where the
-        coat was corrected. ``coat_strength`` and ``coat_strength_u`` (paint) [1], the sky that a coat mirrors
-        over what its index predicts, where dark curved panels tell it; else NaN, and
-        ``coat_strength_reason``. ``aspecular_angle``, between the view and the direction in which a level
-        panel mirrors the sun, and ``aspecular_range``, by how much that may differ over the panel (paint)
-        [degree]; ``flop`` (paint, band), how reflectance changes from the dark to the bright end of the
-        panel, relative [1]. Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``,
-        ``flightline``, ``region`` (as GeoJSON), and every property of the regions. Attributes say how it was
-        made; those of reflectance what it is: its ``quantity``, that of the body under a coat, of the body
-        through it, or of its outside; ``mirror_reflection`` and ``specular_component``, whether it holds the
-        sky that a coat mirrors ("included" or "excluded"); and ``geometry``.
+        ``reflectance``, ``reflectance_sd``, ``reflectance_u_random``, ``reflectance_u_systematic``
+        (signature, band), ``reflectance_quantiles`` (signature, quantile, band), ``member_reflectance``
+        (signature, member, band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded``
+        (signature) pixels; ``quality`` (signature), the flags of the pixels that were used; ``quality_share``
+        (signature, flag), how many of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``,
+        ``view_zenith``, ``view_azimuth``, ``relative_azimuth`` [degree] and ``irradiance_age`` [s]
+        (signature); ``diffuse_fraction``, ``diffuse_fraction_u`` (signature, band) [1], NaN where nothing
+        says it, and ``sky_state`` (signature); ``coat_transmission``, ``coat_transmission_u`` and
+        ``reflectance_u_coat`` (signature, band) [1] where the coat was corrected. ``coat_strength`` and
+        ``coat_strength_u`` (signature) [1], the sky that a coat mirrors over what its index predicts, where
+        dark curved panels tell it; else NaN, and ``coat_strength_reason``. ``aspecular_angle``, between the
+        view and the direction in which a level panel mirrors the sun, and ``aspecular_range``, by how much
+        that may differ over the panel (signature) [degree]; ``flop`` (signature, band), how reflectance
+        changes from the dark to the bright end of the panel, relative [1]. Coordinates: ``signature``,
+        ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every
+        property of the regions. Attributes say how it was made; those of reflectance what it is: its
+        ``quantity``, that of the body under a coat, of the body through it, or of its outside;
+        ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat mirrors
+        ("included" or "excluded"); and ``geometry``.
 
     Raises
     ------
@@ -170,10 +171,10 @@ def extract_signatures(
     ``boresight``; without any it is NaN, and the attribute ``view_geometry`` says what is missing. The
     standard uncertainties are those of the mean of these pixels. Of a flight line that holds its calibration
     they are source by source, as `hyperpaint.radiometry.mean_uncertainty` tells: ``reflectance_u_random`` is
-    what bands do not share as one, ``reflectance_u_systematic`` what they do, ``reflectance_errors`` (paint,
-    error_source, band) has each, and ``error_correlation`` (paint, lag, band) is that of neighbouring bands,
-    nominal wavelengths and smoothing included; see `hyperpaint.paints.covariance`. Of a map, and of
-    reflectance that was corrected or stored without its calibration,
+    what bands do not share as one, ``reflectance_u_systematic`` what they do, ``reflectance_errors``
+    (signature, error_source, band) has each, and ``error_correlation`` (signature, lag, band) is that of
+    neighbouring bands, nominal wavelengths and smoothing included; see `hyperpaint.paints.covariance`. Of a
+    map, and of reflectance that was corrected or stored without its calibration,
 
     .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
               u_s = \overline{u_{s,i}}, \qquad
@@ -193,7 +194,7 @@ def extract_signatures(
     >>> line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
     >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)], properties={"colour": "green"})
     >>> paints = extract_signatures(line, Regions((grass,)))
-    >>> paints["paint"].item(), paints["colour"].item(), paints["n"].item()
+    >>> paints["signature"].item(), paints["colour"].item(), paints["n"].item()
     ('grass', 'green', 32)
     """
     options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
@@ -238,7 +239,7 @@ def extract_signatures(
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
     library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
     if sun_zenith is not None:  # which goes before that of the clock, here and in what is made of the library
-        told = np.full(library.sizes[PAINT], float(sun_zenith))
+        told = np.full(library.sizes[SIGNATURE], float(sun_zenith))
         library = library.assign(sun_zenith=library["sun_zenith"].copy(data=told))
     library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -135,14 +135,14 @@ def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.A
 def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
     """Return a library that says at which angle to the sun's mirror image its panels were seen.
 
-    Adds ``aspecular_angle`` (paint), of a level panel, ``aspecular_range`` (paint), by how much it may differ
-    between the ends of the panel: twice `lean_range` [degree], and ``flop`` (paint, band), `panel_flop` of
-    the members [1]; NaN where members, sun or view are not known.
+    Adds ``aspecular_angle`` (signature), of a level panel, ``aspecular_range`` (signature), by how much it
+    may differ between the ends of the panel: twice `lean_range` [degree], and ``flop`` (signature, band),
+    `panel_flop` of the members [1]; NaN where members, sun or view are not known.
     """
     import xarray as xr
 
     good = library["good"].values.astype(bool)
-    members = library["member_reflectance"].transpose(PAINT, ..., BAND).values
+    members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
     # a band that pixels lack, as one without irradiance, leaves none of them out
     there = np.isfinite(members)
     held = there.sum(axis=1) > MIN_BAND_SHARE * there.any(axis=2).sum(axis=1)[:, None]
@@ -151,15 +151,15 @@ def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
     # where no split is known, all of the light turns with the panel: the least lean that explains a change
     direct = np.ones(len(flops))
     if "diffuse_fraction" in library.variables:
-        split = library["diffuse_fraction"].transpose(PAINT, BAND).values
+        split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values
         direct = 1.0 - np.array(
             [np.nanmean(row[good]) if np.isfinite(row[good]).any() else 0.0 for row in split]
         )
     zenith, view, turn = (library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth"))
     found = {
-        "aspecular_angle": (PAINT, aspecular_angle(zenith, view, turn)),
-        "aspecular_range": (PAINT, 2.0 * lean_range(contrast, zenith, direct)),
-        "flop": ((PAINT, BAND), np.array([flop.spectrum for flop in flops], np.float32)),
+        "aspecular_angle": (SIGNATURE, aspecular_angle(zenith, view, turn)),
+        "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, zenith, direct)),
+        "flop": ((SIGNATURE, BAND), np.array([flop.spectrum for flop in flops], np.float32)),
     }
     return library.assign(
         {

@@ -257,7 +257,7 @@ def paint_library(
     for name in drafts[0].at:
         values[name] = [draft.at[name] for draft in drafts]
     values |= {
-        "paint": list(regions.names),
+        "signature": list(regions.names),
         "quantile": list(QUANTILES),
         "flag": flag_names(),
         "flightline": list(flightlines),
@@ -281,7 +281,7 @@ def paint_library(
         [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
     )
     properties = {
-        name: ("paint", column, {"long_name": f"Property {name} of the regions"})
+        name: ("signature", column, {"long_name": f"Property {name} of the regions"})
         for name, column in _properties(regions).items()
     }
     library = library.assign_coords(properties)
@@ -361,7 +361,7 @@ def _sources(sources: Mapping[str, Source]) -> str:
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
-    """Return every property of the regions that can be a coordinate (paint,): numbers, else text."""
+    """Return every property of the regions that can be a coordinate (signature,): numbers, else text."""
     names = dict.fromkeys(name for region in regions for name in region.properties)
     taken = {*LIBRARY_VARIABLES, BAND, "member"}
     usable = [name for name in names if name.isidentifier() and name not in taken and name[:2] != "__"]

@@ -158,7 +158,7 @@ def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats])
 
 def _labelled(name: str, array: xr.DataArray) -> xr.DataArray:
     row = schema.LIBRARY_VARIABLES[name]
-    return array.isel({schema.PAINT: 0}, drop=True) if schema.PAINT in row.dims else array
+    return array.isel({schema.SIGNATURE: 0}, drop=True) if schema.SIGNATURE in row.dims else array
 
 
 def _nothing_known(array: xr.DataArray, values: Floats) -> bool:

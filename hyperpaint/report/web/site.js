@@ -113,9 +113,10 @@ export const paints = [];
 
 async function loadPaints() {
   for (const entry of site.libraries) {
-    const [cube, names, nm, good, sd, counts] = await Promise.all(
-      ["reflectance", "paint", "wavelength", "good", "reflectance_sd", "n"].map((name) => whole(entry, name)),
-    );
+    const [cube, nm, good, sd, counts, names] = await Promise.all([
+      ...["reflectance", "wavelength", "good", "reflectance_sd", "n"].map((name) => whole(entry, name)),
+      whole(entry, "signature").catch(async () => get(await nodeOf(entry.group, "paint"))), // of hyperpaint 0.2
+    ]);
     const bands = cube.shape[1];
     const row = (array, number) => array && array.data.subarray(number * bands, (number + 1) * bands);
     for (let number = 0; number < cube.shape[0]; number += 1) {

@@ -12,7 +12,8 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, MEMBER, PAINT
+from hyperpaint.base.old_names import with_new_names
+from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
 from hyperpaint.base.units import convert
 
 from .camera_bands import BandSet
@@ -66,10 +67,10 @@ class Table:
 
 
 def is_library(value: Any) -> bool:
-    """Return whether a value is a dataset with ``reflectance`` (paint, band)."""
+    """Return whether a value is a dataset with ``reflectance`` (signature, band)."""
     if not hasattr(value, "data_vars") or "reflectance" not in value:
         return False
-    return PAINT in value["reflectance"].dims
+    return SIGNATURE in value["reflectance"].dims or "paint" in value["reflectance"].dims  # of 0.2
 
 
 def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
@@ -80,22 +81,23 @@ def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
     SchemaError
         It is none, its paints have no names, or two have the same.
     """
-    if not is_library(library) or PAINT not in library.variables:
+    library = with_new_names(library) if is_library(library) else library
+    if not is_library(library) or SIGNATURE not in library.variables:
         raise SchemaError(
-            "spectra is no mapping of names to spectra, and no library with reflectance(paint, band)"
+            "spectra is no mapping of names to spectra, and no library with reflectance(signature, band)"
         )
-    names = [str(name) for name in library[PAINT].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SchemaError(
             f"the library has two paints {', '.join(map(repr, twice))}; give each its own name, or choose "
-            "one by its place with library.isel(paint=...)"
+            "one by its place with library.isel(signature=...)"
         )
     wanted = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
     slim = library[wanted].reset_coords(drop=True)
     about = ("wavelength", "good")
     slim = slim.assign_coords({name: library[name].variable for name in about if name in library.variables})
     slim.attrs = dict(library.attrs)
-    return {name: slim.isel({PAINT: place}) for place, name in enumerate(names)}
+    return {name: slim.isel({SIGNATURE: place}) for place, name in enumerate(names)}
 
 
 def by_name(spectra: Any) -> dict[str, Any]:

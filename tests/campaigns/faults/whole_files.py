@@ -130,14 +130,14 @@ def _write_libraries(folder: Path) -> None:
     members[1, 2:] = np.nan
     paints = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.ascontiguousarray(members[:, 0]), {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), members, {"units": "1"}),
-            "n": ("paint", np.arange(3), {"units": "1"}),
+            "reflectance": (("signature", "band"), np.ascontiguousarray(members[:, 0]), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), members, {"units": "1"}),
+            "n": ("signature", np.arange(3), {"units": "1"}),
         },
         coords={
-            "paint": ["red", "blue, matt", "Gr\u00fcn"],
-            "make": ("paint", ["a", "b", ""]),
-            "time": ("paint", np.array(["2024-05-21T11:33:07", "NaT", "2024-05-21"], "datetime64[ns]")),
+            "signature": ["red", "blue, matt", "Gr\u00fcn"],
+            "make": ("signature", ["a", "b", ""]),
+            "time": ("signature", np.array(["2024-05-21T11:33:07", "NaT", "2024-05-21"], "datetime64[ns]")),
             "wavelength": ("band", np.linspace(400.0, 1000.0, 20), {"units": "nm"}),
         },
         attrs={"title": "paints"},

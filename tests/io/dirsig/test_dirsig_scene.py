@@ -30,12 +30,12 @@ UNITS = {"units": "1"}
 def library(names: list[str], members: int = 0, **attrs: Any) -> xr.Dataset:
     """Return the simulator's own spectra as a library, with members of other brightness where asked."""
     values = np.stack([spectrum_of(name)(NM) for name in names]).astype(np.float32)
-    variables: dict[str, Any] = {"reflectance": (("paint", "band"), values, {**UNITS, **attrs})}
+    variables: dict[str, Any] = {"reflectance": (("signature", "band"), values, {**UNITS, **attrs})}
     if members:
         level = np.random.default_rng(1).uniform(0.7, 1.0, (len(names), members, 1))
         population = (values[:, None] * level).astype(np.float32)
-        variables["member_reflectance"] = (("paint", "member", "band"), population, UNITS)
-    coords = {"paint": names, "wavelength": ("band", NM, {"units": "nm"})}
+        variables["member_reflectance"] = (("signature", "member", "band"), population, UNITS)
+    coords = {"signature": names, "wavelength": ("band", NM, {"units": "nm"})}
     return xr.Dataset(variables, coords)
 
 
@@ -76,7 +76,7 @@ def test_the_geometry_reads_back_with_its_materials(park: Scene, written: tuple[
     raw = parse_obj((folder / "geometry/objects/car_park.obj").read_bytes(), "car_park.obj")
     # a paint under a coat and without one are two materials of one spectrum
     of_spectrum: dict[str, set[str]] = {}
-    for paint, token in zip(summary["paint"].values, summary.material_id.values, strict=True):
+    for paint, token in zip(summary["signature"].values, summary.material_id.values, strict=True):
         of_spectrum.setdefault(str(token), set()).add(str(paint))
     read = [
         (raw.groups[group][1], next(iter(of_spectrum[raw.groups[group][0]])))
@@ -167,7 +167,7 @@ def picture_of(folder: Path, name: str) -> NDArray[np.uint8]:
 
 def test_a_texture_draws_its_population(written: tuple[Path, xr.Dataset]) -> None:
     folder, summary = written
-    number = int(np.flatnonzero(summary["paint"].values == "asphalt")[0])
+    number = int(np.flatnonzero(summary["signature"].values == "asphalt")[0])
     picture = picture_of(folder, str(summary.texture.values[number])).astype(float)
     _, micrometre, emissivity = strict_ems(folder / "materials/emissivity/asphalt.ems")
     assert len(emissivity) == summary.curves.values[number] == 16
@@ -200,8 +200,8 @@ def test_a_picture_needs_different_curves() -> None:
 def test_coats_become_specular_shares_where_reflectance_is_the_bodys(tmp_path: Path) -> None:
     paints = library(["red", "asphalt"], mirror_reflection="excluded")
     summary = write_dirsig_scene(boxes(), tmp_path / "out", paints)
-    share = dict(zip(summary["paint"].values, summary.specular_fraction.values, strict=True))
-    body = float(paints.reflectance.sel(paint="red").mean())
+    share = dict(zip(summary["signature"].values, summary.specular_fraction.values, strict=True))
+    body = float(paints.reflectance.sel(signature="red").mean())
     assert share["red"] == pytest.approx(0.04 / (0.04 + body), abs=1e-4)
     assert share["asphalt"] == 0.0
     assert not any(summary.texture.values)
@@ -256,7 +256,9 @@ def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
     ring = 2.0 * np.pi * (np.cos(edges[:-1]) - np.cos(edges[1:]))
     view = np.stack([np.sin(zenith), np.zeros_like(zenith), np.cos(zenith)], axis=-1)
     light = np.broadcast_to([0.0, 0.0, 1.0], view.shape).copy()
-    body = np.interp([fit["LAMBDA"] for fit in fits], NM / 1000.0, paints.reflectance.sel(paint="red").values)
+    body = np.interp(
+        [fit["LAMBDA"] for fit in fits], NM / 1000.0, paints.reflectance.sel(signature="red").values
+    )
     for fit, level in zip(fits, body.tolist(), strict=True):
         first, whole = (beard_maxwell(fit, light, view) * np.cos(zenith) * ring).sum(axis=1)
         assert first == pytest.approx(0.04, rel=2e-3)
@@ -305,7 +307,7 @@ def test_a_car_can_be_repainted(tmp_path: Path) -> None:
     paints = library(["red", "asphalt", "blue", "white"])
     repaint = {"car zwölf": "blue", "asphalt": "white"}
     summary = write_dirsig_scene(boxes(), tmp_path / "out", paints, repaint=repaint)
-    assert sorted(summary["paint"].values) == ["blue", "red", "white"]
+    assert sorted(summary["signature"].values) == ["blue", "red", "white"]
     text = (tmp_path / "out/geometry/objects/Two_cars_Ae.obj").read_text()
     assert re.findall(r"^(?:o|usemtl) (.+)$", text, re.MULTILINE) == [
         "car one", "red", "ground", "white", "car zwoelf", "blue",
@@ -318,7 +320,10 @@ def test_the_first_library_counts(tmp_path: Path) -> None:
     for name in ("reflectance", "member_reflectance"):
         mine[name].attrs = UNITS
     summary = write_dirsig_scene(boxes(), tmp_path / "out", [mine, library(["red", "asphalt"])])
-    assert dict(zip(summary["paint"].values, summary.curves.values, strict=True)) == {"red": 30, "asphalt": 1}
+    assert dict(zip(summary["signature"].values, summary.curves.values, strict=True)) == {
+        "red": 30,
+        "asphalt": 1,
+    }
     _, micrometre, curves = strict_ems(tmp_path / "out/materials/emissivity/red.ems")
     assert (1.0 - curves).max() <= 0.51 * float(library(["red"]).reflectance.max())
     assert len(micrometre) == len(NM)

@@ -41,7 +41,7 @@ def test_every_member_is_a_curve(tmp_path: Path) -> None:
 
 
 def test_materials_glist_and_readme(tmp_path: Path) -> None:
-    paints = library().assign_coords(paint=["Türkis, matt", "rot/blau", "rot/blau"])
+    paints = library().assign_coords(signature=["Türkis, matt", "rot/blau", "rot/blau"])
     made = hp.write_dirsig(paints, tmp_path / "out", thermal=THERM, double_sided=True)
     materials = read_materials(tmp_path / "out/materials.mat")
     names = ["Tuerkis, matt", "rot/blau", "rot/blau (2)"]
@@ -76,7 +76,7 @@ THERM = {
     "name", ["\udc80", "a\x00b", "\u202e\u00a0", "]]>--><x>&", "x" * 5000, "..", "%s{0}"]
 )
 def test_any_name_is_written(name: str, tmp_path: Path) -> None:
-    made = hp.write_dirsig(library(paints=1).assign_coords(paint=[name]), tmp_path / "out")
+    made = hp.write_dirsig(library(paints=1).assign_coords(signature=[name]), tmp_path / "out")
     token = made.material_id.item()
     assert (tmp_path / "out/emissivity" / f"{token}.ems").is_file()
     assert read_materials(tmp_path / "out/materials.mat")[0].id == token
@@ -87,7 +87,7 @@ def test_any_name_is_written(name: str, tmp_path: Path) -> None:
 def test_write_read_write_is_byte_stable(tmp_path: Path) -> None:
     hp.write_dirsig(library(), tmp_path / "one")
     parts = [open_emissivity(tmp_path / f"one/emissivity/paint_{number}.ems") for number in range(3)]
-    hp.write_dirsig(xr.concat(parts, "paint"), tmp_path / "two")
+    hp.write_dirsig(xr.concat(parts, "signature"), tmp_path / "two")
     first, second = files(tmp_path / "one"), files(tmp_path / "two")
     for name in first:
         if name.endswith(".ems"):
@@ -106,8 +106,8 @@ def test_any_spectrum_survives(values: list[float], nm: list[float]) -> None:
     import tempfile
 
     paint = xr.Dataset(
-        {"reflectance": (("paint", "band"), np.array([values], np.float32), {"units": "1"})},
-        {"paint": ["x"], "wavelength": ("band", nm, {"units": "nm"})},
+        {"reflectance": (("signature", "band"), np.array([values], np.float32), {"units": "1"})},
+        {"signature": ["x"], "wavelength": ("band", nm, {"units": "nm"})},
     )
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
@@ -139,10 +139,10 @@ def odd_libraries(draw: st.DrawFn) -> xr.Dataset:
     nm = nm if draw(st.booleans()) else np.sort(nm)
     made = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), values[:, 0], {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), values[:, 1:], {"units": "1"}),
+            "reflectance": (("signature", "band"), values[:, 0], {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), values[:, 1:], {"units": "1"}),
         },
-        {"paint": draw(st.lists(st.text(max_size=5), min_size=paints, max_size=paints))},
+        {"signature": draw(st.lists(st.text(max_size=5), min_size=paints, max_size=paints))},
     )
     made = made.assign_coords(wavelength=("band", nm, {"units": "nm"}))
     if draw(st.booleans()):
@@ -178,7 +178,7 @@ def test_any_library_is_written_strictly_or_refused(paints: xr.Dataset, options:
             assert not list(Path(folder).iterdir())
             return
         materials = read_materials(out / "materials.mat")
-        assert len(materials) == paints.sizes["paint"] == made.sizes["paint"]
+        assert len(materials) == paints.sizes["signature"] == made.sizes["signature"]
         for material, count in zip(materials, made.curves.values, strict=True):
             path = out / (material.emissivity_file or "")
             _, micrometres, emissivity = strict_ems(path)
@@ -207,7 +207,7 @@ def test_other_units_and_order_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("reflectance", "member_reflectance"):
         percent[name] = (percent[name].astype(np.float64) * 100).assign_attrs(units="percent")
     hp.write_dirsig(percent, tmp_path / "percent")
-    turned = paints.transpose("band", "member", "quantile", "paint").chunk({"paint": 1})
+    turned = paints.transpose("band", "member", "quantile", "signature").chunk({"signature": 1})
     hp.write_dirsig(turned, tmp_path / "turned")
     plain = files(tmp_path / "plain")
     for name in ("backwards", "micro", "percent", "turned"):

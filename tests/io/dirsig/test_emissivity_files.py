@@ -68,9 +68,9 @@ def test_water_shines_less_at_the_horizon(shared_data: Path) -> None:
 def test_grass_as_a_paint_library(shared_data: Path) -> None:
     path = shared_data / "dirsig/emissivity/grass_texture.ems"
     grass = open_emissivity(path)
-    assert dict(grass.sizes) == {"paint": 1, "band": 396, "member": 43}
+    assert dict(grass.sizes) == {"signature": 1, "band": 396, "member": 43}
     assert grass.member_reflectance.dtype == grass.reflectance.dtype == np.float32
-    assert grass["paint"].item() == "grass_texture"
+    assert grass["signature"].item() == "grass_texture"
     assert grass.wavelength.attrs["units"] == "nm"
     # the last row of the file, by hand: 350 cm-1, emissivity 0.950167
     np.testing.assert_allclose(grass.wavelength[-1], 1e7 / 350)

@@ -26,7 +26,7 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path) -> None:
     for name in ("curves=", "wavelength_range=", "gaps=", "surface=", "rad_solver=", "thermal="):
         assert name in str(caught.value)
     with pytest.raises(SchemaError, match="no paints"):
-        hp.write_dirsig(library().isel(paint=slice(0)), tmp_path / "out")
+        hp.write_dirsig(library().isel(signature=slice(0)), tmp_path / "out")
     with pytest.raises(SchemaError, match="no specular term"):
         hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", surface="SimpleReflectance",
                         specular=0.1)  # fmt: skip
@@ -153,7 +153,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
 def test_what_a_killed_writer_leaves_is_cleared_up(tmp_path: Path) -> None:
     code = (
         "import os, sys, numpy as np, xarray as xr, hyperpaint as hp\n"
-        "rho = ('paint', 'band'), np.ones((1, 3), 'f4') / 2, {'units': '1'}\n"
+        "rho = ('signature', 'band'), np.ones((1, 3), 'f4') / 2, {'units': '1'}\n"
         "nm = ('band', [400., 500., 600.], {'units': 'nm'})\n"
         "lib = xr.Dataset({'reflectance': rho}, {'wavelength': nm})\n"
         "hp.write_dirsig(lib, sys.argv[1], progress=lambda *_: os._exit(9))\n"
@@ -169,7 +169,7 @@ def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("hyperpaint.io.dirsig.paint_curves._BLOCK_BYTES", 4 * 5 * BANDS)
     hp.write_dirsig(library(paints=7), tmp_path / "one")
     steps: list[tuple[int, int]] = []
-    hp.write_dirsig(library(paints=7).chunk({"paint": 3}), tmp_path / "two",
+    hp.write_dirsig(library(paints=7).chunk({"signature": 3}), tmp_path / "two",
                     progress=lambda *step: steps.append(step))  # fmt: skip
     assert steps == [(3, 7), (6, 7), (7, 7)]
     assert files(tmp_path / "one") == files(tmp_path / "two")
@@ -186,8 +186,8 @@ def test_a_finished_export_reads_back(tmp_path: Path) -> None:
 
 
 def test_the_marker_does_not_depend_on_the_order_of_coordinates(tmp_path: Path) -> None:
-    paints = library().assign_coords(zone=("paint", ["a"] * library().sizes["paint"]))
-    paints = paints.assign_coords(area=("paint", ["b"] * library().sizes["paint"]))
+    paints = library().assign_coords(zone=("signature", ["a"] * library().sizes["signature"]))
+    paints = paints.assign_coords(area=("signature", ["b"] * library().sizes["signature"]))
     coords = {key: paints.variables[key] for key in reversed([*paints.coords])}
     turned = xr.Dataset(paints.reset_coords(drop=True).data_vars, coords, paints.attrs)
     for folder, one in (("one", paints), ("two", turned)):
@@ -210,10 +210,10 @@ def crowd(members: int, seed: int = 0) -> xr.Dataset:
     units = {"units": "1"}
     return xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.nanmedian(values, axis=0)[None], units),
-            "member_reflectance": (("paint", "member", "band"), values[None], units),
+            "reflectance": (("signature", "band"), np.nanmedian(values, axis=0)[None], units),
+            "member_reflectance": (("signature", "member", "band"), values[None], units),
         },
-        {"paint": ["red"], "wavelength": ("band", nm, {"units": "nm"})},
+        {"signature": ["red"], "wavelength": ("band", nm, {"units": "nm"})},
     )
 
 

@@ -59,7 +59,7 @@ def test_right_files_are_one_library(name: str) -> None:
 def test_ecostress_holds_the_centres() -> None:
     paths = sorted((FILES / "ecostress").glob("*.txt"))
     library, back = declared_library(bands=6), hp.open_library(paths)
-    centres = library.reflectance.sel(paint=back["paint"].values)
+    centres = library.reflectance.sel(signature=back["signature"].values)
     np.testing.assert_allclose(back.reflectance, centres, rtol=1e-6)
 
 

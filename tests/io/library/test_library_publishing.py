@@ -33,12 +33,12 @@ def test_nothing_is_replaced_unasked(library: xr.Dataset, tmp_path: Path, format
     path = tmp_path / NAMES[format]
     assert hp.write_library(library, path, format=format) == path
     before = state(tmp_path)
-    other = library.isel(paint=[0, 1])
+    other = library.isel(signature=[0, 1])
     with pytest.raises(StoreError, match=r"exist.*overwrite=True"):
         hp.write_library(other, path, format=format)
     assert state(tmp_path) == before
     hp.write_library(other, path, format=format, overwrite=True)
-    assert hp.open_library(path).sizes["paint"] == 2
+    assert hp.open_library(path).sizes["signature"] == 2
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
 
 
@@ -57,13 +57,13 @@ def test_a_file_gets_the_suffix_that_it_is_known_by(
 ) -> None:
     path = hp.write_library(library, tmp_path / name, format=format)
     assert path == tmp_path / written
-    assert hp.open_library(path).sizes["paint"] == 5
+    assert hp.open_library(path).sizes["signature"] == 5
 
 
 def test_a_folder_that_is_empty_is_filled(library: xr.Dataset, tmp_path: Path) -> None:
     (tmp_path / "paints").mkdir()
     hp.write_library(library, tmp_path / "paints", format="ecostress")
-    assert hp.open_library(tmp_path / "paints").sizes["paint"] == 5
+    assert hp.open_library(tmp_path / "paints").sizes["signature"] == 5
 
 
 @pytest.mark.parametrize("format", ["envi", "csv", "ecostress"])
@@ -73,7 +73,7 @@ def test_a_failure_leaves_what_was_there(
 ) -> None:
     path = tmp_path / NAMES[format]
     if overwrite:
-        hp.write_library(library.isel(paint=[0]), path, format=format)
+        hp.write_library(library.isel(signature=[0]), path, format=format)
     before = state(tmp_path)
 
     def stop(done: int, total: int) -> None:
@@ -96,7 +96,7 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
 ) -> None:
     """Rationale: a library of ENVI is three files; without its header it is none."""
     path = tmp_path / "paints.sli"
-    old, new = library.isel(paint=[0, 1]), library
+    old, new = library.isel(signature=[0, 1]), library
     if overwrite:
         hp.write_library(old, path)
     replace, left = os.replace, [step]
@@ -114,7 +114,7 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
     with pytest.raises(FormatError, match=r"no header beside it|no such file"):
         hp.open_library(path)
     hp.write_library(new, path, overwrite=True)
-    assert hp.open_library(path).sizes["paint"] == 5
+    assert hp.open_library(path).sizes["signature"] == 5
     assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
 
 
@@ -137,7 +137,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
             hp.write_library(library, path)
 
     hp.write_library(library, path, progress=second)
-    assert hp.open_library(path).sizes["paint"] == 5
+    assert hp.open_library(path).sizes["signature"] == 5
 
 
 def test_a_folder_with_anything_else__is_never_replaced(library: xr.Dataset, tmp_path: Path) -> None:
@@ -174,11 +174,11 @@ def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
     )
     library = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.full((400, 100), 0.5, np.float32), {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), lazy, {"units": "1"}),
+            "reflectance": (("signature", "band"), np.full((400, 100), 0.5, np.float32), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), lazy, {"units": "1"}),
         },
         coords={
-            "paint": [f"paint {at}" for at in range(400)],
+            "signature": [f"paint {at}" for at in range(400)],
             "wavelength": ("band", np.linspace(400, 1000, 100), {"units": "nm"}),
         },
     )

@@ -58,7 +58,7 @@ ROWS = [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]
 def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, scale: float) -> None:
     library = hp.open_library(write_sli(tmp_path, np.array(ROWS) * scale, NAMES + NM + more))
     np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
-    assert library["paint"].values.tolist() == ["red", "blue"]
+    assert library["signature"].values.tolist() == ["red", "blue"]
 
 
 def test_sli__without_a_scale_is_refused_and_can_be_told(tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> Non
     library = hp.open_library(write_sli(tmp_path, rows, f"spectra names = {{{names}}}\n"))
     np.testing.assert_allclose(library["wavelength"].values, [450, 550, 650], rtol=1e-6)
     np.testing.assert_allclose(library["fwhm"].values, [10, 11, 12], rtol=1e-6)
-    assert library["paint"].values.tolist() == ["red", "blue"]
+    assert library["signature"].values.tolist() == ["red", "blue"]
     np.testing.assert_allclose(
         library["reflectance_u_random"].values, [[np.nan] * 3, [0.001, np.nan, 0.003]], rtol=1e-6
     )
@@ -124,7 +124,7 @@ def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> Non
 def test_sli__names_that_cannot_be_trusted_are_numbers(tmp_path: Path, names: str) -> None:
     with pytest.warns(PaintWarning, match="spectra are numbered"):
         library = hp.open_library(write_sli(tmp_path, ROWS, names + NM))
-    assert library["paint"].values.tolist() == ["spectrum 1", "spectrum 2"]
+    assert library["signature"].values.tolist() == ["spectrum 1", "spectrum 2"]
 
 
 def test_sli__bad_bands_are_not_good(tmp_path: Path) -> None:
@@ -172,19 +172,19 @@ def test_tables__separators_units_and_headings(tmp_path: Path, text: str, encodi
     library = hp.open_library(write_text(tmp_path, text, "both.csv", encoding))
     np.testing.assert_allclose(library["wavelength"].values, [450.0, 550.0, 650.0])
     np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
-    assert library["paint"].values.tolist() == ["red", "blue"]
+    assert library["signature"].values.tolist() == ["red", "blue"]
 
 
 def test_tables__units_stay_in_names_that_would_be_alike(tmp_path: Path) -> None:
     library = hp.open_library(write_text(tmp_path, "nm,red (%),red (1)\n450,10,40\n550,20,50\n650,30,60\n"))
-    assert library["paint"].values.tolist() == ["red (%)", "red (1)"]
+    assert library["signature"].values.tolist() == ["red (%)", "red (1)"]
 
 
 def test_tables__one_spectrum_is_named_by_its_file_or_heading(tmp_path: Path) -> None:
     rows = "450,0.1\n550,0.2\n"
-    assert hp.open_library(write_text(tmp_path, rows, "Grün 3.txt"))["paint"].item() == "Grün 3"
-    assert hp.open_library(write_text(tmp_path, "nm,reflectance\n" + rows))["paint"].item() == "red"
-    assert hp.open_library(write_text(tmp_path, "nm,VW LA3G\n" + rows))["paint"].item() == "VW LA3G"
+    assert hp.open_library(write_text(tmp_path, rows, "Grün 3.txt"))["signature"].item() == "Grün 3"
+    assert hp.open_library(write_text(tmp_path, "nm,reflectance\n" + rows))["signature"].item() == "red"
+    assert hp.open_library(write_text(tmp_path, "nm,VW LA3G\n" + rows))["signature"].item() == "VW LA3G"
 
 
 def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
         ("0.55 20", "0.55 20 7", "line 11: '0.55 20 7', expected 2 numbers"),
         ("0.55 20", "nan 20", "a wavelength is not a number"),
         (": none", ": hyperpaint metadata {", "damaged metadata"),
-        (": none", ': hyperpaint metadata {"paint": "x"}', "expected a new plain name"),
+        (": none", ': hyperpaint metadata {"signature": "x"}', "expected a new plain name"),
         (": none", ': hyperpaint metadata {"n": "x"}', "metadata 'n': expected int values alone"),
     ],
 )
@@ -294,7 +294,7 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     library = hp.open_library(asd)
     assert library["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
     assert library["fwhm"].values.tolist() == [10.0] * 3
-    assert library["paint"].item() == "Red paint GDS1"
+    assert library["signature"].item() == "Red paint GDS1"
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
     with pytest.raises(
@@ -322,7 +322,7 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("spectra names,kind\nred,car\nblue,van\n")
     table = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n", "x-grey.csv")
     library = hp.open_library(str(tmp_path / "x*"))
-    assert library["paint"].values.tolist() == ["red", "blue", "grey"]
+    assert library["signature"].values.tolist() == ["red", "blue", "grey"]
     assert library["kind"].values.tolist() == ["car", "van", ""]
     assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
 
@@ -339,7 +339,7 @@ def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_p
         write_text(tmp_path, ECOSTRESS.replace("red", f"red {number}"), f"red{number}.txt")
     table = "nm,reflectance\n650,0.3\n550,0.2\n450,0.1\n"
     library = hp.open_library([tmp_path, write_text(tmp_path / "..", table, f"{tmp_path.name}.csv")])
-    assert library["paint"].values.tolist() == ["red 1", "red 2", "red 10", tmp_path.name]
+    assert library["signature"].values.tolist() == ["red 1", "red 2", "red 10", tmp_path.name]
     assert library["type"].values.tolist() == ["manmade"] * 3 + [""]
     assert library["reflectance"].shape == (4, 3)
 
@@ -355,7 +355,7 @@ def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
-    with pytest.raises(FormatError, match="holds no paint library: 'paint' is missing"):
+    with pytest.raises(FormatError, match="holds no paint library: 'signature' is missing"):
         hp.open_library(tmp_path / "x.zarr")
     with pytest.raises(StoreError):
         hp.open_library(tmp_path / "absent.zarr")

@@ -74,7 +74,7 @@ def test_ecostress__gives_centres_and_numbers_back(library: xr.Dataset, tmp_path
     kept = library.isel(band=[0, 1, 3, 4, 5, 6])
     found = trip(kept, tmp_path, "paints", format="ecostress")
     order = [3, 1, 2, 0, 4]  # files are in the order of their names
-    assert found["paint"].values.tolist() == [NAMES[at] for at in order]
+    assert found["signature"].values.tolist() == [NAMES[at] for at in order]
     np.testing.assert_array_equal(found["reflectance"].values, kept["reflectance"].values[order])
     np.testing.assert_allclose(found["wavelength"].values, kept["wavelength"].values, rtol=1e-10)
     assert set(found["measurement"].values) == {
@@ -90,7 +90,7 @@ def test_ecostress__gives_centres_and_numbers_back(library: xr.Dataset, tmp_path
 def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     spy = pytest.importorskip("spectral.database.ecostress")
     folder = hp.write_library(
-        library.isel(band=[0, 1, 2, 4], paint=[1]), tmp_path / "paints", format="ecostress"
+        library.isel(band=[0, 1, 2, 4], signature=[1]), tmp_path / "paints", format="ecostress"
     )
     theirs = spy.read_ecostress_file(str(folder / "Gruen.spectrum.txt"))
     assert theirs.sample["name"] == "Grün"
@@ -114,7 +114,7 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
     path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
     with open(path, encoding="utf-8-sig", newline="") as file:
         head, *rows = csv.reader(file)
-    assert head[:3] == ["paint", "variable", "place"]
+    assert head[:3] == ["signature", "variable", "place"]
     first = len(head) - library.sizes["band"]
     assert [float(cell) for cell in head[first:]] == library["wavelength"].values.tolist()
     assert {len(row) for row in rows} == {len(head)}
@@ -132,9 +132,9 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
 def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:
     """Expected: a row a paint, what is said of it, then numbers alone; Excel knows UTF-8 by its mark."""
     path = hp.write_library(library, tmp_path / "paints.csv")
-    assert path.read_bytes().startswith(b"\xef\xbb\xbfpaint,make,n,n_eff,quality,time,year,400.0,")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbfsignature,make,n,n_eff,quality,time,year,400.0,")
     table = pd.read_csv(path, keep_default_na=False, na_values={"n_eff": [""]}, dtype={"make": str})
-    assert table["paint"].tolist() == NAMES
+    assert table["signature"].tolist() == NAMES
     assert table["make"].tolist() == ["VW", "", "Škoda", "a b", "ß"]
     assert table["year"].tolist() == [2001, 2, 3, 4, 5]
     np.testing.assert_array_equal(table["n_eff"], library["n_eff"])
@@ -142,8 +142,8 @@ def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path:
     values = table.iloc[:, table.columns.get_loc("400.0") :]
     assert [float(name) for name in values.columns] == library["wavelength"].values.tolist()
     np.testing.assert_array_equal(values.to_numpy("f4"), library["reflectance"].values)
-    plain = library.isel(paint=[0]).assign_coords(make=("paint", np.array(["VW"], object)))
-    assert hp.write_library(plain, tmp_path / "plain.csv").read_bytes().startswith(b"paint,")
+    plain = library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object)))
+    assert hp.write_library(plain, tmp_path / "plain.csv").read_bytes().startswith(b"signature,")
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
@@ -215,11 +215,11 @@ def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("first", "row", "said"),
     [
-        ("paint,make,make,400,500", "a,b,c,1,1", "names of columns, each once"),
+        ("signature,make,make,400,500", "a,b,c,1,1", "names of columns, each once"),
         ("paint,my make,400,500", "a,b,1,1", "names of columns"),
-        ("paint,make,400,500", "a,1,1", "row 2: 'a,1,1', expected paint, make, and 2 numbers"),
-        ("paint,make,400,500", "a,b,1,x", "row 2: 'a,b,1,x'"),
-        ("paint,make,400,-500", "a,b,1,1", "no table of numbers|wavelength"),
+        ("signature,make,400,500", "a,1,1", "row 2: 'a,1,1', expected signature, make, and 2 numbers"),
+        ("signature,make,400,500", "a,b,1,x", "row 2: 'a,b,1,x'"),
+        ("signature,make,400,-500", "a,b,1,1", "no table of numbers|wavelength"),
     ],
 )
 def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_without_metadata__spectra_and_members_still_lead_back(
     for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
         assert found[variable].dims == library[variable].dims
-    assert found["paint"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
+    assert found["signature"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
     assert ("make" in found.coords) == name.endswith("csv")
 
 
@@ -251,7 +251,7 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
     with pytest.raises(FormatError, match=r"'wavelength' differs; they are of two libraries"):
         hp.open_library(path)
-    fewer = hp.write_library(library.isel(paint=[0, 1]), tmp_path / "fewer" / name, curves="all")
+    fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
     with pytest.raises(FormatError, match=r"shape \(2,\), expected \(5,\)"):
         hp.open_library(path)
@@ -260,7 +260,7 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
 def test_lazy_libraries__are_written_as_loaded_ones(tmp_path: Path, name: str) -> None:
     library = make_library()
-    lazy = library.chunk({"paint": 2, "member": 3, "band": 4})
+    lazy = library.chunk({"signature": 2, "member": 3, "band": 4})
     eager = hp.write_library(library, tmp_path / "eager" / name, curves="all")
     done = hp.write_library(lazy, tmp_path / "lazy" / name, curves="all")
     if not done.is_dir():
@@ -309,7 +309,7 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
         hp.write_library(bad, tmp_path / "paints.sli")
     assert "'wavelength' is missing" in str(caught.value)
     assert "'n' has units 'm'" in str(caught.value)
-    broken = library.assign_coords(paint=["a\nb", "c", "d\x00", "e", "f"])
+    broken = library.assign_coords(signature=["a\nb", "c", "d\x00", "e", "f"])
     for format in ("envi", "csv", "ecostress"):
         with pytest.raises(SchemaError, match=r"paint 0 is named 'a\\nb'"):
             hp.write_library(broken.isel(band=[0, 1]), tmp_path / "paints", format=format)
@@ -318,7 +318,7 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
         hp.write_library(library, tmp_path / "paints", format="ecostress")
     with pytest.raises(SchemaError, match="begin or end with blanks"):
         hp.write_library(
-            library.isel(band=[0, 1]).assign_coords(paint=[" a", "b", "c", "d", "e"]),
+            library.isel(band=[0, 1]).assign_coords(signature=[" a", "b", "c", "d", "e"]),
             tmp_path / "paints",
             format="ecostress",
         )
@@ -361,15 +361,15 @@ def test_any_names_and_values__come_back(
     )
     library = xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.array(values, np.float32), {"units": "1"}),
+            "reflectance": (("signature", "band"), np.array(values, np.float32), {"units": "1"}),
             "member_reflectance": (
-                ("paint", "member", "band"),
+                ("signature", "member", "band"),
                 np.array(members, np.float32).reshape(-1, 2, 3),
                 {"units": "1"},
             ),
         },
         coords={
-            "paint": np.array(names, object),
+            "signature": np.array(names, object),
             "wavelength": ("band", [400.0, 500.5, 1 / 3 + 600], {"units": "nm"}),
         },
     )
@@ -407,9 +407,9 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
 def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> None:
     values = np.array([[0.25, 0.5], [-0.01, 0.75]], np.float32)
     paints = xr.Dataset(
-        {"reflectance": (("paint", "band"), values, {"units": "1"})},
+        {"reflectance": (("signature", "band"), values, {"units": "1"})},
         coords={
-            "paint": [name, "blue"], "make": ("paint", ["=1+1", "-3"]),
+            "signature": [name, "blue"], "make": ("signature", ["=1+1", "-3"]),
             "wavelength": ("band", [450.0, 650.0], {"units": "nm"}),
         },
     )  # fmt: skip
@@ -420,7 +420,7 @@ def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> Non
     dangerous = [cell for cell in cells if cell[:1] in ("=", "+", "-", "@", "\t", "\r")]
     assert all(float(cell) < 0 for cell in dangerous)  # numbers stay numbers
     back = hp.open_library(path)
-    assert back["paint"].values.tolist() == [name, "blue"]
+    assert back["signature"].values.tolist() == [name, "blue"]
     assert back["make"].values.tolist() == ["=1+1", "-3"]
     np.testing.assert_array_equal(back["reflectance"], paints["reflectance"])
 

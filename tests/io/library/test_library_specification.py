@@ -69,10 +69,10 @@ FAULTS = {
     "no wavelengths": ("structure", without("wavelength")),
     "spread on bands alone": (
         "dims",
-        lambda lib: lib.assign(reflectance_sd=lib.reflectance_sd.mean("paint")),
+        lambda lib: lib.assign(reflectance_sd=lib.reflectance_sd.mean("signature")),
     ),
-    "name twice": ("paint-names", lambda lib: lib.assign_coords(paint=["red", "red", "black"])),
-    "name empty": ("paint-names", lambda lib: lib.assign_coords(paint=["red", " ", "black"])),
+    "name twice": ("paint-names", lambda lib: lib.assign_coords(signature=["red", "red", "black"])),
+    "name empty": ("paint-names", lambda lib: lib.assign_coords(signature=["red", " ", "black"])),
     "micrometres": ("wavelength-units", changed("wavelength", with_units("um"))),
     "micrometres by value": (
         "wavelength-range",
@@ -94,7 +94,7 @@ FAULTS = {
     "marks of missing values": ("reflectance-range", changed("reflectance", poked(-9999.0))),
     "empty paint": (
         "reflectance-empty",
-        changed("reflectance", lambda a: a.where(a["paint"] != "blue").assign_attrs(units="1")),
+        changed("reflectance", lambda a: a.where(a["signature"] != "blue").assign_attrs(units="1")),
     ),
     "negative spread": ("uncertainty-sign", changed("reflectance_sd", poked(-0.1))),
     "spread in percent": ("uncertainty-units", changed("reflectance_u_random", with_units("%"))),
@@ -112,7 +112,7 @@ FAULTS = {
     ),
     "sun below ground": ("angles", changed("sun_zenith", poked(120.0))),
     "sun in radians": ("angles", changed("sun_zenith", with_units("rad"))),
-    "time as text": ("time", lambda lib: lib.assign_coords(time=("paint", ["noon"] * 3))),
+    "time as text": ("time", lambda lib: lib.assign_coords(time=("signature", ["noon"] * 3))),
     "diffuse in percent": ("diffuse-fraction", changed("diffuse_fraction", poked(20.0))),
     "no version": ("version", without("paint_library_version")),
     "no title": ("title", attr(title="")),
@@ -122,7 +122,7 @@ FAULTS = {
     "no geometry": ("measurement_geometry", without("measurement_geometry")),
     "finish of none": (
         "finish",
-        lambda lib: lib.assign_coords(finish=("paint", ["solid", "glittery", "pearl"])),
+        lambda lib: lib.assign_coords(finish=("signature", ["solid", "glittery", "pearl"])),
     ),
     "no provenance": ("provenance", without("provenance")),
     "no licence": ("licence", without("licence")),
@@ -135,7 +135,7 @@ FAULTS = {
 
 def test_a_right_library_passes(library):
     assert (
-        str(hp.io.check_library(library)) == "the library: 3 paints, 24 bands: a paint library of version 1"
+        str(hp.io.check_library(library)) == "the library: 3 paints, 24 bands: a paint library of version 2"
     )
 
 

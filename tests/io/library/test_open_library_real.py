@@ -40,7 +40,7 @@ def spy_library(path: Path) -> Any:
 
 
 def assert_is_library(library: xr.Dataset) -> None:
-    assert library["reflectance"].dims == ("paint", "band")
+    assert library["reflectance"].dims == ("signature", "band")
     assert library["reflectance"].dtype == np.float32
     assert library["reflectance"].attrs["units"] == "1"
     assert library["wavelength"].dims == ("band",)
@@ -54,10 +54,10 @@ def test_berlin__has_its_scale_in_a_plot_title_and_its_classes_beside_it(sli: Pa
     """Expected: first stored value 589.95611966 of a reflectance times 10,000; 75 spectra, 177 bands."""
     library = hp.open_library(sli / "library_berlin.hdr")
     assert_is_library(library)
-    assert dict(library.sizes) == {"paint": 75, "band": 177}
+    assert dict(library.sizes) == {"signature": 75, "band": 177}
     assert library["reflectance"].values[0, 0] == np.float32(0.058995611966)
     assert library["wavelength"].values[[0, -1]].tolist() == [460.0, 2409.0]
-    roof = library.sel(paint="zinc")
+    roof = library.sel(signature="zinc")
     assert (roof["level_1"].item(), roof["level_3"].item()) == ("impervious", "roof")
     xr.testing.assert_identical(library, hp.open_library(sli / "library_berlin.sli"))
 
@@ -65,7 +65,7 @@ def test_berlin__has_its_scale_in_a_plot_title_and_its_classes_beside_it(sli: Pa
 @SPY_ON_NUMPY_2_5
 def test_berlin__is_as_spy_reads_it(sli: Path) -> None:
     found, spy = hp.open_library(sli / "library_berlin.sli"), spy_library(sli / "library_berlin.sli")
-    assert found["paint"].values.tolist() == [name.strip() for name in spy.names]
+    assert found["signature"].values.tolist() == [name.strip() for name in spy.names]
     np.testing.assert_allclose(found["reflectance"].values, spy.spectra / 1e4, rtol=1e-6)
     np.testing.assert_allclose(found["wavelength"].values, np.array(spy.bands.centers) * 1e3)
     np.testing.assert_allclose(found["fwhm"].values, np.array(spy.bands.bandwidths) * 1e3)
@@ -76,11 +76,15 @@ def test_usgs_aviris__has_two_records_that_are_no_spectra_and_error_bars(sli: Pa
     library = hp.open_library(sli / "s07_AV95_envi.sli")
     assert_is_library(library)
     # 3,139 records: wavelengths, bandwidths, and 680 error bars beside the spectra
-    assert dict(library.sizes) == {"paint": 3139 - 2 - 680, "band": 224}
-    painted = library.isel(paint=[at for at, n in enumerate(library["paint"].values) if "GDS333" in n][:1])
-    assert "Painted_Aluminum" in painted["paint"].item()
+    assert dict(library.sizes) == {"signature": 3139 - 2 - 680, "band": 224}
+    painted = library.isel(
+        signature=[at for at, n in enumerate(library["signature"].values) if "GDS333" in n][:1]
+    )
+    assert "Painted_Aluminum" in painted["signature"].item()
     np.testing.assert_allclose(painted["reflectance"].values[0, [20, 50]], [0.52703726, 0.4621601], rtol=1e-6)
-    toy = library.isel(paint=[at for at, n in enumerate(library["paint"].values) if "GDS398" in n][:1])
+    toy = library.isel(
+        signature=[at for at, n in enumerate(library["signature"].values) if "GDS398" in n][:1]
+    )
     np.testing.assert_allclose(toy["reflectance"].values[0, [20, 50]], [0.10421019, 0.670282], rtol=1e-6)
     falls = np.flatnonzero(np.diff(library["wavelength"].values) < 0)
     assert falls.tolist() == [31, 95]
@@ -97,7 +101,7 @@ def test_usgs_aviris__is_as_spy_reads_it(sli: Path) -> None:
     stored[stored < -1e20] = np.nan  # convolution has spread some of the fill to its neighbours
     record = found["record"].values
     np.testing.assert_array_equal(found["reflectance"].values, stored[record].astype(np.float32))
-    assert found["paint"].values.tolist() == [spy.names[at].strip() for at in record]
+    assert found["signature"].values.tolist() == [spy.names[at].strip() for at in record]
     known = np.isfinite(found["reflectance_u_random"].values).any(axis=1)
     expected = stored[record[known] + 1].astype(np.float32)
     expected[expected < 0] = np.nan
@@ -121,7 +125,7 @@ def test_ecostress_and_aster__have_their_known_values(
 ) -> None:
     library = hp.open_library(text / name)
     assert_is_library(library)
-    assert library["paint"].values.tolist() == [paint]
+    assert library["signature"].values.tolist() == [paint]
     assert library.attrs["format"].startswith(form)
     assert library.sizes["band"] == count
     np.testing.assert_allclose(library["wavelength"].values[[0, -1]], ends)
@@ -153,7 +157,7 @@ def test_ecostress_and_aster__are_as_spy_reads_them(text: Path, name: str) -> No
 def test_usgs_text__finds_its_wavelengths_or_is_told_them(text: Path, given: bool) -> None:
     library = hp.open_library(text / USGS, wavelength=text / WAVELENGTHS if given else None)
     assert_is_library(library)
-    assert library["paint"].values.tolist() == ["Brilliant(Hansa)yellowGDS785"]
+    assert library["signature"].values.tolist() == ["Brilliant(Hansa)yellowGDS785"]
     assert (library["spectrometer"].item(), library["measurement"].item()) == ("ASDFRa", "AREF")
     assert library["reflectance"].values[0, 0] == np.float32(1.1358514e-2)
     assert library["wavelength"].values[0] == pytest.approx(349.99999)
@@ -185,7 +189,7 @@ def test_wavelengths_are_no_spectrum(text: Path) -> None:
 @pytest.mark.parametrize(("name", "first"), [("PVC_Red", (344.200012, 0.367868)), ("R90", (250.0, 0.942517))])
 def test_plain_tables__have_their_known_values(text: Path, name: str, first: tuple[float, float]) -> None:
     library = hp.open_library(text / f"{name}.txt")
-    assert library["paint"].values.tolist() == [name]
+    assert library["signature"].values.tolist() == [name]
     assert library["wavelength"].values[0] == first[0]
     assert library["reflectance"].values[0, 0] == np.float32(first[1])
 
@@ -196,7 +200,7 @@ def test_tables_with_headings__are_read(shared_data: Path) -> None:
     assert panel["reflectance"].values[0, 0] == np.float32(0.911211)
     assert "notes" not in panel.attrs  # "nm" stands in its heading
     lawn = hp.open_library(shared_data / "radiance_vs_field/insitu_BeckmanLawn.txt")
-    assert lawn["paint"].values.tolist() == ["insitu_BeckmanLawn"]
+    assert lawn["signature"].values.tolist() == ["insitu_BeckmanLawn"]
     at = int(np.flatnonzero(lawn["wavelength"].values == 550.0)[0])
     assert lawn["reflectance"].values[0, at] == np.float32(0.0670867)
     assert lawn["reflectance_sd"].values[0, 0] == np.float32(0.00805685)
@@ -204,7 +208,7 @@ def test_tables_with_headings__are_read(shared_data: Path) -> None:
 
 def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path) -> None:
     library = hp.open_library(str(text / "PVC_*.txt"))
-    assert library["paint"].values.tolist() == ["PVC_Red", "PVC_White"]
+    assert library["signature"].values.tolist() == ["PVC_Red", "PVC_White"]
     assert library["file"].values.tolist() == ["PVC_Red.txt", "PVC_White.txt"]
     assert "the same rows count once" in library.attrs["notes"]  # two of 1024, where detectors join
     with pytest.raises(FormatError, match=r"R90.txt has 2202 wavelengths from 250 to 2510 nm, expected 1022"):

@@ -30,7 +30,7 @@ def foreign(path, **changes):
 def test_a_file_of_others_is_a_library(tmp_path):
     library = hp.open_library(foreign(tmp_path / "usgs.parquet"))
     np.testing.assert_allclose(library.wavelength, [400.0, 500.0, 600.0])
-    assert library["paint"].values.tolist() == ["olivine", "asphalt"]
+    assert library["signature"].values.tolist() == ["olivine", "asphalt"]
     np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
     assert library.licence.values.tolist() == ["public domain"] * 2
 
@@ -78,7 +78,7 @@ def test_pandas_readers_see_a_row_a_paint(tmp_path):
     starter = hp.paints.starter_library(members=2)
     path = hp.write_library(starter, tmp_path / "starter.parquet")
     rows = pq.read_table(path).to_pylist()
-    assert [row["material.name"] for row in rows] == starter["paint"].values.tolist()
+    assert [row["material.name"] for row in rows] == starter["signature"].values.tolist()
     assert {row["material.category"] for row in rows} == {"man_made"}
     assert json.loads(rows[0]["additional_properties"])["finish"] == "solid"
     np.testing.assert_array_equal(
@@ -87,10 +87,14 @@ def test_pandas_readers_see_a_row_a_paint(tmp_path):
     path.with_name("starter.parquet.json").unlink()  # as others hand it on
     alone = hp.open_library(path)
     np.testing.assert_array_equal(alone.reflectance.values, starter.reflectance.values)
-    assert alone["paint"].values.tolist() == starter["paint"].values.tolist()
+    assert alone["signature"].values.tolist() == starter["signature"].values.tolist()
 
 
 def test_paints_of_one_name_stay_apart(tmp_path):
-    starter = hp.paints.starter_library(members=3).isel(paint=[0, 1, 2]).assign_coords(paint=["a", "a", "b"])
+    starter = (
+        hp.paints.starter_library(members=3)
+        .isel(signature=[0, 1, 2])
+        .assign_coords(signature=["a", "a", "b"])
+    )
     back = hp.open_library(hp.write_library(starter, tmp_path / "p.parquet", curves="all"))
     xr.testing.assert_identical(back, starter)

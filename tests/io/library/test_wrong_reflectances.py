@@ -168,7 +168,7 @@ def test_a_real_spectrum_of_the_sun__is_no_paint(shared_data: Path) -> None:
 
 def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -> None:
     library = text(GREY, GREY / 9, GREY / 2, heading="nm,a,a sd,b")(tmp_path)
-    assert library["paint"].values.tolist() == ["a", "b"]
+    assert library["signature"].values.tolist() == ["a", "b"]
     np.testing.assert_allclose(library["reflectance_sd"].values[0], GREY / 9, rtol=1e-6)
     assert np.isnan(library["reflectance_sd"].values[1]).all()
 
@@ -177,7 +177,7 @@ def test_a_white_standard_is_a_paint(tmp_path: Path) -> None:
     """Words of a spread name one only where the rest of the heading names another column."""
     names = ["Red 12", "White Std", "SD45"]
     library = text(GREY, GREY / 2, GREY / 3, heading="nm," + ",".join(names))(tmp_path)
-    assert library["paint"].values.tolist() == names
+    assert library["signature"].values.tolist() == names
     spread = text(GREY, GREY / 2, GREY / 9, GREY / 8, heading="nm,red,blue,blue std,red std")(tmp_path)
-    assert spread["paint"].values.tolist() == ["red", "blue"]
+    assert spread["signature"].values.tolist() == ["red", "blue"]
     np.testing.assert_allclose(spread["reflectance_sd"].values[0], GREY / 8, rtol=1e-6)

@@ -24,9 +24,9 @@ def library_of(spectra: dict[str, list[float]], mirror: str | None = "excluded")
     bands = len(next(iter(spectra.values())))
     attrs = {"units": "1", **({} if mirror is None else {"mirror_reflection": mirror})}
     return xr.Dataset(
-        {"reflectance": (("paint", "band"), np.float32(list(spectra.values())), attrs)},
+        {"reflectance": (("signature", "band"), np.float32(list(spectra.values())), attrs)},
         {
-            "paint": np.array(list(spectra), object),
+            "signature": np.array(list(spectra), object),
             "wavelength": ("band", np.linspace(450.0, 900.0, bands), {"units": "nm"}),
         },
     )
@@ -115,7 +115,7 @@ def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Pa
     for name in ("made.zarr", "made.sli", "made.csv"):
         back = hp.open_library(hp.write_library(made, tmp_path / name, curves="all")).load()
         np.testing.assert_array_equal(back.member_reflectance, made.member_reflectance)
-        assert back["paint"].item() == "Grün, hell"
+        assert back["signature"].item() == "Grün, hell"
         assert back.parents.item() == made.parents.item()
         assert back.reflectance.attrs["mirror_reflection"] == "excluded"
 
@@ -128,7 +128,7 @@ def test_a_missing_band_of_a_parent_is_missing() -> None:
 
 def test_percent_and_any_order_of_dims_are_taken() -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
-    turned = (library * 100.0).transpose("band", "paint")
+    turned = (library * 100.0).transpose("band", "signature")
     turned["reflectance"].attrs = {"units": "percent", "mirror_reflection": "excluded"}
     made, other = (hp.paints.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
     np.testing.assert_allclose(made.reflectance, other.reflectance, rtol=1e-6)
@@ -187,9 +187,9 @@ def test_noise_below_black_and_above_white_is_replaced_with_a_warning() -> None:
 
 
 def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
-    red = paints.isel(paint=[5])
+    red = paints.isel(signature=[5])
     ladder = hp.paints.shade_paints(red, [0.25, 1.0, 4.0])
-    assert ladder["paint"].values.tolist() == [f"{RED} x {depth}" for depth in ("0.25", "1", "4")]
+    assert ladder["signature"].values.tolist() == [f"{RED} x {depth}" for depth in ("0.25", "1", "4")]
     assert ladder.depth.values.tolist() == [0.25, 1.0, 4.0]
     np.testing.assert_allclose(ladder.reflectance[1], red.reflectance[0], rtol=2e-6)
     ratio = absorption_to_scattering(Interface().layer(ladder.reflectance.values.astype(np.float64)))
@@ -200,7 +200,7 @@ def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
 
 def test_a_tint_is_a_mixture_with_what_absorbs_nothing() -> None:
     library = library_of({"a": [0.5, 0.3], "ideal": [0.96, 0.96]})
-    tint = hp.paints.shade_paints(library.isel(paint=[0]), [0.1])
+    tint = hp.paints.shade_paints(library.isel(signature=[0]), [0.1])
     mixed = hp.paints.mix_paints(library, {"m": {"a": 1, "ideal": 9}})
     np.testing.assert_allclose(tint.reflectance, mixed.reflectance, rtol=1e-5)
 
@@ -220,7 +220,7 @@ def with_members(counts: dict[str, list[int]], members: int = 4) -> xr.Dataset:
     stack = np.full((len(counts), members, 2), np.nan, np.float32)
     for number, held in enumerate(counts.values()):
         stack[number, held] = library.reflectance.values[number] * (1.0 + 0.01 * np.float32(held)[:, None])
-    library["member_reflectance"] = (("paint", "member", "band"), stack, {"units": "1"})
+    library["member_reflectance"] = (("signature", "member", "band"), stack, {"units": "1"})
     return library
 
 
@@ -269,6 +269,6 @@ def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
         specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
     )
     mixed = hp.paints.mix_paints(percent, {"same": {RED: 1.0}})
-    shades = hp.paints.shade_paints(percent.isel(paint=[5]), [1.0])
+    shades = hp.paints.shade_paints(percent.isel(signature=[5]), [1.0])
     for made in (mixed, shades):
         np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)

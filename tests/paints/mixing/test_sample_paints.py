@@ -30,12 +30,12 @@ def library_of(*members: np.ndarray) -> xr.Dataset:
     stack = np.float32(np.stack(members))
     return xr.Dataset(
         {
-            "reflectance": (("paint", "band"), np.nan_to_num(stack).mean(axis=1), {"units": "1"}),
-            "member_reflectance": (("paint", "member", "band"), stack, {"units": "1"}),
+            "reflectance": (("signature", "band"), np.nan_to_num(stack).mean(axis=1), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), stack, {"units": "1"}),
         },
         {
-            "paint": np.array([f"paint {k}" for k in range(len(members))], object),
-            "make": ("paint", np.array(["VW"] * len(members), object)),
+            "signature": np.array([f"paint {k}" for k in range(len(members))], object),
+            "make": ("signature", np.array(["VW"] * len(members), object)),
             "wavelength": ("band", np.linspace(400.0, 1000.0, stack.shape[2]), {"units": "nm"}),
         },
     )
@@ -81,7 +81,7 @@ def test_variants_stay_between_nothing_and_all(level: float) -> None:
 
 def test_a_paint_has_its_own_variants_whatever_is_beside_it() -> None:
     both = library_of(population(), population(seed=5))
-    drawn, alone = hp.paints.sample_paints(both, 12), hp.paints.sample_paints(both.isel(paint=[1]), 12)
+    drawn, alone = hp.paints.sample_paints(both, 12), hp.paints.sample_paints(both.isel(signature=[1]), 12)
     np.testing.assert_array_equal(drawn.member_reflectance[1], alone.member_reflectance[0])
     np.testing.assert_array_equal(
         hp.paints.sample_paints(both, 12).member_reflectance, drawn.member_reflectance
@@ -94,11 +94,11 @@ def test_members_and_paints_are_the_same_draws() -> None:
     library = library_of(population(), population(seed=5))
     library["reflectance"].attrs["mirror_reflection"] = "included"
     drawn, paints = (hp.paints.sample_paints(library, 7, form=form) for form in ("members", "paints"))
-    assert dict(drawn.member_reflectance.sizes) == {"paint": 2, "member": 7, "band": 40}
+    assert dict(drawn.member_reflectance.sizes) == {"signature": 2, "member": 7, "band": 40}
     np.testing.assert_array_equal(drawn.member_reflectance.values.reshape(14, 40), paints.reflectance)
     np.testing.assert_allclose(drawn.reflectance, drawn.member_reflectance.mean("member"), rtol=1e-5)
     assert drawn.reflectance.dtype == drawn.member_reflectance.dtype == np.float32
-    assert paints["paint"].values[8] == "paint 1 (synthetic 2)"
+    assert paints["signature"].values[8] == "paint 1 (synthetic 2)"
     assert paints.parents.values[8] == '["paint 1"]'
     assert set(paints.provenance.values) == {"synthetic"}
     assert paints.make.values.tolist() == ["VW"] * 14
