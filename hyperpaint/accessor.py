@@ -7,6 +7,7 @@ which ``python tests/support/accessor_stub.py`` writes from the same functions.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import inspect
 from collections.abc import Callable, Hashable, Mapping
@@ -110,8 +111,33 @@ class _Method:
         return self._function(rename_to_roles(self._accessor._dataset, dims), *arguments, **options)
 
 
+class _Accessor:
+    # What both accessors say where `.paint` was taken for a variable, which it hides.
+
+    def __getattr__(self, name: str) -> Any:
+        text = f"the accessor .paint has no attribute {name!r}"
+        if not name.startswith("_"):  # those are asked for by copy, pickle, IPython
+            if near := difflib.get_close_matches(name, [each for each in dir(self) if each[0] != "_"], 1):
+                text += f"; the nearest is .paint.{near[0]}"
+            text += f". {_HIDDEN}"
+        raise AttributeError(text, name=name, obj=self)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, _Accessor):
+            return self is other
+        raise TypeError(f"the accessor .paint cannot be compared with {type(other).__name__}. {_HIDDEN}")
+
+    __hash__ = object.__hash__
+
+
+_HIDDEN = (
+    'Names of a paint library are library["signature"]; a variable of your own that is called paint is '
+    'dataset["paint"]'
+)
+
+
 @xr.register_dataset_accessor("paint")
-class PaintAccessor:
+class PaintAccessor(_Accessor):
     """Methods on a flight line. Each returns something new, lazily unless it says otherwise.
 
     Dims are found by role; those of other programs (downtrack, crosstrack, bands, y, x, ...) are known, and
@@ -196,11 +222,8 @@ class _ArrayMethod(_Method):
 
 
 @xr.register_dataarray_accessor("paint")
-class PaintArrayAccessor:
-    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns something new.
-
-    A coordinate ``paint``, as that of a library's reflectance, is reached by ``array["paint"]``.
-    """
+class PaintArrayAccessor(_Accessor):
+    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns something new."""
 
     def __init__(self, array: xr.DataArray) -> None:
         self._array = array

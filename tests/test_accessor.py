@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import copy
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -112,3 +113,23 @@ def test_verify_finds_the_store_of_a_dataset(tmp_path: Path) -> None:
     assert not opened.paint.verify().ok
     with pytest.raises(StoreError, match=r"hyperpaint\.verify\(path\)"):
         line.paint.verify()
+
+
+@pytest.mark.parametrize("of", ["dataset", "array"])
+def test_what_the_accessor_has_not_is_named(of: str) -> None:
+    library = xr.Dataset({"reflectance": (("signature", "band"), [[0.1]])}, {"signature": ["a"]})
+    accessor = library.paint if of == "dataset" else library.reflectance.paint
+    with pytest.raises(AttributeError, match=r'\'values\'.*library\["signature"\]') as caught:
+        _ = accessor.values
+    assert caught.value.name == "values"
+    with pytest.raises(AttributeError, match=r"the nearest is \.paint\.spectrum"):
+        _ = accessor.spectrums
+    with pytest.raises(TypeError, match=r'str.*library\["signature"\]'):
+        _ = accessor == "a"
+    with pytest.raises(TypeError):
+        _ = accessor != "a"
+    assert accessor == accessor
+    assert accessor != library.copy().paint
+    assert accessor in {accessor}
+    assert not hasattr(accessor, "_repr_latex_")
+    assert copy.copy(library.copy(deep=True)).identical(library)
