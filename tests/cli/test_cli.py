@@ -310,7 +310,7 @@ def test_info_of_real_files(hyperpaint: Hyperpaint, shared_data: Path) -> None:
         "svc_sig/BNL13001_000_moc.sig": r"SVC spectrum.*HR-1024i.*982 channels.*removed @ 970, 1901 nm",
         "asd_binary/soil.asd": r"binary version 8.*white reference.*350 to 2500 nm",
         "asd_ascii/asd-e-irrad-sky.csv": "text export.*irradiance",
-        "envi_sli/library_berlin.hdr": r"spectral library: 75 spectra.*75 paint x 177 band",
+        "envi_sli/library_berlin.hdr": r"spectral library: 75 spectra.*75 signature x 177 band",
         "envi_cube/darkReference": r"1 along_track x 978 band x 1600 cross_track, uint16",
     }
     for name, pattern in told.items():

@@ -95,7 +95,7 @@ def test_info_of_dirsigs_files(tmp_path: Path) -> None:
         CliRunner().invoke(main, ["info", str(path)]).output
         for path in (emissivity, tmp_path / "dirsig" / "materials.mat")
     ]
-    assert "1 paint x 2 member x 272 band" in told[0]
+    assert "1 signature x 2 member x 272 band" in told[0]
     assert "DIRSIG material list: 2 materials" in told[1]
     assert "Synthetic Carbon Black" in told[1]
     assert isinstance(hp.open_library(emissivity), xr.Dataset)

@@ -39,7 +39,7 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path) -> None:
         (lambda lib: lib.drop_vars("reflectance"), "reflectance"),
         (lambda lib: lib.drop_vars("wavelength"), "wavelength"),
         (lambda lib: lib.assign(reflectance=lib.reflectance.assign_attrs(units="W m-2")), "units"),
-        (lambda lib: lib.rename(paint="spectrum"), "dims"),
+        (lambda lib: lib.rename(signature="spectrum"), "dims"),
         (lambda lib: lib.assign(reflectance=lib.reflectance.astype(object)), "expected numbers"),
         (
             lambda lib: lib.assign(reflectance=(lib.reflectance * np.nan).assign_attrs(units="1")),
