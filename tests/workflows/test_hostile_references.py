@@ -169,16 +169,22 @@ class Repository:
         size = self.slab if length is None else length
         chunk = ice.VirtualChunkSpec([1, 0, 0], url, offset, size, None, None)
         assert not session.store.set_virtual_refs(f"/{GROUP}/counts", [chunk])
+        session.commit("forged")
         if record:
-            root = zarr.open_group(session.store, mode="r+")
-            groups = json.loads(root.attrs["raw_files"])
             local = Path(url.removeprefix("file://"))
-            known = local.stat() if local.exists() else None
             row = {"url": url, "size": 10**6, "changed_ns": None, "etag": None}
-            if known is not None:
-                row |= {"size": known.st_size, "changed_ns": known.st_mtime_ns}
-            groups[GROUP]["raw_files"].append(row)
-            root.attrs["raw_files"] = json.dumps(groups)
+            if local.exists():
+                row |= {"size": local.stat().st_size, "changed_ns": local.stat().st_mtime_ns}
+            self.record(lambda groups: groups[GROUP]["raw_files"].append(row))
+
+    def record(self, change: Callable[[Any], Any]) -> None:
+        """Change the record of raw files."""
+        storage = self.icechunk.local_filesystem_storage(str(self.path))
+        session = self.icechunk.Repository.open(storage).writable_session("main")
+        root = zarr.open_group(session.store, mode="r+")
+        groups = json.loads(root.attrs["raw_files"])
+        change(groups)
+        root.attrs["raw_files"] = json.dumps(groups)
         session.commit("forged")
 
 
@@ -258,14 +264,8 @@ def record_of_a_file_outside(repository: Repository, server: str) -> str:
 
 
 def record_with_another_url(repository: Repository, server: str) -> str:
-    ice = repository.icechunk
-    storage = ice.local_filesystem_storage(str(repository.path))
-    session = ice.Repository.open(storage).writable_session("main")
-    root = zarr.open_group(session.store, mode="r+")
-    groups = json.loads(root.attrs["raw_files"])
-    groups[GROUP]["raw_files"].append({"url": f"simplecache::{server}/cube", "size": 1})
-    root.attrs["raw_files"] = json.dumps(groups)
-    session.commit("forged")
+    row = {"url": f"simplecache::{server}/cube", "size": 1}
+    repository.record(lambda groups: groups[GROUP]["raw_files"].append(row))
     return "icechunk reads no raw files from"
 
 
@@ -311,21 +311,41 @@ def test_forged_repositories_are_refused(
     assert not asked
 
 
-def test_references_to_the_file_of_another_line(home: Path) -> None:
+@pytest.mark.parametrize("name", ["flightlines/raw_1", "flightlines", "flightlines/raw_0/counts"])
+def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
     """A line may refer to its own files alone: those of others are not compared when it is opened."""
     repository = Repository(home)
     (home / "day" / "other").write_bytes(SECRET)
     repository.refer(f"file://{home}/day/other")
-    ice = repository.icechunk
-    session = ice.Repository.open(ice.local_filesystem_storage(str(repository.path))).writable_session("main")
-    root = zarr.open_group(session.store, mode="r+")
-    groups = json.loads(root.attrs["raw_files"])
-    rows = [{"url": f"file://{home}/day/other", "size": 1, "changed_ns": 0}]
-    groups["flightlines/raw_1"] = {**groups[GROUP], "raw_files": rows}
-    root.attrs["raw_files"] = json.dumps(groups)
-    session.commit("forged")
+    row = {"url": f"file://{home}/day/other", "size": 1, "changed_ns": 0}
+    repository.record(lambda groups: groups.update({name: {**groups[GROUP], "raw_files": [row]}}))
     with pytest.raises(StoreError, match="record does not name"):
         hp.io.open_virtual(repository.path, GROUP)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda groups: groups.update({"../x": groups[GROUP]}),
+        lambda groups: groups.update({"x\x1b[31m": groups[GROUP]}),
+        lambda groups: groups.update({"": groups[GROUP]}),
+        lambda groups: groups[GROUP]["raw_files"][0].update(size="many"),
+        lambda groups: groups[GROUP]["raw_files"][0].update(changed_ns="now"),
+        lambda groups: groups[GROUP]["raw_files"][0].update(url=7),
+        lambda groups: groups[GROUP]["raw_files"][0].update(words=7),
+        lambda groups: groups[GROUP].update(raw_files=7),
+        lambda groups: groups.update({GROUP: 7}),
+        lambda groups: groups.clear(),
+    ],
+)
+def test_records_that_are_none(home: Path, changed: Callable[[Any], Any]) -> None:
+    repository = Repository(home)
+    repository.record(changed)
+    with pytest.raises(StoreError):
+        hp.io.open_virtual(repository.path, GROUP)
+    run = CliRunner().invoke(main, ["info", str(repository.path)])
+    assert run.exception is None or isinstance(run.exception, SystemExit)
+    assert "\x1b" not in run.output
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,7 @@ from hyperpaint.base.errors import IncompleteStoreError, PaintError, Problems, S
 
 from .groups import INPUTS
 from .layout import encoding, prepare
+from .location import clean_group
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,7 +53,6 @@ _FILL = 65535
 _MAX_JSON_BYTES = 2**26
 _MAX_READS = 64
 """Chunks that are looked at at a time."""
-_KERCHUNK_SUFFIXES = (".json", ".parq", ".parquet")
 _ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 # a host without user and port (icechunk leaves ports out), a path that all programs read alike
 _REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
@@ -100,7 +100,7 @@ class RawFile:
         if self.size != now.size:
             return f"{now.size} bytes, expected {self.size}"
         if self.etag != now.etag:
-            return f"etag {now.etag}, expected {self.etag}"
+            return f"etag {now.etag!r:.100}, expected {self.etag!r:.100}"
         if self.changed_ns != now.changed_ns:
             times = [np.datetime64(each or 0, "ns") for each in (now.changed_ns, self.changed_ns)]
             return f"changed at {times[0]} UTC, expected {times[1]}"
@@ -258,43 +258,32 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
 
     ``write``: whether the path is to be written, and its name decides.
 
-    Raises `StoreError`: they are, with their parts that programs run.
+    Raises `StoreError`: they are; parts that programs run are named.
     """
     place = Path(path)
-    parts: set[str] = set()
+    keys: set[str] = set()
+    file = place / ".zmetadata" if place.is_dir() else place
     if write:
-        found = place.suffix.lower() in _KERCHUNK_SUFFIXES
-    elif place.is_dir():
-        found = "record_size" in _json_keys(place / ".zmetadata")
-    else:
-        keys = _json_keys(place)
-        parts = keys & {"gen", "templates"}
-        found = bool(parts) or "refs" in keys or any(key.endswith(_ZARR_2) for key in keys)
-    if found:
-        with_parts = "".join(f", with `{part}`, which programs run" for part in sorted(parts))
+        keys = {"refs"} if place.suffix.lower() in (".json", ".parq", ".parquet") else keys
+    elif file.is_file():
+        with open(file, "rb") as opened:
+            # another document than JSON is not read on
+            if opened.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+                opened.seek(0)
+                content = opened.read(_MAX_JSON_BYTES + 1)
+                with contextlib.suppress(ValueError, RecursionError):
+                    keys = {"refs"} if len(content) > _MAX_JSON_BYTES else set(json.loads(content))
+    of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
+    if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
+        parts = "".join(
+            f", with `{part}`, which programs run" for part in sorted(keys & {"gen", "templates"})
+        )
         raise StoreError(
-            f"{os.fspath(path)}: kerchunk references{with_parts}",
+            f"{os.fspath(path)}: kerchunk references{parts}",
             expected="a repository of icechunk, a folder",
             mend="convert references that you trust with tools that you trust, such as virtualizarr, or "
             "write a repository with `hyperpaint virtual COLLECT.toml --out lot.icechunk`",
         )
-
-
-def _json_keys(path: Path) -> set[str]:
-    """Return the keys of a JSON document; of one that is too long to parse, those of references."""
-    if not path.is_file():
-        return set()
-    with open(path, "rb") as file:
-        head = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
-        if not head.startswith(b"{"):
-            return set()
-        file.seek(0)
-        content = file.read(_MAX_JSON_BYTES + 1)
-    if len(content) > _MAX_JSON_BYTES:
-        return {"refs"}
-    with contextlib.suppress(ValueError, RecursionError):
-        return set(json.loads(content))
-    return set()
 
 
 @contextlib.contextmanager
@@ -351,10 +340,15 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
                 mend="open others with icechunk and xarray.open_zarr",
             )
         groups: dict[str, Any] = json.loads(text)
-        for about in groups.values():
+        for name, about in groups.items():
+            if not name or clean_group(name) != name or not name.isprintable():
+                raise StoreError(f"{os.fspath(path)} names a group {name!r:.200}")
             for row in about[RAW_FILES]:
-                check_url(RawFile(**row).url)
-                row["size"] = int(row["size"])
+                raw = RawFile(**row)
+                check_url(raw.url)
+                numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
+                if not (numbers and isinstance(raw.etag, str | None)):
+                    raise StoreError(f"{os.fspath(path)} describes {raw.url} by {row!r:.200}")
     return groups
 
 
@@ -404,42 +398,28 @@ def _checked_session(path: str | os.PathLike[str], groups: Mapping[str, Any], na
             mend=f"pass allow={shown!r} if these are your raw files",
             option=f"pass {options} if these are your raw files",
         )
-    files = [RawFile(**row) for row in groups[name][RAW_FILES]]
     problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
-    for before in files:
+    urls = [row["url"] for row in groups[name][RAW_FILES]]
+    for row in groups[name][RAW_FILES]:
         try:
-            difference = before.difference(RawFile.of(before.url))
+            difference = RawFile(**row).difference(RawFile.of(row["url"]))
         except StoreError as error:
             problems.add(str(error), mend=_AGAIN)
             continue
         if difference:
-            problems.add(f"{before.url}: {difference}", mend=_AGAIN)
+            problems.add(f"{row['url']}: {difference}", mend=_AGAIN)
     problems.raise_if_any()
-    with _own_errors(path):
-        urls = [file.url for file in files]
-        repository, session = _session(path, urls)
-        # icechunk lists all references of a session: without the other groups, in memory alone, those of this
-        own = repository.writable_session("main")
-        others = [own.store.delete_dir(other) for other in groups if other != name]
-
-        async def check() -> str:
-            for each in others:
-                await each
-            foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
-            if foreign:
-                return f"refers to {min(foreign)!r:.200}, which the record does not name"
-            return await _chunk_fault(session, name)
-
-        # in a thread of its own: a notebook has a running loop
-        with ThreadPoolExecutor(1) as thread:
-            fault = thread.submit(asyncio.run, check()).result()
+    repository, session = _session(path, urls)
+    # in a thread of its own: a notebook has a running loop
+    with ThreadPoolExecutor(1) as thread:
+        fault = thread.submit(asyncio.run, _fault(repository, session, name, urls)).result()
     if fault:
         raise IncompleteStoreError(f"{os.fspath(path)}: /{name} {fault}", mend=_AGAIN)
     return session
 
 
-async def _chunk_fault(session: Any, name: str) -> str:
-    """Return what is wrong with a chunk of a group; empty where all are there, inside their files.
+async def _fault(repository: Any, session: Any, name: str, urls: Sequence[str]) -> str:
+    """Return what is wrong with the chunks of a group; empty where all lie in the files of ``urls``.
 
     Of each chunk the first and the last two bytes are read: icechunk fails beyond the end of a file.
     """
@@ -447,10 +427,20 @@ async def _chunk_fault(session: Any, name: str) -> str:
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
 
+    # icechunk lists the references of all groups: those of this one are left when the others are deleted,
+    # which happens in memory and is never committed
+    own, above = repository.writable_session("main"), ""
+    for part in name.split("/"):
+        for other in [each async for each in own.store.list_dir(above)]:
+            if other not in (part, "zarr.json"):
+                await own.store.delete_dir(f"{above}{other}")
+        above += f"{part}/"
+    foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
+    if foreign:
+        return f"refers to {min(foreign)!r:.200}, which the record does not name"
     limit = asyncio.Semaphore(_MAX_READS)
-    group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
 
-    async def fault(array: Any, at: tuple[int, ...], size: int | None) -> str:
+    async def fault_of(array: Any, at: tuple[int, ...], size: int | None) -> str:
         key = f"{name}/{array.basename}/{array.metadata.encode_chunk_key(at)}"
         async with limit:
             length = await session.store.getsize(key)
@@ -463,6 +453,7 @@ async def _chunk_fault(session: Any, name: str) -> str:
                     return f"lacks bytes in {key}"
         return ""
 
+    group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
     async for _, array in group.arrays():
         path = f"/{name}/{array.basename}"
         places = [tuple(at) async for at in session.chunk_coordinates(path)]
@@ -471,9 +462,10 @@ async def _chunk_fault(session: Any, name: str) -> str:
         if _icechunk().ChunkType.VIRTUAL in kinds:
             # slabs of raw files hold plain samples, and none is missing
             size = math.prod(array.chunks) * array.dtype.itemsize
-            if len(array.metadata.codecs) != 1 or len(places) != math.prod(array.cdata_shape):
+            codecs = [type(codec).__name__ for codec in array.metadata.codecs]
+            if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
                 return f"has other chunks of {array.basename} than `hyperpaint virtual` writes"
-        faults = await asyncio.gather(*(fault(array, at, size) for at in places))
+        faults = await asyncio.gather(*(fault_of(array, at, size) for at in places))
         if any(faults):
             return next(filter(None, faults))
     return ""
@@ -485,8 +477,9 @@ def check_whole(path: str | os.PathLike[str], allow: Allow) -> None:
     Raises `StoreError`: as `open_virtual`.
     """
     groups = virtual_groups(path)
-    for name in groups:
-        _checked_session(path, groups, name, allow)
+    with _own_errors(path):
+        for name in groups:
+            _checked_session(path, groups, name, allow)
 
 
 def open_virtual(
@@ -548,7 +541,7 @@ def open_virtual(
         (name,) = groups
     if name not in groups:
         raise StoreError(f"group {name!r} of {os.fspath(path)}", expected=f"one of {', '.join(groups)}")
-    session = _checked_session(path, groups, name, allow)
     with _own_errors(path):
+        session = _checked_session(path, groups, name, allow)
         opened: xr.Dataset = xr.open_zarr(session.store, group=name, **{"consolidated": False, **kwargs})
     return opened
