@@ -32,7 +32,15 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import IncompleteStoreError, PaintError, Problems, StoreError, needs_extra
+from hyperpaint.base.errors import (
+    FormatError,
+    IncompleteStoreError,
+    PaintError,
+    Problems,
+    StoreError,
+    needs_extra,
+)
+from hyperpaint.base.input_files import head_of, read_limited
 
 from .groups import INPUTS
 from .layout import encoding, prepare
@@ -261,18 +269,17 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
     Raises `StoreError`: they are; parts that programs run are named.
     """
     place = Path(path)
-    keys: set[str] = set()
     file = place / ".zmetadata" if place.is_dir() else place
+    keys: set[str] = set()
     if write:
         keys = {"refs"} if place.suffix.lower() in (".json", ".parq", ".parquet") else keys
-    elif file.is_file():
-        with open(file, "rb") as opened:
-            # another document than JSON is not read on
-            if opened.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
-                opened.seek(0)
-                content = opened.read(_MAX_JSON_BYTES + 1)
-                with contextlib.suppress(ValueError, RecursionError):
-                    keys = {"refs"} if len(content) > _MAX_JSON_BYTES else set(json.loads(content))
+    elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        try:
+            keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
+        except FormatError:  # longer
+            keys = {"refs"}
+        except (ValueError, RecursionError):
+            pass  # another text
     of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
     if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
         parts = "".join(
