@@ -45,3 +45,12 @@ def test_every_name_is_there_right_after_the_import():
     code = "import sys, hyperpaint; getattr(hyperpaint, sys.argv[1])"
     for name in ("errors", *names[:2]):  # each needs a process of its own; the first was missing once
         subprocess.run([sys.executable, "-c", code, name], check=True)
+
+
+def test_workflows_pin_actions_and_may_only_read():
+    for workflow in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
+        text = workflow.read_text(encoding="utf-8")
+        uses = re.findall(r"uses: (.+)", text)
+        assert [each for each in uses if not re.fullmatch(r"[\w./-]+@[0-9a-f]{40} # v[\d.]+", each)] == []
+        assert "\npermissions: {contents: read}\n" in text, workflow.name
+        assert set(re.findall(r"(\S+): write", text.replace("{", " "))) <= {"id-token"}, workflow.name

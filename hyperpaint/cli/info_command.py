@@ -13,7 +13,7 @@ import numpy as np
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.store.raw_references import is_virtual
+from hyperpaint.io.store.raw_references import is_virtual, refuse_kerchunk
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
@@ -53,25 +53,28 @@ _DAY_NS = 86_400 * 10**9
 _HEAD = 4096
 
 
-def facts_of_path(path: str | Path) -> dict[str, str]:
+def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
     """Return what `describe_path` says, by name; what is empty is not known."""
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"no such file or folder: {path}")
-    describe = facts_of_virtual if is_virtual(path) else _folder if path.is_dir() else _file
-    return dict(describe(path))
+    if is_virtual(path):
+        return dict(facts_of_virtual(path, allow))
+    refuse_kerchunk(path)
+    return dict(_folder(path) if path.is_dir() else _file(path))
 
 
-def describe_path(path: str | Path) -> str:
+def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
     """Return what a file, a Zarr store or a group of one is: dims, units, wavelengths, times, completeness.
 
     Reads headers and small files; of cubes and stores no sample. Of a ``collect.toml`` everything is opened
     that `process` would open; shown is what it would do.
 
     Raises `FormatError`: the file is damaged, or of no kind known here; `CollectError`: the collect cannot be
-    processed; all problems are listed; `StoreError`: the folder is not a Zarr store.
+    processed; all problems are listed; `StoreError`: the folder is not a Zarr store, or the path is that of
+    references of kerchunk. ``allow``: where raw files of a virtual store may lie, see `open_virtual`.
     """
-    facts = facts_of_path(path)
+    facts = facts_of_path(path, allow)
     width = max(map(len, facts))
     indent = "\n" + " " * (width + 4)
     rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
@@ -459,7 +462,11 @@ Examples:
 )
 @click.argument("path", type=EXISTING)
 @click.option("--json", "as_json", is_flag=True, help="The same as JSON, for programs.")
-def info(path: Path, as_json: bool) -> None:
+@click.option(
+    "--allow", metavar="PREFIX", multiple=True,
+    help="Folder or URL below which raw files of a virtual store may be read, besides its own folder.",
+)  # fmt: skip
+def info(path: Path, as_json: bool, allow: tuple[str, ...]) -> None:
     """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 
     PATH is an ENVI header or cube, a GeoTIFF, regions, an ASD file, a text or csv export, a frame index, a
@@ -467,8 +474,9 @@ def info(path: Path, as_json: bool) -> None:
     collect everything is opened; shown is what `process` would do.
     """
     if not as_json:
-        click.echo(describe_path(path))
+        click.echo(describe_path(path, allow))
         return
-    facts = {name: text.split("\n") if "\n" in text else text for name, text in facts_of_path(path).items()}
+    texts = facts_of_path(path, allow)
+    facts = {name: text.split("\n") if "\n" in text else text for name, text in texts.items()}
     document = {"path": str(path), **{name: text for name, text in facts.items() if text}}
     click.echo(json.dumps(document, indent=1, ensure_ascii=False))

@@ -51,8 +51,9 @@ def view(
     and the nearest paints of a library. Choose true colour, colour infrared or one band; show flags; draw,
     name, edit and save regions, which `hyperpaint signatures --regions` takes.
 
-    The page is served to this machine only. It needs `python -m pip install 'hyperpaint[interactive]'`. Of a
-    machine far away forward the port: ssh -L 8000:localhost:8000 HOST, with --port 8000 --no-browser there.
+    The page is served to this machine only, to those who know its address, which is new with every call. It
+    needs `python -m pip install 'hyperpaint[interactive]'`. Of a machine far away forward the same port: ssh
+    -L 8000:localhost:8000 HOST, with --port 8000 --no-browser there.
     """
     from hyperpaint.pictures.exploring import serve_explorer
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +16,23 @@ from .console import EXISTING_FILE, PLACE, say_outcome
 __all__ = ["facts_of_virtual", "virtual"]
 
 
-def facts_of_virtual(path: Path) -> Facts:
-    """Yield what a virtual store holds, and whether its raw files are what they were."""
+def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
+    """Yield what a virtual store holds, and whether its raw files are what they were.
+
+    ``allow``: as of `open_virtual`.
+    """
     from hyperpaint.base.errors import StoreError
     from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
 
-    kind = "icechunk" if path.is_dir() else "kerchunk"
     groups = virtual_groups(path)
-    yield "is", f"virtual store ({kind}) of {counted(len(groups), 'flight line')}, cubes in their raw files"
+    yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
     for name, about in groups.items():
         rows = about[RAW_FILES]
         yield f"/{name}", "\n".join(f"{row['url']}, {size_of(row['size'])}" for row in rows)
         try:
-            line = open_virtual(path, name)
+            line = open_virtual(path, name, allow=allow)
         except StoreError as error:
-            yield f"/{name} NOT WHOLE", str(error)
+            yield f"/{name} NOT READ", error.text(on_command_line=True)
         else:
             yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
 
@@ -39,23 +42,23 @@ def facts_of_virtual(path: Path) -> Facts:
     epilog="""\b
 Examples:
   hyperpaint virtual collect.toml --out lot.icechunk
-  hyperpaint virtual collect.toml --out lot.json                          references of kerchunk
   hyperpaint virtual collect.toml --out lot.icechunk --prefix s3://bucket/flight
 
 \b
 Then, in Python:
   import hyperpaint as hp
   line = hp.io.open_virtual("lot.icechunk", "flightlines/raw_0")
-  line.paint.reflectance()                            the bits of `process`, from the raw file""",
+  line.paint.reflectance()                            the bits of `process`, from the raw file
+
+Raw files that lie neither beside the store nor below its folder are read only if they are allowed:
+  hyperpaint info lot.icechunk --allow /data/day
+  hp.io.open_virtual("lot.icechunk", allow="/data/day")""",
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
-@click.option(
-    "--out", metavar="STORE", type=PLACE, required=True,
-    help="A name that ends in .json: references of kerchunk. Any other: a folder of icechunk.",
-)  # fmt: skip
+@click.option("--out", metavar="STORE", type=PLACE, required=True, help="A folder, a repository of icechunk.")
 @click.option(
     "--prefix", metavar="URL",
-    help="Where the raw files lie as below the folder of COLLECT.toml: http, s3, or for .json any of fsspec. "
+    help="Where the raw files lie as below the folder of COLLECT.toml: s3, or http or https without a port. "
     "Region, endpoint and keys of s3 come from the environment (AWS_...).",
 )  # fmt: skip
 @click.option("--alignment", type=click.Choice(ALIGNMENTS), help="As of `process`.")
@@ -67,6 +70,11 @@ def virtual(collect: Path, out: Path, **options: Any) -> None:
     It holds what calibrates the lines; the counts stay where the camera wrote them, and are read from there
     when something is computed. Raw files that were moved, cut short or written to since are refused.
     """
+    from hyperpaint.io.store.raw_references import outside, virtual_groups
     from hyperpaint.workflows.virtual_store import virtualise
 
     say_outcome(virtualise(collect, out, **options))
+    _, needed = outside(out, virtual_groups(out))
+    if needed:
+        shown = needed[0] if len(needed) == 1 else needed
+        click.echo(f"its raw files lie elsewhere: open_virtual needs allow={shown!r}, `info` --allow")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import html
 import os
+import secrets
 import signal
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -121,6 +122,9 @@ def serve_explorer(
 ) -> None:
     """Serve the explorer of a store's flight lines on this machine, until it is interrupted.
 
+    The address holds a random word of this call; requests without it, for another host, or from a page of
+    another are refused, so that neither other users of the machine nor pages of others in the browser see it.
+
     Parameters
     ----------
     store
@@ -181,19 +185,51 @@ def serve_explorer(
 
     state_of(shown)  # what cannot be read is said before there is a page
     interrupted = signal.getsignal(signal.SIGINT)
+    token = secrets.token_urlsafe(32)
     server = panel.serve(
         {"/": page},
         port=port,
         address="127.0.0.1",
+        prefix=token,
         show=False,
         start=False,
         verbose=False,
         title=f"hyperpaint {shown}",
     )
     signal.signal(signal.SIGINT, interrupted)  # panel took it, to end without a word
+    _guard(server, token)
     server.start()
-    announce(f"http://localhost:{server.port}/")
+    announce(f"http://localhost:{server.port}/{token}/")
     server.io_loop.start()
+
+
+def _guard(server: Any, token: str) -> None:
+    """Let a server refuse every request, of a page, a file or a websocket, that is not of its own page.
+
+    The host is this machine's, which a page whose name was bound to this machine anew does not say; the path
+    begins with the token; a websocket has an origin, and where there is one it is this server.
+    """
+    from tornado.web import ErrorHandler
+
+    application = server._tornado
+    find_handler = application.find_handler
+    hosts = {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
+    origins = [f"http://{host}" for host in hosts]
+
+    def find_guarded(request: Any, **options: Any) -> Any:
+        first = request.path.split("/", 2)[1:2]
+        given = request.headers.get_list("Origin")
+        is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
+        if (
+            request.host.lower() in hosts
+            and secrets.compare_digest("".join(first).encode(), token.encode())
+            and all(origin in origins for origin in given)
+            and (given or not is_websocket)
+        ):
+            return find_handler(request, **options)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    application.find_handler = find_guarded
 
 
 def _lines_of(store: str | os.PathLike[str]) -> dict[str, str]:

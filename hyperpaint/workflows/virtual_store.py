@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import shutil
-import uuid
 import warnings
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.record import SETTINGS
 
 from .collect_check import refuse_findings
@@ -35,6 +34,7 @@ MOST_COPIED_SHARE = 0.1
 """Of a cube; beyond it a stored cube is the better one [1]."""
 
 _FEW_SLABS = 4
+_NOT_WHOLE = "and not whole"
 _SAMPLE_BYTES = 16 * 1024
 
 
@@ -60,14 +60,15 @@ def virtualise(
     collect
         A ``collect.toml``; see `hyperpaint.open_collect`.
     out
-        A name that ends in ``.json``: references of kerchunk; any other: a folder, a repository of icechunk.
+        A folder, which becomes a repository of icechunk.
     prefix
-        URL below which the raw files lie as they do below the folder of ``collect``, such as
-        ``s3://bucket/flight``: they are referred to there. What is there is compared with the local files.
+        URL (s3, http, https) below which the raw files lie as they do below the folder of ``collect``, such
+        as ``s3://bucket/flight``: they are referred to there. What is there is compared with the local files.
     alignment, accept
         As of `hyperpaint.process`.
     overwrite
-        Replace a virtual store of other inputs.
+        Replace a virtual store of other inputs, which is there until the new one is whole. One of the same
+        inputs that is not whole is always written again.
 
     Returns
     -------
@@ -82,7 +83,8 @@ def virtualise(
         A cube is no run of bytes a slab (``bsq``), its samples are none of uint16 counts, or too much would
         be copied; all lines are listed.
     StoreError
-        ``out`` is there, of other inputs, or holds inputs; or files below ``prefix`` are others.
+        ``out`` is there, of other inputs, or holds inputs, or is named as references of kerchunk; or files
+        below ``prefix`` are others.
     MissingExtraError
         icechunk is not installed.
 
@@ -90,9 +92,12 @@ def virtualise(
     --------
     >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
     """
-    from hyperpaint.io.store.raw_references import is_virtual, write_icechunk, write_kerchunk
+    from hyperpaint.io.store.raw_references import check_url, is_virtual, refuse_kerchunk, write_icechunk
 
     out = local_folder(out, "virtual")
+    refuse_kerchunk(out, write=True)
+    if prefix is not None:
+        check_url(prefix)
     opened, tree = opened_groups(
         collect, 32, {"to": "reflectance", "reflectance": "none", "alignment": alignment}
     )
@@ -100,12 +105,12 @@ def virtualise(
     lines = {name: tree[name] for name in opened.cubes}
     cubes = _cubes(opened, lines, prefix)
     if out.exists():
-        if _is_same(out, lines, cubes):
+        difference = _difference(out, lines, cubes)
+        if not difference:
             return Outcome(out, (), tuple(lines))
-        if not (overwrite and is_virtual(out)):
+        if difference != _NOT_WHOLE and not (overwrite and is_virtual(out)):
             raise StoreError(
-                f"{out} is there already, "
-                + ("of other inputs" if is_virtual(out) else "and no virtual store"),
+                f"{out} is there already, {difference}",
                 mend="pass overwrite=True, which replaces a virtual store, or choose another path",
                 option="pass --overwrite, which replaces a virtual store, or choose another --out",
             )
@@ -115,14 +120,11 @@ def virtualise(
     for name, line in lines.items():
         rest = _companions(aligned_group(line, name, "reflectance", apply))
         groups[name] = rest.assign_attrs(accepted.get(name, {})), cubes[name]
-    beside = out.with_name(f".partial-{out.name}-{uuid.uuid4().hex[:8]}")
-    write = write_kerchunk if out.suffix.lower() == ".json" else write_icechunk
-    try:
-        write(beside, groups, {str(key): value for key, value in opened.tree.attrs.items()})
-        _remove(out)
-        os.replace(beside, out)
-    finally:
-        _remove(beside)
+    attrs = {str(key): value for key, value in opened.tree.attrs.items()}
+    with published_folder(
+        out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
+    ) as folder:
+        write_icechunk(folder, groups, attrs)
     corrected = {
         name: str(rest.attrs["alignment"])
         for name, (rest, _) in groups.items()
@@ -131,19 +133,24 @@ def virtualise(
     return Outcome(out, tuple(groups), (), corrected)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
+    """Return how a store differs from a whole one of the same inputs and raw files; empty if it does not."""
+    from hyperpaint.io.store.raw_references import check_whole, is_virtual, summary_of, virtual_groups
 
-
-def _is_same(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> bool:
-    """Tell whether a virtual store is of the same inputs, and of the same raw files at the same places."""
-    from hyperpaint.io.store.raw_references import is_virtual, summary_of, virtual_groups
-
+    if not is_virtual(out):
+        return "and no virtual store"
     wanted = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
-    return is_virtual(out) and virtual_groups(out) == wanted
+    try:
+        if virtual_groups(out) != wanted:
+            return "of other inputs"
+    except StoreError as error:
+        return f"and cannot be read ({error})"
+    try:
+        # the places that the caller names, not the store
+        check_whole(out, [file.url for cube in cubes.values() for file in cube.files])
+    except StoreError:
+        return _NOT_WHOLE
+    return ""
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
@@ -206,7 +213,7 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     """Return the raw file to refer to: the local one, or its copy below a URL."""
     from hyperpaint.io.store.raw_references import RawFile
 
-    local = RawFile.of(f"file://{path}")
+    local = RawFile.of(f"file://{os.path.realpath(path)}")
     if prefix is None:
         return local
     if not path.is_relative_to(base):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import re
 import shutil
 import signal
@@ -10,8 +11,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
+import psutil
 import pytest
 from click.testing import CliRunner
 from support.strategies import flight
@@ -62,7 +65,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     )
     assert process.stdout is not None
     first = process.stdout.readline()
-    address = re.match(r"(http://localhost:\d+/) shows lot\.zarr; Ctrl-C ends it", first)
+    address = re.match(r"(http://localhost:\d+/[\w-]{43}/) shows lot\.zarr; Ctrl-C ends it", first)
     assert address, first + process.communicate()[0]
     with process:
         yield Served(address[1], folder, process)
@@ -186,6 +189,73 @@ def test_a_line_that_is_not_there_is_the_first(browser: Any, served: Served) -> 
     page = opened(browser, served, query="?line=%3Cscript%3E&colours=pink")
     assert page.get_by_role("heading", name="raw_0").is_visible()
     page.close()
+
+
+def asked(served: Served, path: str, **headers: str) -> tuple[int, str]:
+    """Return the status and the body that a request of this machine gets; headers by their words."""
+    address = urlsplit(served.address)
+    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=30)
+    sent = {"Host": f"localhost:{address.port}", **headers}
+    if "Upgrade" in headers:
+        sent |= {
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "MTIzNDU2Nzg5MDEyMzQ1Ng==",
+        }
+    connection.putrequest("GET", path, skip_host=True)
+    for name, value in sent.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    body = "" if answer.status == 101 else answer.read().decode()
+    connection.close()
+    return answer.status, body
+
+
+def test_only_the_own_page_is_answered(served: Served) -> None:
+    address = urlsplit(served.address)
+    token, port = address.path, address.port
+    own = f"http://localhost:{port}"
+    status, body = asked(served, token)
+    assert status == 200
+    assert "bokeh" in body.lower()
+    (session,) = re.findall(r'"token":"([^"]+)"', body)
+    socket = {"Upgrade": "websocket", "Sec-WebSocket-Protocol": f"bokeh, {session}"}
+    assert asked(served, f"{token}ws", **socket, Origin=own)[0] == 101
+    assert asked(served, f"{token}static/js/bokeh.min.js")[0] == 200
+    # as other pages, other users and other machines would ask
+    wrong = token[:-2] + ("A" if token[-2] != "A" else "B") + "/"
+    foreign = [
+        f"http://evil.example:{port}",
+        f"http://localhost.evil.example:{port}",
+        "null",
+        "",
+        f"https://localhost:{port}",
+    ]
+    for path in (
+        "/",
+        wrong,
+        "/ws",
+        "/static/js/bokeh.min.js",
+        f"/?{token[1:-1]}",
+        f"{wrong}ws",
+        f"//{token}",
+    ):
+        assert asked(served, path)[0] == 403, path
+        assert asked(served, path, **socket, Origin=own)[0] == 403, path
+    for host in (f"evil.example:{port}", f"localhost.evil.example:{port}", "localhost", ""):
+        assert asked(served, token, Host=host)[0] in (400, 403), host
+        assert asked(served, f"{token}ws", **socket, Origin=own, Host=host)[0] in (400, 403), host
+    for origin in foreign:
+        assert asked(served, token, Origin=origin)[0] == 403, origin
+        assert asked(served, f"{token}ws", **socket, Origin=origin)[0] == 403, origin
+    assert asked(served, f"{token}ws", **socket)[0] == 403  # no browser leaves the origin out
+
+
+def test_it_listens_on_this_machine_alone(served: Served) -> None:
+    process = psutil.Process(served.process.pid)
+    listening = [each.laddr for each in process.net_connections("inet") if each.status == psutil.CONN_LISTEN]
+    assert [(place.ip, place.port) for place in listening] == [("127.0.0.1", urlsplit(served.address).port)]
 
 
 def test_ctrl_c_ends_it_with_one_line(served: Served) -> None:

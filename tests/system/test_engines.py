@@ -25,7 +25,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("engines")
     collect = hp.simulate_collect(folder / "day", scene="plan", lines=80, bands=8, columns=12)
     hp.process(collect, folder / "lot.zarr", reflectance="none")
-    virtualise(collect, folder / "lot.json")
+    virtualise(collect, folder / "lot.icechunk")
     return folder / "lot.zarr"
 
 
@@ -62,7 +62,7 @@ def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset) -> None:
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        for line in (xr.open_zarr(store, group=GROUP), hp.io.open_virtual(store.with_name("lot.json"))):
+        for line in (xr.open_zarr(store, group=GROUP), hp.io.open_virtual(store.with_name("lot.icechunk"))):
             assert_same(line.paint.reflectance().compute(), wanted)
         futures = client.map(calibrated, [str(store)] * 3, range(0, 80, SLAB), pure=False)
         assert_same(client.gather(futures), wanted)

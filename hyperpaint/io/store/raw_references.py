@@ -1,47 +1,72 @@
 """Virtual stores: groups whose cube stays in the camera's raw files, referred to slab by slab.
 
-Written as a repository of icechunk (a folder) or as references of kerchunk (a JSON file); everything but the
-cube is stored in it. The root's attribute `RAW_FILES` says which files they were, and `open_virtual` refuses
-others; icechunk itself compares the time of change, or the etag, with every slab that is read.
+A virtual store is a repository of icechunk, a folder; everything but the cube is stored in it. The root's
+attribute `RAW_FILES` names the raw files of every group.
+
+Repositories come from anywhere, so nothing in one is trusted: not its configuration (the containers and
+credentials are ours), not its record (it names files, but only the user says below which folders files may be
+read), not its references (each is compared with the record and with the size of the file), not its folder
+(links in it are refused). References of kerchunk (JSON) are refused by name: what reads them runs templates.
 """
 
 from __future__ import annotations
 
-import base64
+import asyncio
+import contextlib
 import datetime
 import itertools
 import json
+import math
 import os
-from collections.abc import Mapping
+import posixpath
+import re
+import shlex
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote, unquote
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import FormatError, Problems, StoreError, needs_extra
+from hyperpaint.base.errors import (
+    FormatError,
+    IncompleteStoreError,
+    PaintError,
+    Problems,
+    StoreError,
+    needs_extra,
+)
+from hyperpaint.base.input_files import head_of, read_limited
 
 from .groups import INPUTS
 from .layout import encoding, prepare
+from .location import clean_group
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "RAW_FILES", "RawFile", "VirtualCube", "is_virtual", "open_virtual", "summary_of", "virtual_groups",
-    "write_icechunk", "write_kerchunk",
+    "RAW_FILES", "RawFile", "VirtualCube", "check_whole", "is_virtual", "open_virtual", "outside",
+    "refuse_kerchunk", "summary_of", "virtual_groups", "write_icechunk",
 ]  # fmt: skip
 
 RAW_FILES = "raw_files"
 """Attribute of the root: of every group its raw files as they were, and what names its inputs, as JSON."""
 
-MOST_JSON_BYTES = 2**30
 _FILL = 65535
-_JSON = "write references of kerchunk, which fsspec follows anywhere: a name that ends in .json"
-_JSON_OPTION = "give --out a name that ends in .json"
-_METADATA_2 = (".zarray", ".zattrs", ".zgroup")
+_MAX_JSON_BYTES = 2**26
+_MAX_READS = 64
+"""Chunks that are looked at at a time."""
+_ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
+# a host without user and port (icechunk leaves ports out), a path that all programs read alike
+_REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
+_AGAIN = "write it again: hyperpaint virtual COLLECT.toml --out STORE --overwrite"
+
+Allow = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 
 @dataclass(frozen=True)
@@ -51,24 +76,27 @@ class RawFile:
     url: str
     size: int
     changed_ns: int | None = None  #: When it was changed last; of a local file
-    etag: str | None = None  #: What names its content, where the server says it
+    etag: str | None = None  #: Identifies its content, where the server states it
 
     @classmethod
-    def of(cls, url: str, options: Mapping[str, Any] | None = None) -> RawFile:
-        """Return what a file is now; ``options``: of its file system.
+    def of(cls, url: str) -> RawFile:
+        """Return the present state of a file; it is read with the credentials of the environment.
 
-        Raises `StoreError`: it cannot be reached.
+        Raises `StoreError`: it cannot be reached, or icechunk could not read it.
         """
+        check_url(url)
         if url.startswith("file:"):
             try:
                 status = os.stat(_local_path(url))
             except OSError as error:
                 raise StoreError(f"{url}: {error.strerror}") from error
+            if not stat.S_ISREG(status.st_mode):
+                raise StoreError(f"{url} is no plain file")
             return cls(url, status.st_size, status.st_mtime_ns)
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
         try:
-            fs, path = url_to_fs(url, **(options or {}))
+            fs, path = url_to_fs(url)
             info = fs.info(path)
         except Exception as error:  # each file system of fsspec has its own
             raise StoreError(f"{url}: {type(error).__name__}: {error!s:.200}") from error
@@ -80,7 +108,7 @@ class RawFile:
         if self.size != now.size:
             return f"{now.size} bytes, expected {self.size}"
         if self.etag != now.etag:
-            return f"etag {now.etag}, expected {self.etag}"
+            return f"etag {now.etag!r:.100}, expected {self.etag!r:.100}"
         if self.changed_ns != now.changed_ns:
             times = [np.datetime64(each or 0, "ns") for each in (now.changed_ns, self.changed_ns)]
             return f"changed at {times[0]} UTC, expected {times[1]}"
@@ -136,10 +164,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
     from zarr.codecs import BytesCodec
 
     icechunk = _icechunk()
-    config = icechunk.RepositoryConfig.default()
-    for prefix in sorted({_prefix(file.url) for _, cube in groups.values() for file in cube.files}):
-        container = icechunk.VirtualChunkContainer(prefix, _object_store(prefix))
-        config.set_virtual_chunk_container(container)
+    config = _own_config([file.url for _, cube in groups.values() for file in cube.files])
     repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)), config)
     session = repository.writable_session("main")
     about = {**attrs, RAW_FILES: json.dumps(summary_of(groups))}
@@ -153,9 +178,9 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             fill_value=_FILL, dimension_names=cube.dims, attributes=dict(cube.attrs),
         )  # fmt: skip
         slabs = [_specification(icechunk, cube, *slab) for slab in cube.slabs]
-        # what it does not take would be read as missing
+        # references that it does not take would be read as missing
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
-            raise StoreError(f"icechunk does not reach {cube.files[0].url}", mend=_JSON, option=_JSON_OPTION)
+            raise StoreError(f"icechunk does not reach {cube.files[0].url}")
         for number, block in cube.copies.items():
             array[number * cube.lines : number * cube.lines + len(block)] = block
     session.commit("references to raw cubes")
@@ -163,18 +188,33 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
 
 def _specification(icechunk: Any, cube: VirtualCube, number: int, file: int, offset: int) -> Any:
     raw = cube.files[file]
+    # icechunk reads the path as part of a URL: a percent sign or a hash in it would lead elsewhere
+    url = f"file://{quote(_local_path(raw.url))}" if raw.url.startswith("file:") else raw.url
     changed = None
     if raw.changed_ns is not None:  # whole seconds count there
         changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
-    return icechunk.VirtualChunkSpec([number, 0, 0], raw.url, offset, cube.slab_bytes, raw.etag, changed)
+    return icechunk.VirtualChunkSpec([number, 0, 0], url, offset, cube.slab_bytes, raw.etag, changed)
 
 
 def _icechunk() -> Any:
-    with needs_extra("icechunk", "virtual", "a virtual store that is a folder (another is a .json)"):
+    with needs_extra("icechunk", "virtual", "a virtual store"):
         import icechunk
     # a repository is written once here: its warning of two writers on a local disk says nothing
     icechunk.set_logs_filter("error")
     return icechunk
+
+
+def check_url(url: str) -> None:
+    """Refuse a URL below which icechunk reads no raw files, or that icechunk and fsspec read differently."""
+    if url.startswith("file:///"):
+        good = posixpath.normpath(_local_path(url)) == _local_path(url)
+    else:
+        good = _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
+    if not (good and url.isprintable()):
+        raise StoreError(
+            f"icechunk reads no raw files from {url!r:.200}",
+            expected="a local path, or a URL with s3, or http or https without a port",
+        )
 
 
 def _prefix(url: str) -> str:
@@ -184,158 +224,295 @@ def _prefix(url: str) -> str:
     return "/".join([*parts[:3], *plain, ""])
 
 
-def _object_store(prefix: str) -> Any:
-    """Return how icechunk reads below a URL; of S3 as the environment says."""
+def _own_config(urls: Sequence[str]) -> Any:
+    """Return a configuration of icechunk with the containers of raw files, and no others.
+
+    S3 is reached as the environment says.
+    """
     icechunk = _icechunk()
-    scheme = urlsplit(prefix).scheme
-    if scheme == "file":
-        return icechunk.local_filesystem_store(_local_path(prefix))
-    if scheme in ("http", "https") and urlsplit(prefix).port is None:  # it leaves ports out
-        return icechunk.http_store({"allow_http": "true"} if scheme == "http" else {})
-    if scheme == "s3":
-        endpoint = os.environ.get("AWS_ENDPOINT_URL")
-        return icechunk.s3_store(
-            region=os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION") or "us-east-1",
-            endpoint_url=endpoint, allow_http=str(endpoint).startswith("http:"),
-            force_path_style=endpoint is not None, s3_compatible=endpoint is not None,
-        )  # fmt: skip
-    raise StoreError(
-        f"icechunk reads no raw files from {prefix}",
-        expected="a local path, or a URL with s3, or http or https without a port",
-        mend=_JSON,
-        option=_JSON_OPTION,
-    )
-
-
-def write_kerchunk(file: Path, groups: Groups, attrs: Mapping[str, Any]) -> None:
-    """Write groups, each the cube's companions and the cube, as references of kerchunk (JSON, Zarr 2)."""
-    from numcodecs import Blosc
-    from zarr.storage import MemoryStore
-
-    codec = Blosc("zstd", clevel=9, shuffle=Blosc.BITSHUFFLE)
-    store: dict[str, Any] = {}
-    templates: dict[str, str] = {}
-    refs: dict[str, Any] = {}
-    for name, (dataset, cube) in groups.items():
-        rest = prepare(dataset, name)
-        stored = {
-            key: {word: value for word, value in each.items() if word in ("chunks", "units", "dtype")}
-            | {"compressors": (codec,)}
-            for key, each in encoding(rest).items()
-        }
-        options: dict[str, Any] = {"zarr_format": 2, "consolidated": False, "mode": "a"}
-        rest.to_zarr(MemoryStore(store), group=name, encoding=stored, **options)
-        place = f"{name}/{cube.name}"
-        refs[f"{place}/.zarray"] = json.dumps({
-            "zarr_format": 2, "shape": cube.shape, "chunks": cube.chunk, "dtype": cube.dtype.str,
-            "compressor": None, "filters": None, "fill_value": None, "order": "C",
-        })  # fmt: skip
-        refs[f"{place}/.zattrs"] = json.dumps({**cube.attrs, "_ARRAY_DIMENSIONS": cube.dims})
-        words = [f"f{len(templates) + number}" for number in range(len(cube.files))]
-        templates |= {word: raw.url for word, raw in zip(words, cube.files, strict=True)}
-        for number, own, offset in cube.slabs:
-            refs[f"{place}/{number}.0.0"] = [f"{{{{{words[own]}}}}}", offset, cube.slab_bytes]
-        for number, block in cube.copies.items():
-            whole = np.full(cube.chunk, _FILL, cube.dtype)
-            whole[: len(block)] = block
-            refs[f"{place}/{number}.0.0"] = _inline(whole.tobytes())
-    refs |= {key: _inline(buffer.to_bytes()) for key, buffer in store.items()}
-    about = {**attrs, RAW_FILES: json.dumps(summary_of(groups))}
-    refs[".zgroup"], refs[".zattrs"] = '{"zarr_format": 2}', json.dumps(about)
-    # zarr does not find the members of a group in references by itself
-    metadata = {key: json.loads(text) for key, text in refs.items() if key.endswith(_METADATA_2)}
-    refs[".zmetadata"] = json.dumps({"metadata": metadata, "zarr_consolidated_format": 1})
-    document = {"version": 1, "templates": templates, "refs": refs}
-    file.write_text(json.dumps(document, separators=(",", ":")), encoding="utf-8")
-
-
-def _inline(content: bytes) -> str:
-    """Return bytes as they stand in references."""
-    try:
-        text = content.decode("ascii")
-    except UnicodeDecodeError:
-        text = ""
-    # double braces would be a template
-    plain = text and "{{" not in text and not text.startswith("base64:")
-    return text if plain else "base64:" + base64.b64encode(content).decode()
+    config = icechunk.RepositoryConfig.default()
+    config.clear_virtual_chunk_containers()
+    for url in urls:
+        check_url(url)
+    for prefix in sorted({_prefix(url) for url in urls}):
+        if prefix.startswith("file:"):
+            place = icechunk.local_filesystem_store(_local_path(prefix))
+        elif prefix.startswith("http"):
+            place = icechunk.http_store({"allow_http": "true"} if prefix.startswith("http:") else {})
+        else:
+            endpoint = os.environ.get("AWS_ENDPOINT_URL")
+            place = icechunk.s3_store(
+                region=os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION") or "us-east-1",
+                endpoint_url=endpoint, allow_http=str(endpoint).startswith("http:"),
+                force_path_style=endpoint is not None, s3_compatible=endpoint is not None,
+            )  # fmt: skip
+        config.set_virtual_chunk_container(icechunk.VirtualChunkContainer(prefix, place))
+    return config
 
 
 def is_virtual(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path is that of a repository of icechunk, or of references of kerchunk; files are cheap.
+    """Tell whether a path is that of a repository of icechunk.
 
     Examples
     --------
     >>> is_virtual("lot.zarr")
     False
     """
+    return all((Path(path) / name).is_dir() for name in ("snapshots", "refs"))
+
+
+def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> None:
+    """Refuse references of kerchunk, a JSON file or a folder of parquet; nothing in them is used.
+
+    ``write``: whether the path is to be written, and its name decides.
+
+    Raises `StoreError`: they are; parts that programs run are named.
+    """
     place = Path(path)
-    if place.is_dir():
-        return (place / "snapshots").is_dir() and (place / "refs").is_dir()
-    if place.suffix.lower() != ".json" or not place.is_file():
-        return False
-    with open(place, "rb") as file:
-        return file.read(32).replace(b" ", b"").startswith(b'{"version":1')
+    file = place / ".zmetadata" if place.is_dir() else place
+    keys: set[str] = set()
+    if write:
+        keys = {"refs"} if place.suffix.lower() in (".json", ".parq", ".parquet") else keys
+    elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        try:
+            keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
+        except FormatError:  # longer
+            keys = {"refs"}
+        except (ValueError, RecursionError):
+            pass  # another text
+    of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
+    if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
+        parts = "".join(
+            f", with `{part}`, which programs run" for part in sorted(keys & {"gen", "templates"})
+        )
+        raise StoreError(
+            f"{os.fspath(path)}: kerchunk references{parts}",
+            expected="a repository of icechunk, a folder",
+            mend="convert references that you trust with tools that you trust, such as virtualizarr, or "
+            "write a repository with `hyperpaint virtual COLLECT.toml --out lot.icechunk`",
+        )
 
 
-def _store(path: str | os.PathLike[str], options: Mapping[str, Any] | None) -> Any:
-    """Return the Zarr store of virtual groups, read-only."""
+@contextlib.contextmanager
+def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what icechunk and zarr raise about a repository that is damaged or forged into our error."""
+    try:
+        yield
+    except PaintError:
+        raise
+    except Exception as error:  # each library has its own; icechunk names the cause in the last line
+        cause = str(error).rstrip("\n |`->").rpartition("\n")[2].strip(" |`->")
+        raise IncompleteStoreError(
+            f"{os.fspath(path)} is no whole virtual store: {type(error).__name__}: {cause:.300}", mend=_AGAIN
+        ) from error
+
+
+def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
+    """Return a repository and a session that reads it; it may read raw files in the folders of ``urls``."""
+    refuse_kerchunk(path)
     if not is_virtual(path):
         raise StoreError(f"{os.fspath(path)} is no virtual store", expected="one of `hyperpaint virtual`")
-    if Path(path).is_dir():
-        icechunk = _icechunk()
-        storage = icechunk.local_filesystem_storage(os.fspath(path))
-        config = icechunk.Repository.fetch_config(storage)
-        prefixes = [] if config is None else list(config.virtual_chunk_containers or ())
-        on_s3 = icechunk.s3_from_env_credentials()
-        access = {prefix: on_s3 if prefix.startswith("s3:") else None for prefix in prefixes}
-        repository = icechunk.Repository.open(
-            storage, authorize_virtual_chunk_access=icechunk.containers_credentials(access)
-        )
-        return repository.readonly_session("main").store
-    from fsspec.implementations.reference import ReferenceFileSystem  # type: ignore[import-untyped]
-    from zarr.storage import FsspecStore
-
-    if os.path.getsize(path) > MOST_JSON_BYTES:
-        raise FormatError(f"{os.fspath(path)} has over {MOST_JSON_BYTES} bytes, which no references have")
-    references = json.loads(Path(path).read_text(encoding="utf-8"))
-    remote = {**(options or {}), "asynchronous": True}
-    return FsspecStore(
-        ReferenceFileSystem(references, remote_options=remote, asynchronous=True), read_only=True
+    for folder, folders, names in os.walk(path):
+        for name in (*folders, *names):
+            if os.path.islink(os.path.join(folder, name)):
+                raise StoreError(f"{os.path.join(folder, name)!r} is a link, which no repository holds")
+    icechunk = _icechunk()
+    config = _own_config(urls)
+    access = {
+        prefix: icechunk.s3_from_env_credentials() if prefix.startswith("s3:") else None
+        for prefix in config.virtual_chunk_containers or ()
+    }
+    repository = icechunk.Repository.open(
+        icechunk.local_filesystem_storage(os.fspath(path)),
+        config,
+        authorize_virtual_chunk_access=icechunk.containers_credentials(access),
     )
+    return repository, repository.readonly_session("main")
 
 
-def virtual_groups(path: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return what names the inputs of every group, and its raw files; see `summary_of`."""
+def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what names the inputs of every group, and its raw files; see `summary_of`. No raw file is read.
+
+    Raises `StoreError`: there is no such store, it is damaged, or its record is none.
+    """
     import zarr
 
-    text = zarr.open_group(_store(path, options), mode="r").attrs.get(RAW_FILES)
-    if not isinstance(text, str):
-        raise StoreError(
-            f"{os.fspath(path)} does not say what its raw files were",
-            expected="a store of `hyperpaint virtual`",
-            mend="open others by xarray.open_zarr, or by xarray.open_dataset with engine='kerchunk'",
-        )
-    groups: dict[str, Any] = json.loads(text)
+    with _own_errors(path):
+        _, session = _session(path)
+        text = zarr.open_group(session.store, mode="r").attrs.get(RAW_FILES)
+        if not isinstance(text, str):
+            raise StoreError(
+                f"{os.fspath(path)} does not name its raw files",
+                expected="a store of `hyperpaint virtual`",
+                mend="open others with icechunk and xarray.open_zarr",
+            )
+        groups: dict[str, Any] = json.loads(text)
+        for name, about in groups.items():
+            if not name or clean_group(name) != name or not name.isprintable():
+                raise StoreError(f"{os.fspath(path)} names a group {name!r:.200}")
+            for row in about[RAW_FILES]:
+                raw = RawFile(**row)
+                check_url(raw.url)
+                numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
+                if not (numbers and isinstance(raw.etag, str | None)):
+                    raise StoreError(f"{os.fspath(path)} describes {raw.url} by {row!r:.200}")
     return groups
+
+
+def outside(
+    path: str | os.PathLike[str], groups: Mapping[str, Any], allow: Allow = ()
+) -> tuple[list[str], list[str]]:
+    """Return the raw files that may not be read, and the folders and URLs to allow for them.
+
+    Files may be read below the folder that holds the repository and below what is allowed, links resolved.
+    """
+    home = os.path.dirname(os.path.realpath(path))
+    prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # a root holds everything
+    for each in [allow] if isinstance(allow, str | os.PathLike) else allow:
+        text = os.fspath(each)
+        if "://" not in text or text.startswith("file://"):
+            text = f"file://{os.path.realpath(_local_path(text))}"
+        check_url(text)
+        prefixes.append(text.rstrip("/") + "/")
+    refused = []
+    places: dict[str, set[str]] = {}
+    for url in dict.fromkeys(row["url"] for about in groups.values() for row in about[RAW_FILES]):
+        local = url.startswith("file:")
+        real = f"file://{os.path.realpath(_local_path(url))}" if local else url
+        if not any(f"{real}/".startswith(prefix) for prefix in prefixes):
+            refused.append(real)
+            scheme, _, rest = real.partition("://")
+            host, _, key = rest.partition("/")
+            places.setdefault(f"{scheme}://{host}", set()).add(posixpath.dirname(f"/{key}"))
+    needed = []
+    for root, folders in places.items():
+        common = posixpath.commonpath(folders)
+        # one folder for all, but never the root of the machine
+        chosen = sorted(folders) if common == "/" and root == "file://" else [common]
+        needed += [each if root == "file://" else f"{root}{each}".rstrip("/") for each in chosen]
+    return refused, needed
+
+
+def _checked_session(path: str | os.PathLike[str], groups: Mapping[str, Any], name: str, allow: Allow) -> Any:
+    """Return a session in which a group may be read: its files are allowed, and are what they were."""
+    refused, needed = outside(path, groups, allow)
+    if refused:
+        shown = needed[0] if len(needed) == 1 else needed
+        options = " ".join(f"--allow {shlex.quote(each)}" for each in needed)
+        raise StoreError(
+            f"{os.fspath(path)} refers to raw files elsewhere ({len(refused)}, such as {refused[0]!r})",
+            expected=f"files below {os.path.dirname(os.path.realpath(path))}",
+            mend=f"pass allow={shown!r} if these are your raw files",
+            option=f"pass {options} if these are your raw files",
+        )
+    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
+    urls = [row["url"] for row in groups[name][RAW_FILES]]
+    for row in groups[name][RAW_FILES]:
+        try:
+            difference = RawFile(**row).difference(RawFile.of(row["url"]))
+        except StoreError as error:
+            problems.add(str(error), mend=_AGAIN)
+            continue
+        if difference:
+            problems.add(f"{row['url']}: {difference}", mend=_AGAIN)
+    problems.raise_if_any()
+    repository, session = _session(path, urls)
+    # in a thread of its own: a notebook has a running loop
+    with ThreadPoolExecutor(1) as thread:
+        fault = thread.submit(asyncio.run, _fault(repository, session, name, urls)).result()
+    if fault:
+        raise IncompleteStoreError(f"{os.fspath(path)}: /{name} {fault}", mend=_AGAIN)
+    return session
+
+
+async def _fault(repository: Any, session: Any, name: str, urls: Sequence[str]) -> str:
+    """Return what is wrong with the chunks of a group; empty where all lie in the files of ``urls``.
+
+    Of each chunk the first and the last two bytes are read: icechunk fails beyond the end of a file.
+    """
+    import zarr
+    from zarr.abc.store import RangeByteRequest, SuffixByteRequest
+    from zarr.core.buffer import default_buffer_prototype
+
+    # icechunk lists the references of all groups: those of this one are left when the others are deleted,
+    # which happens in memory and is never committed
+    own, above = repository.writable_session("main"), ""
+    for part in name.split("/"):
+        for other in [each async for each in own.store.list_dir(above)]:
+            if other not in (part, "zarr.json"):
+                await own.store.delete_dir(f"{above}{other}")
+        above += f"{part}/"
+    foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
+    if foreign:
+        return f"refers to {min(foreign)!r:.200}, which the record does not name"
+    limit = asyncio.Semaphore(_MAX_READS)
+
+    async def fault_of(array: Any, at: tuple[int, ...], size: int | None) -> str:
+        key = f"{name}/{array.basename}/{array.metadata.encode_chunk_key(at)}"
+        async with limit:
+            length = await session.store.getsize(key)
+            if size is not None and length != size:
+                return f"has {length} bytes in {key}, expected {size}"
+            some = min(2, length)
+            for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
+                content = await session.store.get(key, default_buffer_prototype(), part)
+                if content is None or len(content) != some:  # an offset near 2**64 wraps around
+                    return f"lacks bytes in {key}"
+        return ""
+
+    group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
+    async for _, array in group.arrays():
+        path = f"/{name}/{array.basename}"
+        places = [tuple(at) async for at in session.chunk_coordinates(path)]
+        kinds = [await session.chunk_type_async(path, at) for at in places]
+        size = None
+        if _icechunk().ChunkType.VIRTUAL in kinds:
+            # slabs of raw files hold plain samples, and none is missing
+            size = math.prod(array.chunks) * array.dtype.itemsize
+            codecs = [type(codec).__name__ for codec in array.metadata.codecs]
+            if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
+                return f"has other chunks of {array.basename} than `hyperpaint virtual` writes"
+        faults = await asyncio.gather(*(fault_of(array, at, size) for at in places))
+        if any(faults):
+            return next(filter(None, faults))
+    return ""
+
+
+def check_whole(path: str | os.PathLike[str], allow: Allow) -> None:
+    """Refuse a virtual store with a group that could not be opened; its cubes are not read.
+
+    Raises `StoreError`: as `open_virtual`.
+    """
+    groups = virtual_groups(path)
+    with _own_errors(path):
+        for name in groups:
+            _checked_session(path, groups, name, allow)
 
 
 def open_virtual(
     path: str | os.PathLike[str],
     group: str | None = None,
     *,
-    storage_options: Mapping[str, Any] | None = None,
+    allow: Allow = (),
     **kwargs: Any,
 ) -> xr.Dataset:
     """Open a flight line whose cube stays in the raw files, as `hyperpaint virtual` writes it, lazily.
 
+    A store may come from anybody, and names the files that are read as counts. So a raw file is read only if
+    it lies below the folder that holds the store, or below a folder or URL of ``allow``, after links are
+    resolved; if the store's record names it, with the size and the time of change (or etag) that it has; and
+    if every reference lies inside it. Nothing is read over the network, and no credentials of the environment
+    are used, but for URLs of ``allow``.
+
     Parameters
     ----------
     path
-        A folder of icechunk, or a ``.json`` of kerchunk.
+        A repository of icechunk, a folder.
     group
         Such as ``"flightlines/raw_0"``; may be left out where there is one.
-    storage_options
-        Of the file system of the raw files, for references of kerchunk.
+    allow
+        Folders, or URLs (s3, http, https), below which raw files may be read besides; one or several. S3
+        takes region, endpoint and keys from the environment.
     **kwargs
         Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
 
@@ -347,38 +524,31 @@ def open_virtual(
     Raises
     ------
     StoreError
-        There is no such store or group; or raw files are missing, or others than those referred to (size,
-        and time of change or etag); all are listed.
+        There is no such store or group; raw files lie elsewhere (the message says what to allow), are
+        missing, or others than those referred to, all of which are listed; references lead to other files or
+        beyond the end of one; the store is damaged, holds links, or is references of kerchunk.
 
     Examples
     --------
-    >>> import tempfile, hyperpaint as hp
-    >>> from hyperpaint.workflows.virtual_store import virtualise  # as `hyperpaint virtual` does
-    >>> collect = hp.simulate_collect(tempfile.mkdtemp(), scene="plan", lines=64, bands=4, columns=6)
-    >>> line = open_virtual(virtualise(collect, collect.with_name("lot.json")).path)
-    >>> line.paint.reflectance().sizes["along_track"]
-    64
+    >>> line = open_virtual("lot.icechunk", "flightlines/raw_0", allow="/data/day")     # doctest: +SKIP
+    >>> line = line.paint.reflectance()                                                 # doctest: +SKIP
+
+    >>> import tempfile
+    >>> references = Path(tempfile.mkdtemp(), "lot.json")
+    >>> _ = references.write_text('{"version": 1, "gen": [], "refs": {}}')
+    >>> open_virtual(references)
+    Traceback (most recent call last):
+    hyperpaint.base.errors.StoreError: ...lot.json: kerchunk references, with `gen`, which programs run, ...
     """
     import xarray as xr
 
-    groups = virtual_groups(path, storage_options)
+    groups = virtual_groups(path)
     name = (group or "").strip("/")
     if not name and len(groups) == 1:
         (name,) = groups
     if name not in groups:
         raise StoreError(f"group {name!r} of {os.fspath(path)}", expected=f"one of {', '.join(groups)}")
-    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
-    mend = "write the references again: hyperpaint virtual COLLECT.toml --out STORE --overwrite"
-    for row in groups[name][RAW_FILES]:
-        before = RawFile(**row)
-        try:
-            difference = before.difference(RawFile.of(before.url, storage_options))
-        except StoreError as error:
-            problems.add(str(error), mend=mend)
-            continue
-        if difference:
-            problems.add(f"{before.url}: {difference}", mend=mend)
-    problems.raise_if_any()
-    options = {"consolidated": not Path(path).is_dir(), **kwargs}
-    opened: xr.Dataset = xr.open_zarr(_store(path, storage_options), group=name, **options)
+    with _own_errors(path):
+        session = _checked_session(path, groups, name, allow)
+        opened: xr.Dataset = xr.open_zarr(session.store, group=name, **{"consolidated": False, **kwargs})
     return opened

@@ -1,0 +1,368 @@
+"""References of a stranger: nothing in them is executed, read or sent, and the error is our own.
+
+Each is put where users put stores: the JSON in the current folder, the repository beside the raw cubes.
+"""
+
+from __future__ import annotations
+
+import http.server
+import json
+import posixpath
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+import zarr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint.base.errors import StoreError
+from hyperpaint.cli.program import main
+from hyperpaint.io.store.raw_references import RawFile
+from hyperpaint.workflows.virtual_store import virtualise
+
+GROUP = "flightlines/raw_0"
+SECRET = b"PRIVATE " * 40_000
+
+
+@pytest.fixture(scope="module")
+def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("master")
+    hp.simulate_collect(folder / "day", scene="plan", lines=160, bands=6, columns=10)
+    return folder
+
+
+@pytest.fixture
+def home(master: Path, tmp_path: Path) -> Path:
+    """Return a folder with a collect, beside a file that is nobody's business."""
+    (tmp_path / "secret").write_bytes(SECRET)
+    return Path(shutil.copytree(master, tmp_path / "home"))
+
+
+@pytest.fixture
+def server(home: Path) -> Iterator[tuple[str, list[str]]]:
+    """Serve a URL, and list what is asked of it; it may also lead back to this machine under another name."""
+    asked: list[str] = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def log_message(self, *_: Any) -> None: ...
+
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_error(404)
+
+        do_HEAD = do_PUT = do_POST = do_GET  # noqa: N815
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as served:
+        threading.Thread(target=served.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{served.server_address[1]}", asked
+        served.shutdown()
+
+
+# --- JSON: references of kerchunk ---
+
+REFS = {".zgroup": '{"zarr_format":2}', "x/0.0.0": ["{{u}}", 0, 960]}
+RUN = "{{ cycler.__init__.__globals__.os.mkdir('%(mark)s') }}"
+DOCUMENTS: dict[str, Any] = {
+    "environment": {
+        "version": 1,
+        "templates": {"u": "%(server)s/{{g.__globals__[os].environ[HP_WORD]}}", "g": "{{x}}"},
+        "refs": REFS,
+    },
+    "gen": {"version": 1, "templates": {}, "refs": {}, "gen": [
+        {"key": "x", "url": RUN, "dimensions": {"i": [1]}}
+    ]},
+    "http": {"version": 1, "refs": {**REFS, "x/0.0.0": ["%(server)s/cube", 0, 960]}},
+    "outside": {"version": 1, "refs": {**REFS, "x/0.0.0": ["file://%(secret)s", 0, 960]}},
+    "nested": {"version": 1, "templates": {"u": "{{ '{{' }}" + RUN + "{{ '}}' }}"}, "refs": REFS},
+    "flat, of version 0": {**REFS, "x/0.0.0": ["%(server)s/cube", 0, 960]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("spelling", ["plain", "spaces and a mark", "escaped"])
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_json_is_refused_by_name(
+    home: Path, server: tuple[str, list[str]], monkeypatch: pytest.MonkeyPatch, name: str, spelling: str
+) -> None:
+    monkeypatch.setenv("HP_WORD", "word-of-the-environment")
+    url, asked = server
+    words = {"server": url, "mark": str(home / "mark"), "secret": str(home.parent / "secret")}
+    text = json.dumps(DOCUMENTS[name])
+    for word, value in words.items():
+        text = text.replace(f"%({word})s", value)
+    if spelling == "spaces and a mark":
+        text = "\ufeff\n " + json.dumps(json.loads(text), indent=3)
+    elif spelling == "escaped":
+        for plain, escaped in (
+            ("gen", "g\\u0065n"),
+            ("refs", "r\\u0065fs"),
+            ("templates", "templat\\u0065s"),
+        ):
+            text = text.replace(f'"{plain}"', f'"{escaped}"')
+    (home / "evil.json").write_text(text, encoding="utf-8")
+    with pytest.raises(StoreError, match="kerchunk references") as caught:
+        hp.io.open_virtual(home / "evil.json", allow=[url, home.parent])
+    for part in ("gen", "templates"):
+        assert (f"`{part}`" in str(caught.value)) == (part in DOCUMENTS[name])
+    assert "virtualizarr" in str(caught.value)
+    run = CliRunner().invoke(main, ["info", str(home / "evil.json"), "--allow", url])
+    assert run.exit_code == 2
+    assert "kerchunk references" in run.output
+    assert not asked
+    assert not (home / "mark").exists()
+
+
+def test_a_folder_of_parquet_references_is_refused(home: Path) -> None:
+    (home / "refs").mkdir()
+    (home / "refs" / ".zmetadata").write_text('{"metadata": {}, "record_size": 10000}')
+    with pytest.raises(StoreError, match="kerchunk references"):
+        hp.io.open_virtual(home / "refs")
+    assert "kerchunk references" in CliRunner().invoke(main, ["info", str(home / "refs")]).output
+
+
+@pytest.mark.parametrize("name", ["lot.json", "lot.JSON", "lot.parq", "lot.parquet"])
+def test_json_is_not_written(home: Path, name: str) -> None:
+    before = sorted(home.rglob("*"))
+    with pytest.raises(StoreError, match=r"kerchunk references.*icechunk"):
+        virtualise(home / "day" / "collect.toml", home / name)
+    assert sorted(home.rglob("*")) == before
+
+
+def test_no_module_hands_references_to_fsspec() -> None:
+    folder = Path(hp.__file__).parent
+    sources = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.py")}
+    for word in ("ReferenceFileSystem", "reference://", 'engine="kerchunk"', "import kerchunk"):
+        assert [path.name for path, text in sources.items() if word in text] == []
+
+
+# --- icechunk ---
+
+
+class Repository:
+    """A virtual store beside its raw cubes, which is forged by a test."""
+
+    def __init__(self, home: Path) -> None:
+        self.icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
+        self.home, self.path = home, home / "lot.icechunk"
+        self.raw = home / "day" / "flight" / "raw_0"
+        virtualise(home / "day" / "collect.toml", self.path)
+        self.slab = 2 * 6 * 10 * 32  # of 32 lines
+
+    def refer(
+        self, url: str, offset: int = 0, length: int | None = None, place: Any = None, record: bool = False
+    ) -> None:
+        """Let the second slab lie elsewhere, in a container of its own; name it in the record if asked."""
+        ice = self.icechunk
+        storage = ice.local_filesystem_storage(str(self.path))
+        config = ice.Repository.fetch_config(storage)
+        scheme, _, path = url.partition("://")
+        prefix = f"{scheme}://{posixpath.dirname(posixpath.normpath(unquote(path)))}/"
+        place = place or ice.local_filesystem_store(prefix.removeprefix("file://"))
+        config.set_virtual_chunk_container(ice.VirtualChunkContainer(prefix, place))
+        repository = ice.Repository.open(storage, config)
+        repository.save_config()
+        session = repository.writable_session("main")
+        size = self.slab if length is None else length
+        chunk = ice.VirtualChunkSpec([1, 0, 0], url, offset, size, None, None)
+        assert not session.store.set_virtual_refs(f"/{GROUP}/counts", [chunk])
+        session.commit("forged")
+        if record:
+            local = Path(url.removeprefix("file://"))
+            row = {"url": url, "size": 10**6, "changed_ns": None, "etag": None}
+            if local.exists():
+                row |= {"size": local.stat().st_size, "changed_ns": local.stat().st_mtime_ns}
+            self.record(lambda groups: groups[GROUP]["raw_files"].append(row))
+
+    def record(self, change: Callable[[Any], Any]) -> None:
+        """Change the record of raw files."""
+        storage = self.icechunk.local_filesystem_storage(str(self.path))
+        session = self.icechunk.Repository.open(storage).writable_session("main")
+        root = zarr.open_group(session.store, mode="r+")
+        groups = json.loads(root.attrs["raw_files"])
+        change(groups)
+        root.attrs["raw_files"] = json.dumps(groups)
+        session.commit("forged")
+
+
+def container_elsewhere(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.home.parent}/secret")
+    return "record does not name"
+
+
+def link_that_leads_out(repository: Repository, server: str) -> str:
+    (repository.home / "day" / "cube").symlink_to(repository.home.parent / "secret")
+    repository.refer(f"file://{repository.home}/day/cube", record=True)
+    return "raw files elsewhere"
+
+
+def folder_that_is_a_link(repository: Repository, server: str) -> str:
+    (repository.home / "day" / "up").symlink_to(repository.home.parent)
+    repository.refer(f"file://{repository.home}/day/up/secret", record=True)
+    return "raw files elsewhere"
+
+
+def offset_beyond_the_end(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.raw}", 10**9)
+    return "no whole virtual store"
+
+
+def length_beyond_the_end(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.raw}", repository.raw.stat().st_size - repository.slab + 1)
+    return "no whole virtual store"
+
+
+def offset_that_overflows(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.raw}", 2**64 - 100)
+    return "lacks bytes|no whole virtual store"
+
+
+def another_length(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.raw}", 0, repository.slab // 2)
+    return "bytes in flightlines"
+
+
+def another_file_beside(repository: Repository, server: str) -> str:
+    (repository.raw.parent / "letter").write_bytes(SECRET)
+    repository.refer(f"file://{repository.raw.parent}/letter")
+    return "record does not name"
+
+
+def another_file_by_dots(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.raw.parent}/%2e%2e/%2e%2e/%2e%2e/secret")
+    return "record does not name"
+
+
+def s3_container(repository: Repository, server: str) -> str:
+    place = repository.icechunk.s3_store(
+        region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
+    )
+    repository.refer("s3://bucket/cube", place=place, record=True)
+    return "raw files elsewhere"
+
+
+def s3_container_of_no_record(repository: Repository, server: str) -> str:
+    place = repository.icechunk.s3_store(
+        region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
+    )
+    repository.refer("s3://bucket/cube", place=place)
+    return "record does not name"
+
+
+def http_container(repository: Repository, server: str) -> str:
+    place = repository.icechunk.http_store({"allow_http": "true"})
+    repository.refer("http://localhost/cube", place=place, record=True)
+    return "raw files elsewhere"
+
+
+def record_of_a_file_outside(repository: Repository, server: str) -> str:
+    repository.refer(f"file://{repository.home.parent}/secret", record=True)
+    return "raw files elsewhere"
+
+
+def record_with_another_url(repository: Repository, server: str) -> str:
+    row = {"url": f"simplecache::{server}/cube", "size": 1}
+    repository.record(lambda groups: groups[GROUP]["raw_files"].append(row))
+    return "icechunk reads no raw files from"
+
+
+def chunk_that_is_a_link(repository: Repository, server: str) -> str:
+    chunk = next(path for path in (repository.path / "chunks").iterdir() if path.is_file())
+    chunk.unlink()
+    chunk.symlink_to(repository.home.parent / "secret")
+    return "is a link"
+
+
+FORGED = [
+    container_elsewhere, link_that_leads_out, folder_that_is_a_link, offset_beyond_the_end,
+    length_beyond_the_end, offset_that_overflows, another_length, another_file_beside, another_file_by_dots,
+    s3_container, s3_container_of_no_record, http_container, record_of_a_file_outside,
+    record_with_another_url, chunk_that_is_a_link,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("forge", FORGED, ids=lambda forge: forge.__name__)
+def test_forged_repositories_are_refused(
+    home: Path,
+    server: tuple[str, list[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    forge: Callable[[Repository, str], str],
+) -> None:
+    url, asked = server
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "HPKEY")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "word")
+    repository = Repository(home)
+    # what is refused is the forgery: the store as it was opens
+    assert hp.io.open_virtual(repository.path)["counts"].load().sizes["along_track"] == 160
+    words = forge(repository, url)
+    opened: list[str] = []
+    state_of = RawFile.of
+    monkeypatch.setattr(RawFile, "of", lambda url: opened.append(url) or state_of(url))
+    with pytest.raises(StoreError, match=words):
+        hp.io.open_virtual(repository.path)
+    assert not asked
+    assert set(opened) <= {f"file://{repository.raw}"}
+    run = CliRunner().invoke(main, ["info", str(repository.path)])
+    assert "PRIVATE" not in run.output
+    assert "counts:" not in run.output
+    assert not asked
+
+
+@pytest.mark.parametrize("name", ["flightlines/raw_1", "flightlines", "flightlines/raw_0/counts"])
+def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
+    """A line may refer to its own files alone: those of others are not compared when it is opened."""
+    repository = Repository(home)
+    (home / "day" / "other").write_bytes(SECRET)
+    repository.refer(f"file://{home}/day/other")
+    row = {"url": f"file://{home}/day/other", "size": 1, "changed_ns": 0}
+    repository.record(lambda groups: groups.update({name: {**groups[GROUP], "raw_files": [row]}}))
+    with pytest.raises(StoreError, match="record does not name"):
+        hp.io.open_virtual(repository.path, GROUP)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda groups: groups.update({"../x": groups[GROUP]}),
+        lambda groups: groups.update({"x\x1b[31m": groups[GROUP]}),
+        lambda groups: groups.update({"": groups[GROUP]}),
+        lambda groups: groups[GROUP]["raw_files"][0].update(size="many"),
+        lambda groups: groups[GROUP]["raw_files"][0].update(changed_ns="now"),
+        lambda groups: groups[GROUP]["raw_files"][0].update(url=7),
+        lambda groups: groups[GROUP]["raw_files"][0].update(words=7),
+        lambda groups: groups[GROUP].update(raw_files=7),
+        lambda groups: groups.update({GROUP: 7}),
+        lambda groups: groups.clear(),
+    ],
+)
+def test_records_that_are_none(home: Path, changed: Callable[[Any], Any]) -> None:
+    repository = Repository(home)
+    repository.record(changed)
+    with pytest.raises(StoreError):
+        hp.io.open_virtual(repository.path, GROUP)
+    run = CliRunner().invoke(main, ["info", str(repository.path)])
+    assert run.exception is None or isinstance(run.exception, SystemExit)
+    assert "\x1b" not in run.output
+
+
+@pytest.mark.parametrize(
+    "allow", ["home", "day/flight", "day/flight/raw_0", "http://localhost", "s3://bucket"]
+)
+def test_what_is_allowed_is_a_place_not_the_record(home: Path, tmp_path: Path, allow: str) -> None:
+    """A prefix is a whole name of a folder, links resolved; URLs allow no files."""
+    Repository(home)
+    (tmp_path / "stores").mkdir()
+    store = Path(shutil.move(home / "lot.icechunk", tmp_path / "stores" / "lot.icechunk"))
+    given = allow if "://" in allow else str(home) if allow == "home" else str(home / allow)
+    with pytest.raises(StoreError, match="elsewhere"):
+        hp.io.open_virtual(store, allow=f"{given}x")
+    if "://" in allow:
+        with pytest.raises(StoreError, match="elsewhere"):
+            hp.io.open_virtual(store, allow=allow)
+        return
+    assert hp.io.open_virtual(store, allow=given).sizes["along_track"] == 160
+    (tmp_path / "link").symlink_to(given)
+    assert hp.io.open_virtual(store, allow=tmp_path / "link").sizes["along_track"] == 160
