@@ -114,7 +114,7 @@ _LINE_TABLE = (
     Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
     Variable("quality", _PIXEL, "", "uint16", "Quality flags"),
     Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
-    Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float16", "Reflectance factor, means of blocks of pixels"),
+    Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float32", "Reflectance factor, means of blocks of pixels"),
     # --- calibration of every detector element
     Variable("dark_counts", _ELEMENT, "count", "float32", "Counts with the lens capped", alternatives=(("dark_time", BAND, CROSS_TRACK),)),
     Variable("dark_time", ("dark_time",), "", "datetime64[ns]", "UTC of each dark reference", coordinate=True),
