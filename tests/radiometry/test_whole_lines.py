@@ -23,7 +23,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 def _line(dtype: Any = np.uint16) -> xr.Dataset:
     line = flight(lines=24, bands=12, columns=6, dtype=dtype, smile=SHIFT, position=True, drift=0.01).line
     if "counts" in line:
-        line["counts"].values[3, 2, 1] = 4095
+        line["counts"].values[3, 2, 1] = 40950
     return line
 
 
