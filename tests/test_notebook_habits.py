@@ -1,4 +1,7 @@
-"""Sixty things that people do to xarray objects in a notebook, done to lines, libraries and stores."""
+"""Sixty things that people do to xarray objects in a notebook, done to lines, libraries and stores.
+
+Done to a simulated line and to one that `hyperpaint.process` wrote; `test_ordinary_tools` has others.
+"""
 
 from __future__ import annotations
 
@@ -301,9 +304,11 @@ def two_cameras_are_not_joined_by_the_number_of_a_band(desk: SimpleNamespace) ->
         desk.line.reflectance + desk.line.reflectance.isel(band=slice(0, 5))
 
 
+@pytest.mark.parametrize("source", ["simulated", "processed"])
 @pytest.mark.parametrize("name", HABITS)
 @pytest.mark.filterwarnings(
     "ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::PendingDeprecationWarning"
 )
-def test_a_habit(name: str, desk: SimpleNamespace) -> None:
-    HABITS[name](desk)
+def test_a_habit(name: str, source: str, desk: SimpleNamespace) -> None:
+    lines = {"simulated": desk.line, "processed": desk.processed.compute()}
+    HABITS[name](SimpleNamespace(**{**vars(desk), "line": lines[source]}))

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "Bools", "Floats", "Floats32", "Ints", "Progress"]
+__all__ = ["Array", "Bools", "Floats", "Floats32", "Ints", "Progress", "round_bits"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Bools: TypeAlias = npt.NDArray[np.bool_]
@@ -17,3 +17,18 @@ Floats32: TypeAlias = npt.NDArray[np.float32]
 Ints: TypeAlias = npt.NDArray[np.int64]
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with what is done and what is to do."""
+
+
+def round_bits(values: Floats32, kept: int) -> Floats32:
+    """Return values with ``kept`` bits of the mantissa of float32, to nearest-even: the others compress away.
+
+    Examples
+    --------
+    >>> round_bits(np.float32([0.1, np.nan]), 10)
+    array([0.09997559,        nan], dtype=float32)
+    """
+    dropped = np.uint32(23 - kept)
+    bits = np.ascontiguousarray(values).view(np.uint32)
+    half = np.uint32((1 << (int(dropped) - 1)) - 1)
+    rounded = (bits + half + ((bits >> dropped) & np.uint32(1))) >> dropped
+    return (rounded << dropped).view(np.float32)

@@ -6,6 +6,8 @@ attributes, since xarray carries stale ones through arithmetic.
 
 from __future__ import annotations
 
+import functools
+import warnings
 from collections.abc import Hashable, Iterable, Mapping
 from enum import IntFlag
 from typing import Any
@@ -14,9 +16,10 @@ import numpy as np
 import xarray as xr
 
 from .arrays import Floats
-from .errors import Problems, SchemaError
+from .errors import PaintWarning, Problems, SchemaError
 from .units import convert, plain, same_dimension
 from .variables import (
+    ADVICE,
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -170,7 +173,8 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
 
     Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are in the units
-    of the table from here on.
+    of the table from here on. What `where` and `concat` do to other variables is undone: dims that they gave
+    to variables which do not vary along them, and flags that became floats.
 
     Parameters
     ----------
@@ -182,7 +186,8 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     Raises
     ------
     SchemaError
-        ``dims`` names a role or a dim that does not exist; or arrays are those of cubed or cupy.
+        ``dims`` names a role or a dim that does not exist; nothing is selected of a dim of the cube; or
+        arrays are those of cubed or cupy.
     """
     _refuse_foreign_arrays(dataset)
     dataset = _with_table_units(plain(dataset))
@@ -197,6 +202,12 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     for role, aliases in DIM_ALIASES.items():
         if role in dataset.dims or role in names.values():
             continue
+        index = next(
+            (dim for dim in dataset.dims if dim in VARIABLES and VARIABLES[str(dim)].dims == (role,)), None
+        )
+        if index is not None and role in dataset.coords:  # after swap_dims(along_track="time")
+            dataset = dataset.swap_dims({index: role})
+            continue
         names_of_role = (role, *aliases)
         alias = next((d for d in dataset.dims if str(d).lower() in names_of_role and d not in names), None)
         if alias is not None:
@@ -206,7 +217,123 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     if indexed:
         dataset = dataset.reset_index(indexed)
     names = {old: new for old, new in names.items() if old != new}
-    return dataset.rename_dims(names) if names else dataset
+    dataset = dataset.rename_dims(names) if names else dataset
+    for dim, thing in zip(CUBE, ("line", "band", "column"), strict=True):
+        if dataset.sizes.get(dim) == 0:
+            raise SchemaError(
+                f"nothing is selected: {dim} has size 0",
+                expected=f"one {thing} or more",
+                mend="the slice, mask or wavelength range kept none",
+            )
+    return _as_in_table(dataset)
+
+
+_OF_ELEMENTS = ("dark_counts", "radiance_gain")
+_PICTURES = ("overview", "coarse_reflectance")
+
+
+def _as_in_table(dataset: xr.Dataset) -> xr.Dataset:
+    """Return variables with the dims and whole numbers of the table, where `where` or `concat` changed them.
+
+    Nothing lazy is computed: what is taken for constant along a dim is checked when it is.
+    """
+    changed: dict[Hashable, xr.Variable] = {}
+    dropped = []
+    # `where` made counts floats: their calibration is as large as they are, and sel or isel is told of
+    is_masked = "counts" in dataset.variables and dataset.variables["counts"].dtype.kind == "f"
+    for name, variable in dataset.variables.items():
+        row = VARIABLES.get(str(name))
+        if row is None or not set(variable.dims) & set(CUBE) or (is_masked and name in _OF_ELEMENTS):
+            continue
+        if name not in _PICTURES:
+            own = _without_added_dims(variable, row)
+            changed |= {} if own is variable else {name: own}
+        elif not set(variable.dims) <= set(row.dims):
+            dropped.append(name)  # of the whole line, of which this is a part
+    if "quality" in dataset.variables and _is_averaged(dataset):
+        dropped.append("quality")
+        text = (
+            "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags before "
+            "they are averaged"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=3)
+    dataset = dataset.drop_vars(dropped) if dropped else dataset
+    return with_whole_numbers(dataset.assign(changed) if changed else dataset)
+
+
+def _is_averaged(dataset: xr.Dataset) -> bool:
+    """Tell whether flags are means of several pixels', as coarsen and interp leave them."""
+    quality = dataset.variables["quality"]
+    if quality.dtype.kind != "f":
+        return False
+    if any(dim in dataset.coords and dataset[dim].dtype.kind == "f" for dim in (ALONG_TRACK, CROSS_TRACK)):
+        return True
+    return quality.chunks is None and bool((np.nan_to_num(quality.values) % 1.0 != 0.0).any())
+
+
+def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
+    """Return a variable without dims of a cube along which it is constant, missing values left out."""
+    dims = set(variable.dims)
+    fitting = [own for own in row.allowed_dims if set(own) < dims and dims - set(own) <= set(CUBE)]
+    if not fitting or any(dims == set(own) for own in row.allowed_dims):
+        return variable
+    if variable.dtype == object and row.dtype == "bool":  # with gaps
+        variable = variable.astype(np.float32)
+    if variable.dtype.kind not in "biufmM":
+        return variable
+    added = [dim for dim in variable.dims if dim not in max(fitting, key=len)]
+    low, high = variable.min(added), variable.max(added)
+    if low._in_memory and high._in_memory:
+        if not ((low == high) | low.isnull()).all():
+            return variable
+    else:
+        import dask.array as da
+
+        constant = da.map_blocks(
+            _constant, low.data, high.data, name_of=row.name, dims=added, dtype=low.dtype, meta=low.data._meta
+        )
+        low = low.copy(data=constant)
+    low.attrs = variable.attrs
+    return low
+
+
+def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
+    """Return the least values where they are the highest too."""
+    if not ((low == high) | (low != low)).all():
+        raise SchemaError(
+            f"{name_of!r} differs along {' and '.join(dims)}",
+            mend="choose by .sel() or .isel() where where(..., drop=True) or xr.concat gave it that dim",
+        )
+    return low
+
+
+def with_whole_numbers(dataset: xr.Dataset, table: Mapping[str, Variable] = VARIABLES) -> xr.Dataset:
+    """Return flags, numbers and classes as integers where `where` made them floats; lazy where they are.
+
+    A gap becomes `Quality.NO_DATA` of flags, -1 of what is -1 where there is none, else 0. Counts stay, whose
+    gaps are gaps; and numbers of lines and columns, which may lie between those of a line.
+    """
+    changed = {}
+    for name, row in table.items():
+        variable = dataset.variables.get(name)
+        if variable is None or variable.dtype.kind not in "fO" or row.dtype in ("str", "datetime64[ns]"):
+            continue
+        kind = np.dtype(row.dtype).kind
+        if kind not in "iub" or name == "counts" or variable.dims == (name,):
+            continue
+        gap = -1 if "-1" in row.meaning or name == "sky_state" else 0
+        gap = int(Quality.NO_DATA) if name == "quality" else gap
+        integers = functools.partial(_integers, gap=gap, dtype=row.dtype)
+        if variable.chunks is None:
+            changed[name] = variable.copy(data=integers(variable.values))
+        else:
+            changed[name] = variable.copy(data=variable.data.map_blocks(integers, dtype=row.dtype))
+    return dataset.assign(changed) if changed else dataset
+
+
+def _integers(values: Any, *, gap: int, dtype: str) -> Any:
+    numbers = np.asarray(values, np.float64)
+    return np.where(np.isfinite(numbers), np.rint(numbers), gap).astype(dtype)
 
 
 _FOREIGN_ARRAYS = {
@@ -227,6 +354,36 @@ def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
                     expected="numpy or dask",
                     mend=_FOREIGN_ARRAYS[package],
                 )
+
+
+BELONGS = "calibration_variables"
+"""Attribute of ``radiance_gain``: what else the calibration holds that changes values where it is missing."""
+
+_BELONGING = (
+    "wavelength_shift", "good", "masked", "linear_counts", "stray_light", "band_shift_time", "srf",
+)  # fmt: skip
+
+
+def with_belongings(line: xr.Dataset) -> xr.Dataset:
+    """Return a flight line whose gain names what belongs to it, so that its loss is noticed."""
+    if "radiance_gain" not in line.variables:
+        return line
+    names = " ".join(name for name in _BELONGING if name in line.variables)
+    return line.assign(radiance_gain=line["radiance_gain"].assign_attrs({BELONGS: names}))
+
+
+def warn_of_lost_belongings(line: xr.Dataset, purpose: str) -> None:
+    """Warn where variables are missing that belong to the gain of a line, as after ``drop_vars``."""
+    gain = line.variables.get("radiance_gain")
+    names = str(gain.attrs.get(BELONGS, "")).split() if gain is not None else []
+    lost = [name for name in names if name in _BELONGING and name not in line.variables]
+    if lost:
+        text = (
+            f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this line "
+            "has; keep them beside 'radiance_gain'"
+        )
+        smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
+        warnings.warn(text + smile, PaintWarning, stacklevel=4)
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:
@@ -314,6 +471,7 @@ def find(
     """Return what `require` returns of the variables that are as they should be, and the others' problems."""
     problems: list[str] = []
     arrays: dict[str, xr.DataArray] = {}
+    advice: set[str] = set()
     for name in names:
         spec = table[name]
         if name not in dataset.variables:
@@ -325,7 +483,10 @@ def find(
         array = plain(dataset[name])
         wrong = spec.dim_problem(array) or spec.unit_problem(array)
         if wrong:
-            problems.append(wrong)
+            # one call mends all that went wrong in one way: it is named once
+            fault, _, mend = wrong.partition(ADVICE)
+            problems.append(fault if mend in advice else wrong)
+            advice.add(mend)
             continue
         order = next(dims for dims in spec.allowed_dims if set(dims) == set(array.dims))
         array = array.transpose(*order)

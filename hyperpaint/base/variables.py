@@ -38,6 +38,10 @@ ERROR_SOURCE, LAG = "error_source", "lag"
 """Dims of a paint library."""
 
 
+ADVICE = "; "
+"""What stands in a message between what is wrong and how to mend it."""
+
+
 @dataclass(frozen=True)
 class Variable:
     """One row of the table."""
@@ -71,10 +75,31 @@ class Variable:
         if any(set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims):
             return None
         expected = " or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims)
-        return (
-            f"{self.name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}; "
-            "rename them, or name them with dims={...}"
-        )
+        found = f"{self.name!r} has dims ({', '.join(map(str, array.dims))})"
+        return f"{found}, expected {expected}{ADVICE}{self._mend_of_dims(array)}"
+
+    def _mend_of_dims(self, array: xr.DataArray) -> str:
+        """Return how the dims of an array came to be other ones, and the call that mends it."""
+        # compare with the dims that are nearest to those found
+        nearest = min(self.allowed_dims, key=lambda dims: len(set(dims) ^ set(array.dims)))
+        missing = [dim for dim in nearest if dim not in array.dims]
+        added = [str(dim) for dim in array.dims if dim not in nearest]
+        for dim in added:
+            levels = getattr(array.indexes.get(dim), "names", [])
+            if len(levels) > 1:
+                return f"{dim} is a stack of {' and '.join(map(str, levels))}: unstack({dim!r}) first"
+        if missing and not added:
+            dim = missing[0]
+            return (
+                f"the dimension {dim} was dropped, as isel({dim}=5) or a mean over it does; "
+                f"isel({dim}=[5]) keeps it"
+            )
+        if added and not missing and set(added) <= set(CUBE):
+            return (
+                f"where(..., drop=True) and xr.concat gave it {' and '.join(added)}: choose by .sel() or "
+                '.isel(), join with data_vars="minimal", coords="minimal", compat="override"'
+            )
+        return "rename them, or name them with dims={...}"
 
     def unit_problem(self, array: xr.DataArray) -> str | None:
         """Return what is wrong with an array's units; None where they can be converted, or there are none."""
@@ -114,7 +139,7 @@ _LINE_TABLE = (
     Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
     Variable("quality", _PIXEL, "", "uint16", "Quality flags"),
     Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
-    Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float16", "Reflectance factor, means of blocks of pixels"),
+    Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float32", "Reflectance factor, means of blocks of pixels"),
     # --- calibration of every detector element
     Variable("dark_counts", _ELEMENT, "count", "float32", "Counts with the lens capped", alternatives=(("dark_time", BAND, CROSS_TRACK),)),
     Variable("dark_time", ("dark_time",), "", "datetime64[ns]", "UTC of each dark reference", coordinate=True),

@@ -185,6 +185,8 @@ def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> No
 def check_irradiance_times(samples: Array) -> None:
     """Raise TimeError unless stamps are all there and increase."""
     problems = Problems("irradiance times cannot be used", TimeError)
+    if not samples.size:
+        problems.add("irradiance_time has size 0: no sample is selected")
     if np.isnat(samples).any():
         problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
     steps = np.diff(samples.astype(np.int64))

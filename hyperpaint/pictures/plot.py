@@ -14,7 +14,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
-from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 
 from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
 from .orientation import map_dims, orientation_of, show_picture
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "STRETCH", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "linear_srgb",
+    "STRETCH", "draw_irradiance", "draw_spread", "flags_of", "known_quantiles", "linear_srgb",
     "overview", "percent", "quicklook", "rgb", "stored_picture",
 ]  # fmt: skip
 
@@ -40,15 +40,19 @@ def rgb(
 ) -> xr.DataArray:
     """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB.
 
+    Of a line without irradiance radiance is shown, of a raw cube its counts: for a look at them, since they
+    have the colour of the light and of the camera too. ``long_name`` of the picture says so.
+
     Lazy; computing it reads every band between 380 and 780 nm.
 
     Parameters
     ----------
     dataset
-        A flight line with ``reflectance``, or with what it follows from, and ``wavelength`` (band).
+        A flight line with ``reflectance``, or with what it follows from, or a raw cube, and ``wavelength``
+        (band).
     stretch
         Percentiles of brightness that become black and white, found in at most 64 lines; (0, 100) shows the
-        reflectance itself, white being 1.
+        reflectance itself, white being 1; radiance and counts from their lowest to their highest.
     lines
         Lines of the picture at the most; all by default. Where the stored overview holds as many and the
         stretch is its own, it is read in place of the cube; the attribute ``level`` says what was taken. A
@@ -66,7 +70,7 @@ def rgb(
     Raises
     ------
     SchemaError
-        There is no reflectance, or there are no visible bands.
+        There is no cube, or there are no visible bands.
 
     Examples
     --------
@@ -81,7 +85,7 @@ def rgb(
     dataset = schema.rename_to_roles(dataset)
     if lines is not None and lines < 1:
         raise SchemaError(f"lines={lines}, expected 1 line of the picture or more")
-    has_cube = bool({"reflectance", "counts", "radiance"} & set(dataset.variables))
+    has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
         stored = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
@@ -90,11 +94,8 @@ def rgb(
         if has_cube and step:
             few = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
             return rgb(few, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
-    if "reflectance" not in dataset.variables:
-        dataset = reflectance(dataset)
-    cube = dataset["reflectance"]
-    if not cube.size:
-        raise SchemaError(f"a true-colour picture needs pixels, reflectance has the shape {cube.shape}")
+    dataset, shown_name = with_shown_cube(dataset)
+    cube = dataset[shown_name]
     wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
@@ -121,7 +122,8 @@ def rgb(
     ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
     own_dims = map_dims(cube)
     dims = [dim for dim in source.dims if dim != schema.BAND]
-    low, high = _levels(linear, dims[0], stretch)
+    is_absolute = shown_name == "reflectance" and stretch == (0.0, 100.0)
+    low, high = (np.float32(0.0), np.float32(1.0)) if is_absolute else _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
     if "quality" in dataset.variables and set(dataset["quality"].dims) == set(dims):
         saturated = (dataset["quality"].reset_coords(drop=True) & schema.Quality.SATURATED.value) != 0
@@ -134,11 +136,35 @@ def rgb(
     axes = {name: (name, cube[name].values, cube[name].attrs) for name in own_dims.values()}
     picture = picture.drop_vars(list(axes)).rename(own_dims).assign_coords(axes)
     picture = picture.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
-    picture.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
+    of = {
+        "reflectance": "True colour",
+        "radiance": "Colours of radiance",
+        "counts": "Colours of raw counts",
+    }.get
+    picture.attrs = {
+        "long_name": f"{of(shown_name, 'Colours of values')} (sRGB)",
+        "stretch": f"{stretch[0]:g} to {stretch[1]:g} %",
+    }
     for kept in (cube.attrs, cube.encoding):
         if "grid_mapping" in kept:
             picture.attrs["grid_mapping"] = kept["grid_mapping"]
     return picture
+
+
+def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
+    """Return a line with the cube that pictures show, and its name: reflectance, else radiance, counts."""
+    names = set(dataset.variables)
+    if "reflectance" in names:
+        return dataset, "reflectance"
+    if (
+        "values" in names and not {"counts", "radiance"} & names
+    ):  # a cube whose header does not say what it is
+        return dataset, "values"
+    if "irradiance" in names or not {"counts", "radiance"} & names:
+        return reflectance(dataset), "reflectance"
+    if "radiance" in names or {"dark_counts", "radiance_gain"} & names:
+        return radiance(dataset), "radiance"
+    return dataset, "counts"
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
@@ -201,8 +227,6 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
     """Return what becomes black and white, lazily, from a part of the lines, of pixels that have values."""
     import xarray as xr
 
-    if stretch == (0.0, 100.0):
-        return np.float32(0.0), np.float32(1.0)
     some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
     if some.chunks is not None:
         some = some.chunk(-1)
@@ -258,7 +282,7 @@ def quicklook(
     Parameters
     ----------
     dataset
-        A flight line with its reflectance, or with what it follows from.
+        A flight line with its reflectance, or with what it follows from; or a raw cube, as `rgb` shows it.
     path
         Where to write a picture (PNG, PDF, ...); nowhere by default.
     lines
@@ -288,8 +312,11 @@ def quicklook(
     is_wide = columns_for(width, 4.0, 2) > 1
     figure = new_figure("a quicklook", figsize=(width, 8.0 if is_wide else 15.0), layout="constrained")
     dataset = schema.rename_to_roles(dataset)
-    if "reflectance" not in dataset.variables or "quality" not in dataset.variables:
+    if "reflectance" in dataset.variables and "quality" not in dataset.variables:
         dataset = reflectance(dataset)
+    dataset, shown = with_shown_cube(dataset)
+    has_flags = "quality" in dataset.variables
+    schema.require(dataset, [shown, *(["quality"] if has_flags else [])], "a quicklook")
     step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
@@ -300,10 +327,13 @@ def quicklook(
     show_picture(panels["picture"], rgb(dataset).values, orientation)
     every = f", every {step}th line" if step > 1 else ""
     name = label_for(dataset.attrs.get("name", "flight line"))
-    panels["picture"].set_title(f"{name}: true colour{every}")
-    _draw_flags(panels["flags"], flags_of(dataset))
+    panels["picture"].set_title(f"{name}: {'true colour' if shown == 'reflectance' else shown}{every}")
+    if has_flags:
+        _draw_flags(panels["flags"], flags_of(dataset))
+    else:
+        panels["flags"].set_axis_off()
     draw_irradiance(panels["light"], dataset)
-    draw_reflectance(panels["spectra"], dataset)
+    draw_spread(panels["spectra"], dataset, shown)
     save_figure(figure, path)
     return figure
 
@@ -372,18 +402,20 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     legend_below(axes)
 
 
-def draw_reflectance(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw how reflectance is spread over the lines shown, band by band."""
-    some = dataset["reflectance"].isel(
+def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
+    """Draw how a cube, of reflectance by default, is spread over the lines shown, band by band."""
+    some = dataset[name].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
-    values = some.transpose(..., schema.BAND).values.reshape(-1, some.sizes[schema.BAND])
+    values = some.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, some.sizes[schema.BAND])
     parts = known_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
     wavelength = dataset["wavelength"].values
     axes.fill_between(wavelength, parts[0], parts[4], color=ink_of(axes, 0.12), label="5 to 95 %")
     axes.fill_between(wavelength, parts[1], parts[3], color=ink_of(axes, 0.3), label="middle half")
     axes.plot(wavelength, parts[2], color=ink_of(axes, 0.9), label="median")
-    axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
+    units = label_for(dataset[name].attrs.get("units", "count"))
+    unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
+    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit)
     axes.set_ylim(bottom=0)
     legend_below(axes)
 

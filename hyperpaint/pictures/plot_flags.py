@@ -117,6 +117,7 @@ def flag_overlay(
         _check_layer(dataset, layer)
     if "quality" not in dataset.variables and (layer is None or wanted):
         dataset = reflectance(dataset)
+    schema.require(dataset, ["quality"] if layer is None else [], "a picture of flags")
     step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
     orientation = orientation_of(dataset)
     height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0

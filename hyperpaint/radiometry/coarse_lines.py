@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, round_bits
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
 from hyperpaint.kernels.overviews import average_blocks
@@ -18,7 +18,9 @@ __all__ = ["coarse", "coarse_reflectance"]
 
 SCREEN_LINES = 1000
 SMALLEST_SIDE = 4
-"""Pixels along a side of a block: what is stored is at most a sixteenth of the cube, in half its bits."""
+"""Pixels along a side of a block: what is stored is at most a sixteenth of the cube."""
+MEANS_BITS = 10
+"""Mantissa bits of a stored mean: as good as half precision, in a type that netCDF holds, and as small."""
 
 _SIDE = "block_side"
 
@@ -108,8 +110,8 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
         slabs,
         side=side,
         chunks=(rows, (bands,), (-(-columns // side),)),
-        dtype=np.float16,
-        meta=np.empty((0, 0, 0), np.float16),
+        dtype=np.float32,
+        meta=np.empty((0, 0, 0), np.float32),
     )
     row = schema.VARIABLES["coarse_reflectance"]
     out = xr.DataArray(means, dims=row.dims, name=row.name, attrs={**row.attrs, _SIDE: side})
@@ -121,8 +123,7 @@ def _means(values: Array, side: int) -> Array:
     lines, bands, columns = values.shape
     out = np.empty((-(-lines // side), bands, -(-columns // side)), np.float32)
     average_blocks(np.ascontiguousarray(values, np.float32), side, out)
-    with np.errstate(over="ignore"):
-        return out.astype(np.float16)
+    return round_bits(out, MEANS_BITS)
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:

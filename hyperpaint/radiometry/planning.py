@@ -72,6 +72,11 @@ def make_plan(
     """
     lines, bands, columns = shape
     from_counts = "dark_counts" in cube
+    no_exposure = np.isnan(np.broadcast_to(np.asarray(cube.get("exposure_time", 1.0), np.float64), lines))
+    if no_exposure.any() and not no_exposure.all():
+        # lines that `where` emptied; what is fitted to exposures needs a number
+        known = np.asarray(cube["exposure_time"], np.float64)
+        cube = {**cube, "exposure_time": np.where(no_exposure, np.nanmedian(known), known)}
     _check_values(cube, shape)
     good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
     exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
@@ -88,6 +93,7 @@ def make_plan(
     bad_share = (bad & seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
     line_flags = np.zeros(lines, np.uint16)
+    line_flags[no_exposure] = Quality.NO_DATA
     if time is not None:
         line_flags[np.isnat(time)] = Quality.NO_DATA
     smile = smile_cells(cube.get("wavelength_shift") if light else None, columns)

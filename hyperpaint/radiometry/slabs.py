@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import uuid
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
@@ -21,7 +22,7 @@ from dask.delayed import Delayed
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
@@ -96,6 +97,16 @@ class Plan:
     panel_weights: Floats | None = None  #: (line, panel) of several panels; None else
     #: (line,) relative standard uncertainty of the scale that panels give; None without
     panel_u: Floats | None = None
+
+    @functools.cached_property
+    def warning_of_means(self) -> str:
+        """Warn, once a line, of counts that are means; return what is said."""
+        text = (
+            "counts are no whole numbers: means of several readings hide whether one was saturated; pixels "
+            "above half of the range are flagged 'saturated'. Average reflectance in place of counts"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=2)
+        return text
 
     def digest(self, start: int, stop: int) -> str:
         """Return what names all that the kernels take for lines ``start`` to ``stop`` beside their counts."""
@@ -190,6 +201,8 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
     )
     whole = np.issubdtype(counts.dtype, np.integer)
+    if not whole:
+        counts = np.where(np.isneginf(counts), np.float32(np.nan), counts)
     flags = FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA))
     uncertain = plan.error_terms is not None and out.u_random.size > 0
     calibrate_slab(
@@ -207,6 +220,31 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
 
         stray = plan.stray._replace(smear=plan.stray.smear[here])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)
+    if not whole and out.quality.size:
+        _flag_floats(plan, counts, here, out.quality)
+
+
+def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None:
+    """Flag pixels without counts, and those whose counts, being means, may hide a saturated reading.
+
+    Of at least two readings one may have been full where their mean is half way from the dark to the limit.
+    All bands of a pixel are looked at together, since a mean may be a whole number.
+    """
+    watched = np.isfinite(plan.noise_margin)
+    if not watched.any():  # radiance
+        return
+    for line, (seen, number) in enumerate(zip(counts, range(here.start, here.stop), strict=False)):
+        if plan.line_flags[number] & Quality.NO_DATA:
+            continue
+        missing = (np.isnan(seen) & watched).any(axis=0)
+        quality[line, missing] |= np.uint16(Quality.NO_DATA)
+        is_mean = ((np.rint(seen) != seen) & np.isfinite(seen) & watched).any(axis=0)
+        if is_mean.any():
+            half_way = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
+            hides = is_mean & ((seen >= half_way) & watched).any(axis=0)
+            quality[line, hides] |= np.uint16(Quality.SATURATED)
+            if hides.any():
+                plan.warning_of_means  # noqa: B018
 
 
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:

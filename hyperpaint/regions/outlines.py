@@ -28,6 +28,7 @@ LARGEST = 1e9
 
 _LONGEST_NAME = 200
 _MOST_SHOWN = 60
+_MOST_LISTED = 10
 _COLOUR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -85,6 +86,15 @@ class Region:
 
     def __hash__(self) -> int:
         return hash((self.name, self.flightline, self.polygon.tobytes()))
+
+    def __repr__(self) -> str:
+        line = f" on {self.flightline}" if self.flightline else ""
+        holes = f", {len(self.holes)} holes" if self.holes else ""
+        texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
+        said = "".join(f", {text}" for text in texts)
+        (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
+        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{said}>"
 
     def feature(self) -> dict[str, Any]:
         """Return the region as a Feature of GeoJSON."""
@@ -148,6 +158,13 @@ class Regions(Sequence[Region]):
         elif crs is not None and self.coordinates == "sensor":
             problems.add(f"a crs ({crs[:80]!r}) is of map coordinates, these are of the sensor")
         problems.raise_if_any()
+
+    def __repr__(self) -> str:
+        kind = self.crs or self.coordinates
+        shown = [f"  {region!r}" for region in self.regions[:_MOST_LISTED]]
+        if len(self) > _MOST_LISTED:
+            shown.append(f"  ... and {len(self) - _MOST_LISTED} more")
+        return "\n".join([f"<Regions: {len(self)} ({str(kind)[:40]})>", *shown])
 
     def __len__(self) -> int:
         return len(self.regions)

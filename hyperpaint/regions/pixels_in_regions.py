@@ -149,7 +149,10 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     problems = Problems("pixels of regions cannot be found in this line", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
-            problems.add(f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; name it with dims=")
+            problems.add(
+                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
+                "dims= names it"
+            )
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
     if regions.coordinates == "map":

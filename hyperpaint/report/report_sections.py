@@ -22,7 +22,7 @@ from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
 from hyperpaint.pictures.orientation import laid_down, orientation_of
 from hyperpaint.pictures.paint_cards import paint_card
-from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
+from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_panels import draw_panels
@@ -176,7 +176,7 @@ def _reflectance(line: xr.Dataset) -> Markup:
     axes = _new_axes(3.6, _CHART)
     few = max(1, line.sizes[ALONG_TRACK] // 50)
     some = line.isel({ALONG_TRACK: slice(None, None, few)})
-    draw_reflectance(axes, some if "reflectance" in some else reflectance(some))
+    draw_spread(axes, some if "reflectance" in some else reflectance(some))
     every = "all lines" if few == 1 else f"one line in {few}"
     caption = f"How reflectance is spread over the pixels of {every}, band by band."
     return figure_part(axes.figure, caption, "Reflectance", kind="chart")

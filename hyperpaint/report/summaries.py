@@ -198,16 +198,21 @@ def summary_html(dataset: xr.Dataset) -> str:
     of the dataset are escaped.
     """
     title, facts = _summary(dataset)
-    picture = _attempt(lambda: stored_overview(dataset), None)
-    src = ""
-    if picture is not None:
-        step = max(1, -(-picture.shape[0] // 480))
-        # the declared order of columns: places on the ground would be computed
-        orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
-        shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
-        src = data_uri(encode_png(np.ascontiguousarray(shown)))
+    src = _attempt(lambda: _picture_of(dataset), "")  # none of a part without lines or columns
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
     return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
+
+
+def _picture_of(dataset: xr.Dataset) -> str:
+    """Return the stored picture as a URL that holds it; empty where there is none."""
+    picture = stored_overview(dataset)
+    if picture is None:
+        return ""
+    step = max(1, -(-picture.shape[0] // 480))
+    # the declared order of columns: places on the ground would be computed
+    orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
+    shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
+    return data_uri(encode_png(np.ascontiguousarray(shown)))
 
 
 def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
@@ -316,6 +321,8 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
         yield ".reflectance()"
     if "reflectance" in names or lit:
         yield from (".rgb()", ".quicklook()", ".spectrum(regions)", ".signatures(regions)")
+    elif {"counts", "radiance"} & names:
+        yield from (".rgb()", ".quicklook()")
 
 
 def _library(library: xr.Dataset) -> Facts:

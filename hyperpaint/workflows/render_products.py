@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats, Floats32
+from hyperpaint.base.arrays import Floats, Floats32, round_bits
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 
@@ -92,18 +92,10 @@ def _rounded(cube: xr.DataArray) -> xr.DataArray:
     import xarray as xr
 
     rounded: xr.DataArray = xr.apply_ufunc(
-        _round_bits, cube, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
+        round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
     )
     rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
     return rounded
-
-
-def _round_bits(values: Floats32) -> Floats32:
-    dropped = 23 - KEPT_BITS
-    bits = values.view(np.uint32)
-    half = np.uint32((1 << (dropped - 1)) - 1)
-    rounded = (bits + half + ((bits >> np.uint32(dropped)) & np.uint32(1))) >> np.uint32(dropped)
-    return (rounded << np.uint32(dropped)).view(np.float32)
 
 
 def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:

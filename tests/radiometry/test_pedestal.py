@@ -13,6 +13,9 @@ from hyperpaint.base.errors import PaintWarning
 from hyperpaint.io.flightline.calibration_store import calibration_parts, check_calibration
 from hyperpaint.simulation import simulate_line
 
+# exact signals, which no converter rounds
+pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+
 COLUMNS, COVERED = 24, 4
 CAMERA: dict[str, Any] = {"lines": 40, "bands": 60, "columns": COLUMNS, "masked_columns": COVERED, "seed": 4}
 COVER = (np.arange(COLUMNS) < COVERED) | (np.arange(COLUMNS) >= COLUMNS - COVERED)

@@ -302,7 +302,7 @@ def test_a_panel_in_the_scene_sets_the_scale() -> None:
 
 def test_a_panel_without_light_is_refused() -> None:
     line = flight().line
-    line["counts"].values[3:8, :, 1:4] = 4095
+    line["counts"].values[3:8, :, 1:4] = 40950
     with pytest.raises(SchemaError, match="no valid pixel"):
         values(line, panel=Panel(slice(3, 8), slice(1, 4), 0.4))
 

@@ -39,7 +39,7 @@ def test_flags_survive_and_attributes_tell() -> None:
 
 def test_saturated_samples_are_still_missing_afterwards() -> None:
     line = flight(bands=15, dtype=np.uint16).line
-    line["counts"].values[3, 7, 2] = 4095
+    line["counts"].values[3, 7, 2] = 40950
     made = reflectance(line)
     smoothed = made.paint.smooth("savitzky-golay", 5).compute()
     np.testing.assert_array_equal(np.isnan(smoothed.reflectance), np.isnan(made.reflectance))

@@ -15,6 +15,9 @@ from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
 from hyperpaint.simulation import simulate_line, simulate_sweep
 from hyperpaint.simulation.optics import stray_light_wings
 
+# exact signals, which no converter rounds
+pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+
 BANDS = 24
 CAMERA: dict[str, Any] = {"lines": 12, "bands": BANDS, "columns": 150, "noise": False, "quantise": False}
 SECONDS = {"units": "s"}

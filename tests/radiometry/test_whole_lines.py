@@ -19,11 +19,14 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
+# exact signals, which no converter rounds
+pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+
 
 def _line(dtype: Any = np.uint16) -> xr.Dataset:
     line = flight(lines=24, bands=12, columns=6, dtype=dtype, smile=SHIFT, position=True, drift=0.01).line
     if "counts" in line:
-        line["counts"].values[3, 2, 1] = 4095
+        line["counts"].values[3, 2, 1] = 40950
     return line
 
 

@@ -21,6 +21,8 @@ def laid_out(folder: Path) -> SimpleNamespace:
     line = simulate_line(lines=LINES, bands=BANDS, columns=COLUMNS).paint.reflectance().compute()
     store = hp.to_store(line, folder / "lot.zarr", "flightlines/raw_0")
     hp.to_store(line.isel(along_track=slice(0, 32)), store, "flightlines/raw_1")
+    flown = simulate_collect(folder / "flown", scene="plan", lines=LINES, bands=BANDS, columns=COLUMNS)
+    processed = xr.open_zarr(hp.process(flown, folder / "flown.zarr"), group="flightlines/raw_0")
     regions = hp.Regions(
         tuple(
             hp.Region(f"paint {k}", [(1, 10 * k + 1), (9, 10 * k + 1), (9, 10 * k + 7), (1, 10 * k + 7)])
@@ -32,6 +34,7 @@ def laid_out(folder: Path) -> SimpleNamespace:
     return SimpleNamespace(
         folder=folder, line=line, store=store, library=library, regions=regions,
         lazy=xr.open_zarr(store, group="flightlines/raw_0"),
+        processed=processed,
         collect=simulate_collect(folder / "collect", scene="plan", lines=40, bands=4, columns=6, cubes=2),
     )  # fmt: skip
 

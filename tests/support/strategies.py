@@ -80,7 +80,8 @@ def flight(
         "dark_counts": (("band", "cross_track"), offset),
         "radiance_gain": (("band", "cross_track"), gain),
         "exposure_time": ((), exposure),
-        "saturation_count": ((), np.float32(4095)),
+        # counts that are no whole numbers are judged as means: far from the end of the converter
+        "saturation_count": ((), np.float32(4095 if whole else 40950)),
         "read_noise": ((), np.float32(2)),
         "irradiance": (("irradiance_time", "irradiance_wavelength"), series.astype(np.float32)),
         "irradiance_fwhm": ((), 3.0),

@@ -281,7 +281,10 @@ def _check(
     problems = Problems("this line cannot be located", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
-            problems.add(f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; name it with dims=")
+            problems.add(
+                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
+                "dims= names it"
+            )
     for name, three in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
             fine = np.shape(three) == (3,) and bool(np.isfinite(np.asarray(three, np.float64)).all())
