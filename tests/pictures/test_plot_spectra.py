@@ -143,7 +143,7 @@ def test_a_triptych_shows_the_medians_of_all_three(line: xr.Dataset, tmp_path: A
         np.testing.assert_allclose(drawn.get_ydata(), expected, rtol=1e-6)
     counts, light = ({c.get_label(): c for c in made.lines} for made in figure.axes[:2])
     np.testing.assert_allclose(counts["dark"].get_ydata(), np.median(line.dark_counts.values[:, :3], axis=1))
-    assert counts["saturation"].get_ydata()[0] == 4095
+    assert counts["saturation"].get_ydata()[0] == line.saturation_count
     nm, white = light["white surface"].get_data()
     nearest = np.abs(line.irradiance_time.values - line.time.values[10]).argmin()
     np.testing.assert_allclose(
