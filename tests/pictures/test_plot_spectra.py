@@ -260,9 +260,7 @@ def test_the_overview_is_bounded() -> None:
         library_overview(library.isel(paint=slice(0, 0)))
 
 
-def test_a_picture_is_saved_over_an_old_one_as_a_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figure, path = Figure(), tmp_path / "spectra.png"
     save_figure(figure, path)
     before = path.read_bytes()
@@ -273,7 +271,7 @@ def test_a_picture_is_saved_over_an_old_one_as_a_whole(
 
     with monkeypatch.context() as patched:
         patched.setattr(figure, "savefig", half)
-        with pytest.raises(StoreError, match="No space left on device; .* free"):
+        with pytest.raises(StoreError, match=r"No space left on device; .* free"):
             save_figure(figure, path)
     assert path.read_bytes() == before
     save_figure(figure, tmp_path / "without_suffix")

@@ -34,6 +34,7 @@ KILLS = 20
 _FAR = 10**9
 _MOST_SECONDS = 120.0
 _REPORTED = re.compile(rb"[0-9: -]+ UTC by hyperpaint")  # the time of a report
+os.environ.setdefault("ICECHUNK_LOG", "off")  # what it cannot open is counted
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(
     [*PRELOAD, "rasterio", "hyperpaint.cli.program", "hyperpaint.report.static_site",
