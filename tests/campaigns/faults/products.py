@@ -25,15 +25,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hyperpaint as hp
+
 from .outcome import Outcome
-from .whole_runs import PRELOAD, SCRATCH, SIGNALS, Fault
+from .whole_runs import PRELOAD, SCRATCH, SIGNALS, Fault, is_verified
 
 __all__ = ["PRODUCTS", "Lots", "Product", "campaign", "run_kills"]
 
 KILLS = 20
 _FAR = 10**9
 _MOST_SECONDS = 120.0
-_REPORTED = re.compile(rb"[0-9: -]+ UTC by hyperpaint")  # the time of a report
+_TIME = re.compile(rb"[0-9: -]+ UTC by hyperpaint")  # when a report was written
 os.environ.setdefault("ICECHUNK_LOG", "off")  # what it cannot open is counted
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(
@@ -65,13 +67,17 @@ class Product:
                 return repr(virtual_groups(key))
             except Exception as error:
                 return f"cannot be opened: {error!r:.200}"
+        stores = [path.parent for path in key.rglob("zarr.json") if path.parent.suffix == ".zarr"]
+        if not all(map(is_verified, stores)):
+            return "a store is damaged"
         digest = hashlib.sha256()
         for place in (home / name for name in self.places):
             files = sorted(each for each in place.rglob("*") if each.is_file()) if place.is_dir() else [place]
             for file in files:
                 digest.update(f"{file.relative_to(home)}".encode())
                 content = file.read_bytes() if file.exists() else b"absent"
-                digest.update(_REPORTED.sub(b"", content))
+                # metadata of a store hold times, and have been verified
+                digest.update(b"" if file.name == "zarr.json" else _TIME.sub(b"", content))
         return digest.hexdigest()
 
 
@@ -121,7 +127,6 @@ def _write_inputs(folder: Path, number: int, names: Sequence[str]) -> None:
     import xarray as xr
     from support.flown_lines import fly, located
 
-    import hyperpaint as hp
     from hyperpaint.simulation import simulate_collect
 
     if "virtual" in names:
