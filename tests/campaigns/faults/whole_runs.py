@@ -29,8 +29,8 @@ from hyperpaint.base.errors import PaintError
 from .outcome import Outcome
 
 __all__ = [
-    "FEW_LINES", "LINES", "PRELOAD", "SCRATCH", "SIGNALS", "Fault", "Lot", "calls", "is_verified", "kills",
-    "run_call", "run_kills",
+    "FEW_LINES", "LINES", "PRELOAD", "SCRATCH", "SIGNALS", "Fault", "Lot", "calls", "kills", "run_call",
+    "run_kills",
 ]  # fmt: skip
 
 KILLS, KILLS_A_STORE = 500, 5
@@ -118,7 +118,7 @@ def left_by(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
     """Yield what is wrong with what a disturbed run left: it may be whole, or say that it is not."""
     if not path.exists():
         return
-    said = [name for name, whole in (("verify", is_verified), ("open_store", _opened)) if whole(path)]
+    said = [name for name, whole in (("verify", _verified), ("open_store", _opened)) if whole(path)]
     if said and (content := lot.content(path)) not in (("older", "newer") if overwrite else ("newer",)):
         yield f"{' and '.join(said)} take it for whole, but it is {content}"
 
@@ -130,7 +130,7 @@ def rerun_of(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
     except Exception as error:
         yield f"the rerun raises {type(error).__name__}: {error!s:.300}"
         return
-    if not is_verified(path) or lot.content(path) != "newer":
+    if not _verified(path) or lot.content(path) != "newer":
         yield "the rerun differs from an undisturbed run, or is not whole"
     if left := sorted({entry.name for entry in path.parent.iterdir()} - {path.name}):
         yield f"left beside the store: {left}"
@@ -138,7 +138,7 @@ def rerun_of(lot: Lot, path: Path, *, overwrite: bool) -> Iterator[str]:
         yield f"left in the store: {left}"
 
 
-def is_verified(path: Path) -> bool:
+def _verified(path: Path) -> bool:
     try:
         return hp.verify(path).ok
     except PaintError:
