@@ -63,7 +63,7 @@ def make_mosaic(
     quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Put several flight lines of a store on one map with north up; every cell is of one line."""
-    from hyperpaint.workflows.maps import mosaic_of_store, write_map, write_seamlines
+    from hyperpaint.workflows.maps import mosaic_of_store, write_map
 
     out = out or beside(store, "mosaic.tif")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
@@ -74,9 +74,7 @@ def make_mosaic(
             raise click.UsageError(f"{path} exists; give another place, or --overwrite")
     with progress_bar("looking", is_watched(quiet)) as shown:
         mosaic = mosaic_of_store(store, lines, progress=shown, **given_of(options))
-    write_map(mosaic, out, overwrite=overwrite, progress=is_watched(quiet))
-    if seamlines is not None:
-        write_seamlines(mosaic, seamlines)
+    write_map(mosaic, out, seams=seamlines, overwrite=overwrite, progress=is_watched(quiet))
     rows, cols = mosaic.sizes["y"], mosaic.sizes["x"]
     names = ", ".join(mosaic.attrs["flightlines"])
     click.echo(f"{out}: {rows} x {cols} cells of {mosaic.attrs['gsd']:.4g} m, of the lines {names}")

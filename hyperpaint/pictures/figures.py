@@ -123,13 +123,22 @@ def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
-    """Write a figure to a file, where one is named; `SchemaError` where matplotlib writes no such picture."""
+    """Write a figure to a file, where one is named; one that is there is replaced by a whole one.
+
+    Raises `SchemaError`: matplotlib writes no such picture; `StoreError`: the file cannot be written.
+    """
+    from hyperpaint.io.files.publishing import published_files
+
     if path is None:
         return
-    try:
-        figure.savefig(path, dpi=dpi)
-    except ValueError as error:
-        raise SchemaError(f"{path}: {error}") from error
+    path = Path(path)
+    if not path.suffix:  # as matplotlib does
+        path = path.with_name(f"{path.name}.{figure.canvas.get_default_filetype()}")
+    with published_files([path], overwrite=True) as (target,):
+        try:
+            figure.savefig(target, dpi=dpi)
+        except ValueError as error:
+            raise SchemaError(f"{path}: {error}") from error
 
 
 def check_picture(path: Path) -> None:

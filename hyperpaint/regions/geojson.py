@@ -6,7 +6,6 @@ Beside what the format has, the collection says what its numbers are: ``"coordin
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -15,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.base.input_files import is_plain_file, read_limited
+from hyperpaint.io.files.publishing import publish_file
 
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
@@ -124,24 +124,8 @@ def write_regions(
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
     lines = ",\n".join(_json(feature) for feature in features)
     content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
-    temporary = place.with_name(f".{place.name}.{os.getpid()}")
-    try:
-        if place.exists() and not is_plain_file(place):
-            raise StoreError(f"{place} is no plain file; choose another path")
-        if place.exists() and not overwrite and place.read_bytes() != content:
-            raise StoreError(
-                f"{place} exists and holds something else",
-                mend="pass overwrite=True to replace it",
-                option="pass --overwrite to replace it",
-            )
-        temporary.write_bytes(content)
-        os.replace(temporary, place)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        if isinstance(error, StoreError):
-            raise
-        raise StoreError(f"{place} cannot be written: {error.strerror or error}") from error
+    is_same = is_plain_file(place) and place.stat().st_size == len(content) and place.read_bytes() == content
+    publish_file(place, content, overwrite=overwrite or is_same)
     return place
 
 

@@ -182,7 +182,7 @@ class _Site(NamedTuple):
         picture, places = shown
         file = f"pictures/{len(self.pictures)}.png"  # no file is named by what a store says
         self.groups[path], self.pictures[file] = group, picture
-        variables = list(map(str, group.variables))
+        variables = sorted(map(str, group.variables))  # xarray gathers coordinates from sets
         last = name.rpartition("/")[2]
         label = name if any(entry["name"] == last for entry in self.lines) else last
         entry = {"name": label, "group": path, "picture": file, "variables": variables, **places}
@@ -194,7 +194,7 @@ class _Site(NamedTuple):
         self.problems.extend(f"/{name}: {text}" for text in wrong)
         self.groups[path] = usable.drop_vars(_LEFT_OUT, errors="ignore")
         colours = [srgb_hex(colour) for colour in paint_colours(usable)]
-        variables = list(map(str, self.groups[path].variables))
+        variables = sorted(map(str, self.groups[path].variables))
         self.libraries.append({"name": name, "group": path, "variables": variables, "colours": colours})
 
     def write(self, folder: Path, name: str, store: str, origin: str) -> None:

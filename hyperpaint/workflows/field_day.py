@@ -464,23 +464,32 @@ _UNKNOWN: dict[str, Any] = {"inputs": None, "products": None}
 """Entry of a step that is under way, or of which nothing is known: any product may be its own."""
 
 
+_HASH = "blake2b"
+
+
 def _is_entry(entry: Any) -> bool:
-    return isinstance(entry, dict) and set(entry) == set(_UNKNOWN) and isinstance(entry["products"], dict)
+    """Tell a record of checksums from anything else, such as the sizes and times of version 0.2."""
+    products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNKNOWN) else None
+    return isinstance(products, dict) and all(
+        not state or str(state).startswith(f"{_HASH}:") for state in products.values()
+    )
 
 
 def _states(paths: Iterable[Path]) -> dict[str, str]:
-    """Return sizes and times of files by name, of a folder those of all its files together."""
+    """Return checksums of files by name, of a folder one of all its files, of a store one of its metadata."""
     states: dict[str, str] = {}
     for path in paths:
-        files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-        marks = [[str(each.relative_to(path)), *_mark(each)] for each in files if each.exists()]
-        states[path.name] = hashlib.sha256(json.dumps(marks).encode()).hexdigest() if marks else ""
+        files = [path] if path.is_file() else []
+        if path.is_dir():
+            # metadata hold checksums of the chunks
+            pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"
+            files = sorted(each for each in path.rglob(pattern) if each.is_file())
+        sums = []
+        for each in files:
+            with open(each, "rb") as file:
+                sums.append((each.relative_to(path).as_posix(), hashlib.file_digest(file, _HASH).hexdigest()))
+        states[path.name] = f"{_HASH}:{hashlib.sha256(json.dumps(sums).encode()).hexdigest()}" if sums else ""
     return states
-
-
-def _mark(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 def _listed(paths: Collection[Path]) -> str:

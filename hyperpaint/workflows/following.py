@@ -450,7 +450,11 @@ def follow(
                     break
                 if not busy:
                     time.sleep(POLL_S)
-    return run(path, store, take_up=take_up, **options)
+    outcome = run(path, store, take_up=take_up, **options)
+    if Staging(place).begun():  # the store was whole before: nothing takes up what was written in flight
+        with contextlib.suppress(PaintError, OSError), staging(place):
+            pass
+    return outcome
 
 
 def _collect_of(folder: Path, collect: str | Path | None) -> Path:

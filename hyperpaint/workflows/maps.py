@@ -27,7 +27,6 @@ __all__ = [
     "map_planned",
     "mosaic_of_store",
     "write_map",
-    "write_seamlines",
 ]
 
 
@@ -115,27 +114,20 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     return mosaic(lines, **options, **location)
 
 
-def write_seamlines(orthomap: xr.Dataset, path: Path) -> None:
-    """Write the area that each line of a mosaic shows, as GeoJSON."""
-    from hyperpaint.io.files.publishing import published_files
-
-    text = json.dumps(seamlines(orthomap))
-    with published_files([path], overwrite=True) as (target,):
-        target.write_text(text, encoding="utf-8")
-
-
 def write_map(
     orthomap: xr.Dataset,
     path: Path,
     *,
     stac: bool = False,
+    seams: Path | None = None,
     geozarr: bool = False,
     overwrite: bool = False,
     progress: bool = False,
 ) -> str:
     """Write a map as GeoTIFF with overviews, or all of it as a Zarr store, by the end of its name.
 
-    With ``stac`` a STAC item stands beside it, ``<name>.json``. With ``geozarr`` the store says in the
+    With ``stac`` a STAC item stands beside it, ``<name>.json``; ``seams`` is a GeoJSON file of the area that
+    each line of a mosaic shows. Both are one product with the map. With ``geozarr`` the store says in the
     attributes of GeoZarr too where it lies; netCDF has no place for these. Returns what was written beside
     the map itself.
 
@@ -143,7 +135,7 @@ def write_map(
     place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
     """
     with map_planned(orthomap, str(path)):
-        return _write_map(orthomap, path, stac=stac, geozarr=geozarr, overwrite=overwrite, progress=progress)
+        return _write_map(orthomap, path, stac, seams, geozarr, overwrite=overwrite, progress=progress)
 
 
 def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
@@ -167,35 +159,53 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 
 def _write_map(
-    orthomap: xr.Dataset, path: Path, *, stac: bool, geozarr: bool, overwrite: bool, progress: bool
-) -> str:
+    orthomap: xr.Dataset, path: Path, stac: bool, seams: Path | None, geozarr: bool, *, overwrite: bool,
+    progress: bool,
+) -> str:  # fmt: skip
     """Do what `write_map` says."""
-    from hyperpaint.io.files.publishing import check_place, publish_file
+    from hyperpaint.io.files.publishing import check_place, published_files
     from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
 
-    notes = []
-    item = path.with_suffix(".json")
+    item, is_tiff = path.with_suffix(".json"), path.suffix.lower() in (".tif", ".tiff")
+    companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
     orthomap = with_own_transform(orthomap)
-    if path.suffix.lower() in (".tif", ".tiff"):
-        from hyperpaint.io.maps.geotiff import read_geotiff_header, write_geotiff
+    if geozarr and not is_tiff:
+        orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
+    if not is_tiff and not companions:
+        from hyperpaint.io.store import to_store
 
-        write_geotiff(orthomap, path, overwrite=overwrite)
-        factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(path).overviews)
-        notes.append(f"overviews {factors}" if factors else "too small for overviews")
-    else:
-        from hyperpaint.io.store import open_store, to_store
-
-        if geozarr:
-            orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
         to_store(orthomap, path, overwrite=overwrite, progress=progress)
-        orthomap = open_store(path)
-    if stac:
-        content = json.dumps(stac_item(orthomap, path), indent=1, allow_nan=False)
-        publish_file(item, content.encode(), overwrite=overwrite)
-        notes.append(f"STAC item {item}")
+        return ""
+    notes = []
+    foreign = None if is_tiff else _no_map
+    with published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target):
+        texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
+        if is_tiff:
+            from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
+
+            draw_geotiff(orthomap, target, path)
+            factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
+            notes.append(f"overviews {factors}" if factors else "too small for overviews")
+        else:
+            from hyperpaint.io.store import open_store, to_store
+
+            to_store(orthomap, target, progress=progress)
+            orthomap = open_store(target)
+        if stac:
+            texts.insert(0, json.dumps(stac_item(orthomap, path), indent=1, allow_nan=False))
+            notes.append(f"STAC item {item}")
+        for place, text in zip(beside, texts, strict=True):
+            place.write_text(text, encoding="utf-8")
     return ", ".join(notes)
+
+
+def _no_map(folder: Path) -> str:
+    """Return what a folder holds where it is no store of one map, nothing where it is."""
+    from hyperpaint.io.store import list_groups
+
+    return "" if list_groups(folder) == [""] else "something other than a map"
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:

@@ -19,7 +19,18 @@ ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
-from campaigns.faults import bombs, disks, parsers, power, storage, times, whole_runs, workers, writers  # noqa: E402
+from campaigns.faults import (  # noqa: E402
+    bombs,
+    disks,
+    parsers,
+    power,
+    products,
+    storage,
+    times,
+    whole_runs,
+    workers,
+    writers,
+)  # fmt: skip
 from campaigns.faults.outcome import HEADER, Outcome, total  # noqa: E402
 
 CAMPAIGNS = {
@@ -33,6 +44,7 @@ CAMPAIGNS = {
     "time": times.campaign,
     "races": writers.races,
     "disks": disks.campaign,
+    "products": products.campaign,
     "power": power.campaign,
 }
 MOST_SHOWN = 10

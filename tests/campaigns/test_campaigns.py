@@ -225,6 +225,21 @@ def test_killed_runs_are_whole_or_say_that_they_are_not(tmp_path: Path) -> None:
     assert made.count == 7
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["orthorectify", "export", "site"])
+def test_killed_commands_leave_the_old_product_or_the_new_one(name: str, tmp_path: Path) -> None:
+    for package in ("rasterio", "pyproj"):
+        pytest.importorskip(package)
+    products, outcome = faults("products"), faults("outcome")
+    (tmp_path / "inputs").mkdir()
+    (tmp_path / "homes").mkdir()
+    lots = products.Lots(tmp_path / "inputs", [name])
+    parts = list(products.run_kills(name, lots, tmp_path / "homes", range(4)))
+    (row,) = outcome.total(parts)
+    assert row.good, str(row.wrong)
+    assert row.count == 4
+
+
 def test_sequences_keep_the_set_what_it_is_wanted_to_be() -> None:
     importlib.import_module("campaigns.store_sequences").run_sequences(6, 6, derandomize=True)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -156,3 +159,39 @@ def test_options_that_a_scene_has_not(export: Export, store: Path, tmp_path: Pat
     assert "--coat-brdf only with --scene" in refused.output
     refused = export(store, "--format", "csv", "--scene", tmp_path / "scene.toml")
     assert "--scene only with --format dirsig" in refused.output
+
+
+_EXPORTS = """
+import sys
+from click.testing import CliRunner
+from hyperpaint.cli.program import main
+for name, format, *more in (
+    ("a.sli", "envi", "--curves", "all"), ("b.csv", "csv", "--curves", "all"),
+    ("c.parquet", "parquet", "--curves", "all"), ("d", "dirsig"), ("e", "ecostress"),
+):
+    words = ["export", sys.argv[1], "--format", format, "--out", f"{sys.argv[2]}/{name}", *more]
+    done = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+"""
+
+
+def test_exports_are_the_same_bytes_in_every_process(store: Path, tmp_path: Path) -> None:
+    """Rationale: xarray gathers coordinates from sets, whose order is another one in every process."""
+    pytest.importorskip("pyarrow")
+    library = open_library(store)
+    names = ("standard_error", "spread", "lower", "upper", "median")
+    library = library.assign_coords(dict.fromkeys(names, library["reflectance"] / 9))
+    library = library.assign_coords({f"note_{at}": ("paint", ["x", "y"]) for at in range(5)})
+    hp.to_store(library, tmp_path / "many.zarr")
+    contents = []
+    for seed in ("1", "2", "3"):
+        out = tmp_path / seed
+        out.mkdir()
+        command = [sys.executable, "-c", _EXPORTS, str(tmp_path / "many.zarr"), str(out)]
+        subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": seed}, check=True)
+        files = sorted(file for file in out.rglob("*") if file.is_file())
+        contents.append({str(file.relative_to(out)): file.read_bytes() for file in files})
+    assert len(contents[0]) > 10
+    assert [
+        name for name in contents[0] if any(each.get(name) != contents[0][name] for each in contents)
+    ] == []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import xarray as xr
 from support.strategies import flight
 
 import hyperpaint as hp
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.base.schema import Quality
 from hyperpaint.paints.colours import srgb
 
@@ -20,6 +22,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 from hyperpaint.paints.colours import paint_colours
+from hyperpaint.pictures.figures import save_figure
 from hyperpaint.pictures.plot_chain import triptych
 from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum
 
@@ -255,3 +258,21 @@ def test_the_overview_is_bounded() -> None:
     assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
     with pytest.raises(SchemaError, match="has none"):
         library_overview(library.isel(signature=slice(0, 0)))
+
+
+def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure, path = Figure(), tmp_path / "spectra.png"
+    save_figure(figure, path)
+    before = path.read_bytes()
+
+    def half(target: Path, **_: Any) -> None:
+        target.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(figure, "savefig", half)
+        with pytest.raises(StoreError, match=r"No space left on device; .* free"):
+            save_figure(figure, path)
+    assert path.read_bytes() == before
+    save_figure(figure, tmp_path / "without_suffix")
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["spectra.png", "without_suffix.png"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -15,7 +16,7 @@ from click.testing import CliRunner
 import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.io.maps.geotiff import read_geotiff_header
-from hyperpaint.workflows.field_day import STEPS, FieldDay, run_field_day
+from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, run_field_day
 
 pytestmark = pytest.mark.slow
 
@@ -96,6 +97,27 @@ def test_a_second_run_does_nothing(day: FieldDay, folder: Path) -> None:
     assert {outcome.state for outcome in again.outcomes} == {"unchanged", "left out"}
     assert {path: path.stat().st_mtime_ns for path in sorted(day.out.rglob("*")) if path.is_file()} == times
     assert again.passed == day.passed
+
+
+def test_products_are_known_by_content(day: FieldDay, folder: Path) -> None:
+    table = day.out / "agreement.csv"
+    text, status = table.read_bytes(), table.stat()
+    states = []
+    for content, times in ((text, (1, 1)), (text.swapcase(), (status.st_atime_ns, status.st_mtime_ns))):
+        table.write_bytes(content)
+        os.utime(table, ns=times)
+        again = run_field_day(folder / "collect.toml", skip=["report"])
+        states += [each.state for each in again.outcomes if each.step == "validate"]
+    table.write_bytes(text)
+    assert states == ["unchanged", "failed"]
+
+
+def test_sizes_and_times_of_an_earlier_version_are_no_reason_to_refuse(day: FieldDay, folder: Path) -> None:
+    record = json.loads((day.out / RECORD).read_text())
+    record["validate"]["products"] = {"agreement.csv": "0" * 64}
+    (day.out / RECORD).write_text(json.dumps(record))
+    again = run_field_day(folder / "collect.toml", skip=["report"])
+    assert [each.state for each in again.outcomes if each.step == "validate"] == ["done"]
 
 
 def test_a_step_that_lost_its_product_is_done_again(day: FieldDay, folder: Path) -> None:

@@ -126,6 +126,13 @@ def test_what_is_written_in_flight_is_that_of_the_batch(
     assert len(dropped["reflectance"]) <= 2
 
 
+def test_a_store_that_is_whole_has_nothing_left_beside_it(source: Path, batch: Path, tmp_path: Path) -> None:
+    store = tmp_path / "lot.zarr"
+    shutil.copytree(batch, store)
+    assert follow(source / "flight", store, collect=source / "collect.toml", idle=0.2).written == ()
+    assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
+
+
 def test_lines_wait_for_places_and_for_the_light_after_them(source: Path, tmp_path: Path) -> None:
     recording = Recording(source, tmp_path / "copy")
     spectra, recording._spectra = recording._spectra, recording._spectra[:6]  # up to 4 s before

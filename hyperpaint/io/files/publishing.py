@@ -1,24 +1,54 @@
-"""Files and folders that appear whole or not at all.
+"""Products that appear whole or not at all: a file, a folder, or several files that belong together.
 
-They are built in the folder that a store is built in, ``.partial-<name>`` beside their place: see
-`hyperpaint.io.store.stage`.
+A product is built in the folder that a store is built in, ``.partial-<name>`` beside its place (see
+`hyperpaint.io.store.stage`), flushed to the disk, then moved to its place. One file is moved by one rename.
+One folder changes places with the old one, as a group of a store does.
+
+Several files are opened by the last of them, the key: the header of a cube, the map that an item describes.
+They cannot be moved in one step, so the key is absent while its companions change:
+
+1. Every old companion gets a second name in the build, by a link; it keeps its place.
+2. The build, with a journal of all places, is renamed to ``swap``. Until here all old files stand.
+3. The old key is moved into ``swap``. From here on there is no key to open.
+4. New companions replace the old ones, one by one. Where the disk knows no links, the old one is moved into
+   ``swap`` first.
+5. The new key is moved to its place. From here on all new files stand; ``swap`` is removed.
+
+An error after step 2 undoes all steps at once. A process that is killed there leaves ``swap``: the next
+writer of the product, or `check_place`, undoes the steps where the new key is still in ``swap``, else removes
+it. So a key in its place has its own companions. Two cases remain: while there is no key, a companion that is
+opened by itself may be the old or the new one; and a program that has opened the old key may read new
+companions.
+
+Companions in another folder have a staging folder there, with its own ``swap`` and journal. A journal changes
+no folder without such a ``swap``, so that a planted journal reaches no other folder.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import json
 import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hyperpaint.base.errors import PaintError, Problems, StoreError
+from hyperpaint.base.input_files import is_plain_file
+from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
-__all__ = ["check_place", "publish_file", "published_files", "published_folder"]
+__all__ = ["check_place", "publish_file", "published_files", "published_folder", "unwritable"]
 
 _MEND = "pass {}, or choose another path"
+_SWAP, _JOURNAL = "swap", "journal"
+_MOST_JOURNAL_BYTES = 100_000
+_PROBE_BYTES = 2**20
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def check_place(
@@ -34,6 +64,8 @@ def check_place(
     if kinds and path.suffix.lower() not in kinds:
         several = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
         problems.add(f"expected a name that ends in {several}")
+    with _errors_of(path):
+        _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
         problems.add("that is in the store itself; choose another path")
     elif path.is_dir():
@@ -54,94 +86,233 @@ def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
 
 
 @contextlib.contextmanager
-def published_files(targets: Sequence[Path], *, overwrite: bool) -> Iterator[list[Path]]:
-    """Yield a path to write for each file of a product; they get their places when the block ends well.
-
-    The last file is what the product is opened by: it is the first to go, where another is replaced, and the
-    last to appear, so that what is opened is always of one product.
-
-    ``targets``: files of one folder; ``overwrite``: whether files that exist may be replaced.
-
-    Raises `StoreError`: A file exists, or is being written by another process; or the system refuses. What
-    was there stays.
-    """
-    key = targets[-1]
-    _refuse_existing(targets, overwrite=overwrite)
-    with _built(key) as (_, build):
-        written = [build / target.name for target in targets]
-        yield written
-        flush_group(build, written)
-        _refuse_existing(targets, overwrite=overwrite)
-        with contextlib.suppress(FileNotFoundError):
-            if len(targets) > 1:
-                key.unlink()
-        for path, target in zip(written, targets, strict=True):
-            os.replace(path, target)
-        sync(key.parent)
+def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
+    """Yield a folder to fill, which gets its place when the block ends well; see `published_files`."""
+    with published_files([target], overwrite=overwrite, foreign=foreign) as (build,):
+        build.mkdir()
+        yield build
 
 
 @contextlib.contextmanager
-def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
-    """Yield a folder to fill, which gets its place when the block ends well.
+def published_files(
+    targets: Sequence[Path], *, overwrite: bool, foreign: Callable[[Path], str] | None = None
+) -> Iterator[list[Path]]:
+    """Yield a path to write for each part of a product; they get their places when the block ends well.
 
-    ``target``: its place, which is new, an empty folder, or an earlier product; ``overwrite``: whether an
-    earlier product may be replaced; ``foreign``: returns what a folder that is not empty holds and this
-    product does not, such as "other files", and nothing for an earlier product. What holds anything else is
-    never replaced.
+    ``targets``: their places, in one folder or several; the last is the one by which the product is opened;
+    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given where the last is a folder,
+    which is new, empty, or an earlier product; returns what a folder that is not empty holds and this product
+    does not, such as "other files", and nothing for an earlier product. What holds anything else is never
+    replaced.
 
-    Raises `StoreError`: The folder holds something else, or a product that may not be replaced, or is being
+    Raises `StoreError`: A place holds something else, or a product that may not be replaced, or is being
     written by another process; or the system refuses. What was there stays.
     """
-    _refuse_folder(target, foreign, overwrite=overwrite)
-    with _built(target) as (stage, build):
-        yield build
-        flush_group(build, [])
-        _refuse_folder(target, foreign, overwrite=overwrite)
-        stage.publish(build, "")
+    if len({target.parent for target in targets}) > 1:  # a folder has one name
+        targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
+    key, anchors, builds = targets[-1], _anchors(targets), {}
+    with _errors_of(key), contextlib.ExitStack() as stack:
+        for anchor in anchors:
+            _recover(anchor)
+        _refuse(targets, foreign, overwrite=overwrite)
+        for anchor in anchors:
+            anchor.parent.mkdir(parents=True, exist_ok=True)
+            stage = stack.enter_context(staging(anchor))
+            builds[anchor.parent] = build = stage.build("", "product")
+            stack.callback(_discard_if_there, build)
+            build.mkdir()
+        news = [builds[target.parent] / str(number) / target.name for number, target in enumerate(targets)]
+        for new in news:
+            new.parent.mkdir()
+        yield news
+        for build in builds.values():
+            flush_group(build, [new for new in news if build in new.parents and not new.is_dir()])
+        _refuse(targets, foreign, overwrite=overwrite)
+        if len(targets) > 1:
+            _swap(targets, builds)
+        elif news[0].is_dir():
+            stage.publish(news[0], "")
+        else:
+            os.replace(news[0], key)
+            sync(key.parent)
+
+
+def unwritable(place: Path, error: Exception) -> StoreError:
+    """Return the error of a place that cannot be written; a full disk is named, with its free space.
+
+    GDAL keeps the number of the system's error to itself: whether the disk is full is tried out for it.
+    """
+    folder = next((each for each in place.absolute().parents if each.is_dir()), Path(place.anchor))
+    reason: str = getattr(error, "strerror", None) or str(error)
+    code = getattr(error, "errno", None)
+    if code is None:
+        try:
+            with tempfile.TemporaryFile(dir=folder) as probe:
+                probe.write(bytes(_PROBE_BYTES))
+                probe.flush()
+        except OSError as full:
+            code, reason = full.errno, f"{full.strerror} ({reason})"
+    if code not in _FULL:
+        return StoreError(f"{place} cannot be written: {reason}")
+    free = size_text(shutil.disk_usage(folder).free)
+    return StoreError(
+        f"{place} cannot be written: {reason}; {free} are free on the disk of {folder}",
+        mend="make room, or choose another disk",
+    )
 
 
 @contextlib.contextmanager
-def _built(target: Path) -> Iterator[tuple[Staging, Path]]:
-    """Yield a new folder beside a place, as its only writer; what is still there in the end is removed."""
+def _errors_of(place: Path) -> Iterator[None]:
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with staging(target) as stage:
-            build = stage.build("", "product")
-            build.mkdir(parents=True)
-            try:
-                yield stage, build
-            finally:
-                if build.exists():
-                    discard(build)
+        yield
+    except PaintError:
+        raise
     except OSError as error:
-        if isinstance(error, StoreError):
-            raise
-        raise StoreError(f"{target} cannot be written: {error.strerror or error}") from error
+        raise unwritable(place, error) from error
 
 
-def _refuse_existing(targets: Sequence[Path], *, overwrite: bool) -> None:
+def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
+    """Refuse places that hold something else, or a product that may not be replaced."""
     existing = [target for target in targets if os.path.lexists(target)]
-    if folders := [target for target in existing if target.is_dir()]:
-        raise StoreError(f"{folders[0]} is a folder; choose another path")
+    for target in existing[:]:
+        if foreign is None or target != targets[-1]:
+            if target.is_dir():
+                raise StoreError(f"{target} is a folder; choose another path")
+            if not target.is_symlink() and not is_plain_file(target):
+                raise StoreError(f"{target} is no plain file; choose another path")
+        elif target.is_symlink() or not target.is_dir():
+            raise StoreError(f"{target} is a file or a link, expected a folder; choose another path")
+        else:
+            try:
+                is_empty = not any(target.iterdir())
+                other = "" if is_empty else foreign(target)
+            except OSError as error:
+                raise StoreError(f"{target} cannot be read: {error.strerror or error}") from error
+            if other:
+                raise StoreError(f"{target} holds {other}; choose a new or empty folder")
+            if is_empty:
+                existing.remove(target)
     if existing and not overwrite:
         names = ", ".join(map(str, existing))
         found_there = f"{names} {'exists' if len(existing) == 1 else 'exist'}"
         raise StoreError(found_there, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
 
 
-def _refuse_folder(target: Path, foreign: Callable[[Path], str], *, overwrite: bool) -> None:
-    if not os.path.lexists(target):
-        return
-    if target.is_symlink() or not target.is_dir():
-        raise StoreError(f"{target} is a file or a link, expected a folder; choose another path")
+# --- several files -----------------------------------------------------------------------------------------
+
+
+def _anchors(targets: Sequence[Path]) -> list[Path]:
+    """Return the target of each folder that its staging folder is named by, that of the key last."""
+    key = targets[-1]
+    return [*{each.parent: each for each in targets if each.parent != key.parent}.values(), key]
+
+
+def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
+    """Let new files and old ones change places: steps 1 to 5 of the module's docstring.
+
+    ``folders``: the build of each folder that targets lie in, that of the key last.
+    """
+    *companions, (last, key) = enumerate(targets)
+    for number, target in companions:
+        with contextlib.suppress(OSError):  # there is none, or the disk knows no links
+            os.link(target, _old(folders[target.parent], number))
+    for folder, build in folders.items():
+        real = os.path.realpath(folder)
+        places = [(os.path.relpath(os.path.realpath(each.parent), real), each.name) for each in targets]
+        (build / _JOURNAL).write_text(json.dumps(places))
+        sync(build / _JOURNAL)
+        sync(build)
     try:
-        if not any(target.iterdir()):
-            return
-        other = foreign(target)
-    except OSError as error:
-        raise StoreError(f"{target} cannot be read: {error.strerror or error}") from error
-    if other:
-        raise StoreError(f"{target} holds {other}; choose a new or empty folder")
-    if not overwrite:
-        existing = f"{target} exists"
-        raise StoreError(existing, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
+        for folder, build in folders.items():  # that of the key begins the swap
+            os.rename(build, build.with_name(_SWAP))
+            sync(build.parent)
+            folders[folder] = build.with_name(_SWAP)
+        if os.path.lexists(key):
+            os.rename(key, _old(folders[key.parent], last))
+            sync(key.parent)
+        for number, target in companions:
+            old = _old(folders[target.parent], number)
+            if os.path.lexists(target) and not os.path.lexists(old):
+                os.rename(target, old)
+            os.replace(_new(folders[target.parent], number, target), target)
+        for folder in folders:
+            sync(folder)
+        os.rename(_new(folders[key.parent], last, key), key)
+        sync(key.parent)
+    except BaseException:
+        with contextlib.suppress(OSError):  # else the next writer does it
+            _settle(targets)
+        raise
+    _settle(targets)
+
+
+def _old(build: Path, number: int) -> Path:
+    return build / f"{number}.old"
+
+
+def _new(build: Path, number: int, target: Path) -> Path:
+    return build / str(number) / target.name
+
+
+def _settle(targets: Sequence[Path]) -> None:
+    """Undo a swap whose key is not in its place yet, and remove what is left of it; the places are locked."""
+    swaps = {anchor.parent: Staging(anchor).folder / _SWAP for anchor in _anchors(targets)}
+    *companions, (last, key) = enumerate(targets)
+    folder = swaps[key.parent]
+    if os.path.lexists(_new(folder, last, key)):
+        for number, target in reversed(companions):
+            swap = swaps[target.parent]
+            old, is_there = _old(swap, number), os.path.lexists(target)
+            if not swap.is_dir():
+                continue
+            if os.path.lexists(old):
+                if not (is_there and os.path.samestat(os.lstat(old), os.lstat(target))):
+                    os.replace(old, target)
+            elif is_there and not os.path.lexists(_new(swap, number, target)):
+                os.unlink(target)
+            sync(target.parent)
+        if os.path.lexists(_old(folder, last)) and not os.path.lexists(key):
+            os.rename(_old(folder, last), key)
+        sync(key.parent)
+    for swap in reversed(swaps.values()):
+        _discard_if_there(swap)
+
+
+def _discard_if_there(build: Path) -> None:
+    if build.exists():
+        discard(build)
+
+
+def _recover(target: Path) -> None:
+    """Undo or finish what a killed writer left at a place."""
+    if not os.path.lexists(Staging(target).folder):
+        return
+    with staging(target):  # which removes what was only built
+        targets = _journal(target)
+    with contextlib.ExitStack() as stack:
+        for anchor in _anchors(targets) if targets else ():
+            if Staging(anchor).folder.is_dir():
+                stack.enter_context(staging(anchor))
+        if targets:
+            _settle(targets)
+
+
+def _journal(target: Path) -> list[Path]:
+    """Return the places of the files of a swap that was cut short; refuse what no writer left."""
+    path = Staging(target).folder / _SWAP / _JOURNAL
+    if not os.path.lexists(path.parent):
+        return []
+    targets = []
+    try:
+        if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > _MOST_JOURNAL_BYTES:
+            raise ValueError
+        for place, name in json.loads(path.read_bytes()):
+            if name in ("", "..") or Path(name).name != name:
+                raise ValueError
+            folder = os.path.normpath(os.path.realpath(target.parent) + os.sep + place)
+            targets.append(target.parent / name if place == "." else Path(folder, name))
+        if target not in targets:
+            raise ValueError
+    except (ValueError, TypeError, RecursionError, OSError) as error:
+        raise StoreError(f"{path} is no journal that a writer left; look at it, then remove it") from error
+    return targets

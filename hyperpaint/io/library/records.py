@@ -117,13 +117,16 @@ def names_of(library: xr.Dataset) -> list[str]:
 
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
-    """Return the names of what has a value at every band of a paint: the centre first, members last."""
+    """Return the names of what has a value at every band of a paint, sorted: centre first, members last.
+
+    xarray gathers coordinates from sets: their order is another one in every process.
+    """
     names = [
         str(name)
         for name, variable in library.variables.items()
         if {SIGNATURE, BAND} <= set(variable.dims) and variable.dtype.kind == "f" and variable.ndim <= 3
     ]
-    return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
+    return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims, name))
 
 
 def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.io.files.publishing import published_files
+from hyperpaint.io.files.publishing import published_files, unwritable
 
 from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
 from .rasters import TIFF, open_raster
@@ -107,8 +107,19 @@ def write_geotiff(
     >>> write_geotiff(map, Path(tempfile.mkdtemp(), "red.tif"), variable="red").name
     'red.tif'
     """
-    rasterio = _rasterio()
     path = Path(path)
+    with published_files([path], overwrite=overwrite) as (target,):
+        draw_geotiff(map, target, path, variable, bands, cog, stretch, progress)
+    return path
+
+
+def draw_geotiff(
+    map: xr.Dataset, target: Path, place: Path, variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all", cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0), progress: Callable[[int, int], None] | None = None,
+) -> None:  # fmt: skip
+    """Write a map as GeoTIFF to ``target``, which gets its ``place`` later; errors as of `write_geotiff`."""
+    rasterio = _rasterio()
     array = product_of(map, variable)
     if "y" not in array.dims:
         raise SchemaError(
@@ -126,16 +137,14 @@ def write_geotiff(
     picture = isinstance(bands, str) and bands == "rgb"
     stored = _picture(array, stretch) if picture else _plain(array)
     names, tags = _descriptions(map, str(array.name), chosen)
-    with published_files([path], overwrite=overwrite) as (target,):
-        plain = target.with_name("plain.tif") if cog else target
-        try:
-            with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
-                _write(plain, stored, grid, picture, names, tags, progress)
-                if cog:
-                    _optimise(plain, target, picture)
-        except rasterio.errors.RasterioError as error:
-            raise StoreError(f"{path} cannot be written: {error}") from error
-    return path
+    plain = target.with_name(f"plain-{target.name}") if cog else target
+    try:
+        with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+            _write(plain, stored, grid, picture, names, tags, progress)
+            if cog:
+                _optimise(plain, target, picture)
+    except rasterio.errors.RasterioError as error:
+        raise unwritable(place, error) from error
 
 
 class GeotiffHeader(NamedTuple):

@@ -28,7 +28,10 @@ from hyperpaint.base.errors import PaintError
 
 from .outcome import Outcome
 
-__all__ = ["FEW_LINES", "LINES", "Lot", "calls", "kills", "run_call", "run_kills"]
+__all__ = [
+    "FEW_LINES", "LINES", "PRELOAD", "SCRATCH", "SIGNALS", "Fault", "Lot", "calls", "kills", "run_call",
+    "run_kills",
+]  # fmt: skip
 
 KILLS, KILLS_A_STORE = 500, 5
 LINES, FEW_LINES = 40, 2
@@ -36,13 +39,14 @@ SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _KILLED, _FAILED, _MOST_CALLS = 9, 3, 2000
 _MOST_SECONDS = 60.0  # that a child may take to start
 _CHANGES = ("os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.link", "os.truncate")
-_SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
+SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 _CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(
-    ["xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.workflows.pipeline", "hyperpaint.alignment",
-     "hyperpaint.workflows.laboratory", "hyperpaint.accessor", "hyperpaint.pictures.plot",
-     "hyperpaint.io.store.store_runs", "hyperpaint.radiometry", __name__]
-)  # fmt: skip
+PRELOAD = [
+    "xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.workflows.pipeline", "hyperpaint.alignment",
+    "hyperpaint.workflows.laboratory", "hyperpaint.accessor", "hyperpaint.pictures.plot",
+    "hyperpaint.io.store.store_runs", "hyperpaint.radiometry", __name__,
+]  # fmt: skip
+_CONTEXT.set_forkserver_preload(PRELOAD)
 
 
 class Lot:
@@ -193,7 +197,7 @@ def _duration(lot: Lot) -> float:
     """Return how long a child takes; the first one also waits for the server's imports."""
     seconds = []
     for _ in range(3):
-        with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
+        with tempfile.TemporaryDirectory(dir=SCRATCH) as scratch:
             start = time.monotonic()
             _started(lot, Path(scratch) / "lot.zarr", overwrite=False).join()
             seconds.append(time.monotonic() - start)
@@ -202,12 +206,12 @@ def _duration(lot: Lot) -> float:
 
 def kills(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     """Yield the outcome of every kill."""
-    with tempfile.TemporaryDirectory(dir=_SCRATCH) as home:
+    with tempfile.TemporaryDirectory(dir=SCRATCH) as home:
         lot = Lot(Path(home), LINES)
         duration = _duration(lot)
         for number in range(first, first + max(1, round(KILLS * scale)), KILLS_A_STORE):
             outcome = Outcome("runs killed")
-            with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
+            with tempfile.TemporaryDirectory(dir=SCRATCH) as scratch:
                 run_kills(number, lot, Path(scratch), duration, outcome)
             yield outcome
 
@@ -222,8 +226,8 @@ class Fault:
     number: int
     code: int | None = None  # errno; None ends the process
 
-    def arm(self, folder: Path) -> None:
-        """Let it happen in this process, at its so-manieth call below a folder."""
+    def arm(self, folder: Path) -> Iterator[int]:
+        """Let it happen at a call of this process below a folder; return the counter of such calls."""
         counter = itertools.count(1)
 
         def hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -244,6 +248,7 @@ class Fault:
                 raise OSError(self.code, os.strerror(self.code), place)
 
         sys.addaudithook(hook)
+        return counter
 
 
 def run_call(
@@ -272,7 +277,7 @@ def last_call(lot: Lot, *, replacing: bool) -> int:
     low, high = 0, _MOST_CALLS
     while high - low > 1:
         middle = (low + high) // 2
-        with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
+        with tempfile.TemporaryDirectory(dir=SCRATCH) as scratch:
             probe = run_call(middle, lot, Path(scratch), Outcome(""), replacing=replacing, code=None)
         low, high = (middle, high) if probe else (low, middle)
     return low
@@ -281,12 +286,12 @@ def last_call(lot: Lot, *, replacing: bool) -> int:
 def calls(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     """Yield the outcome of every call of a run of a few lines: killed before it, and failing."""
     step = max(1, round(1 / scale))
-    with tempfile.TemporaryDirectory(dir=_SCRATCH) as home:
+    with tempfile.TemporaryDirectory(dir=SCRATCH) as home:
         lot = Lot(Path(home), FEW_LINES)
         for replacing in (False, True):
             numbers: Iterable[int] = range(1 + first % step, last_call(lot, replacing=replacing) + 1, step)
             for number, code in itertools.product(numbers, (None, errno.ENOSPC)):
                 outcome = Outcome("calls of a run: " + ("killed" if code is None else "failing"))
-                with tempfile.TemporaryDirectory(dir=_SCRATCH) as scratch:
+                with tempfile.TemporaryDirectory(dir=SCRATCH) as scratch:
                     run_call(number, lot, Path(scratch), outcome, replacing=replacing, code=code)
                 yield outcome

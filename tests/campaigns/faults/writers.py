@@ -24,14 +24,14 @@ from hyperpaint.io.store import is_complete, open_store
 
 from .outcome import Outcome
 
-__all__ = ["VARIANTS", "kills", "races", "run_kill", "run_last_calls", "run_race"]
+__all__ = ["UNLISTED", "VARIANTS", "kills", "races", "run_kill", "run_last_calls", "run_race"]
 
 KILLS, RACES = 200, 50
 GROUP = "flightlines/raw_0"
 _SLABS, _SHAPE = 12, (32, 4, 50)
 _DELAY = 0.02
 _REFUSED = 3
-_UNLISTED = "/: no consolidated metadata"
+UNLISTED = "/: no consolidated metadata"
 #: Children are forked by a server that has imported everything: they write within milliseconds.
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["xarray", "dask.array", "zarr", "hyperpaint", __name__])
@@ -105,7 +105,7 @@ def _holds(path: Path, group: str | None = GROUP, slabs: int = _SLABS) -> int | 
         msg = f"read as scene {scene}, but its counts are others"
         raise ValueError(msg)
     # between a group's place and the root's list a kill leaves a whole group, of which verify says just that
-    if told := [problem for problem in hp.verify(path).problems if not problem.startswith(_UNLISTED)]:
+    if told := [problem for problem in hp.verify(path).problems if not problem.startswith(UNLISTED)]:
         msg = f"read as scene {scene}, but verify says {told[0]}"
         raise ValueError(msg)
     return scene

@@ -99,21 +99,27 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
     old, new = library.isel(signature=[0, 1]), library
     if overwrite:
         hp.write_library(old, path)
-    replace, left = os.replace, [step]
+    names, left = ("paints.sli", "paints.sli.json", "paints.hdr"), [step]
 
-    def failing(source: Any, target: Any) -> None:
-        if not left[0]:
-            raise Power
-        left[0] -= 1
-        replace(source, target)
+    def dying(move: Any) -> Any:
+        def call(source: Any, target: Any) -> None:
+            if Path(target).name in names and Path(target).parent == tmp_path:
+                if not left[0]:
+                    raise Power
+                left[0] -= 1
+            move(source, target)
+
+        return call
 
     with monkeypatch.context() as patched:
-        patched.setattr(publishing.os, "replace", failing)
+        for name in ("replace", "rename"):
+            patched.setattr(publishing.os, name, dying(getattr(os, name)))
+        patched.setattr(publishing, "_settle", lambda _: None)  # as a process that is killed
         with pytest.raises(Power):
             hp.write_library(new, path, overwrite=overwrite)
     with pytest.raises(FormatError, match=r"no header beside it|no such file"):
         hp.open_library(path)
-    hp.write_library(new, path, overwrite=True)
+    hp.write_library(new, path, overwrite=overwrite)
     assert hp.open_library(path).sizes["signature"] == 5
     assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
 

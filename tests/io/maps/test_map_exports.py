@@ -495,3 +495,25 @@ def test_no_picture_without_visible_bands() -> None:
     assert nearest_bands([900.0, 1000.0], (640.0, 550.0, 460.0)) is None
     assert nearest_bands([], (640.0,)) is None
     assert nearest_bands([640.0, np.nan], (640.0,)) is None
+
+
+def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: GDAL says "Write failed" alone, so that the disk is tried out."""
+    rasterio = pytest.importorskip("rasterio")
+
+    def failed(*_: Any, **__: Any) -> None:
+        raise rasterio.errors.RasterioIOError("Write failed. See previous exception for details.")
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = hp.io.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif")
+    before = path.read_bytes()
+    monkeypatch.setattr("hyperpaint.io.maps.geotiff._write", failed)
+    with pytest.raises(StoreError, match=r"map\.tif cannot be written: Write failed"):
+        hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    with pytest.raises(StoreError, match=r"No space left on device .* free on the disk of .*; make room"):
+        hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]
