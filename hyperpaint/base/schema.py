@@ -79,7 +79,7 @@ __all__ = [
     "with_numbers",
 ]  # fmt: skip
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Version of the layout on disk, repeated in every group as ``hyperpaint_format``. 2 keeps a record of the
 groups that a store is to hold; 1, of hyperpaint 0.1, does not."""
 
@@ -190,6 +190,8 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         arrays are those of cubed or cupy.
     """
     _refuse_foreign_arrays(dataset)
+    # cells of a map have lines and times of their own
+    is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
@@ -225,7 +227,7 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
                 expected=f"one {thing} or more",
                 mend="the slice, mask or wavelength range kept none",
             )
-    return _as_in_table(dataset)
+    return with_whole_numbers(dataset) if is_map else _as_in_table(dataset)
 
 
 _OF_ELEMENTS = ("dark_counts", "radiance_gain")

@@ -86,6 +86,8 @@ def _file(path: Path) -> Facts:
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
+    if path.suffix.lower() == ".zip":
+        return _store(path)
     if _is_pose_table(path):
         return _poses(path)
     if path.suffix.lower() == ".hdr":
@@ -379,7 +381,9 @@ def _collect(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
-    if (path / "zarr.json").is_file():
+    from hyperpaint.io.store.reader import is_zarr
+
+    if is_zarr(path):
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
@@ -395,38 +399,40 @@ def _folder(path: Path) -> Facts:
 
 def _store(path: Path) -> Facts:
     from hyperpaint.io.store import list_groups
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.root_record import set_state
+    from hyperpaint.io.store.manifest import store_state
+    from hyperpaint.io.store.reader import place_of
 
-    groups = list_groups(path)
+    groups, (location, _) = list_groups(path), place_of(path)
     if groups == [""]:
         yield "is", "one group of Zarr arrays"
         yield from _group(path, "")
         return
     yield "is", f"Zarr store, {counted(len(groups), 'group')} with arrays"
-    state = set_state(Location.of(path), groups)
-    yield "NOT WHOLE", "\n".join(state.problems)
-    yield "note", "\n".join(state.notes)
+    if location is not None:
+        state = store_state(location, groups)
+        yield "NOT WHOLE", "\n".join(state.problems)
+        yield "note", "\n".join(state.notes)
     for name in groups:
         yield f"/{name}", _joined(_group(path, name))
 
 
 def _group(path: Path, name: str) -> Facts:
     """Yield what a group holds, or why it must not be read."""
-    from hyperpaint.io.store import open_group, open_unverified
-    from hyperpaint.io.store.record import COMPLETE
+    from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # without dask, pint and what else xarray imports to chunk, to decode times and to build an index
     opened_by = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
         group = with_times(open_group(path, name, **opened_by))
-        yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
+        written = f"written {group.attrs.get('created', 'at an unknown time')}"
+        if not is_complete(path, name):
+            written += "" if "hyperpaint_version" in group.attrs else " by another program"
+            yield "state", f"in no manifest: whether it is complete is unknown; {written}"
+        else:
+            yield "state", f"complete, {written}"
     except IncompleteStoreError as error:
         group = with_times(open_unverified(path, name, **opened_by))
-        # what the store writer began carries its stamp from the first moment on
-        foreign = COMPLETE not in group.attrs and "hyperpaint_version" not in group.attrs
-        unsealed = "no completion record (not written by hyperpaint's store writer)"
-        yield "state", unsealed if foreign else f"NOT COMPLETE: {error}"
+        yield "state", f"NOT COMPLETE: {error}"
     if ALONG_TRACK in group.dims:
         yield from facts_of_line(group)
         shown = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")

@@ -27,8 +27,7 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
     groups = virtual_groups(path)
     yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
     for name, about in groups.items():
-        rows = about[RAW_FILES]
-        yield f"/{name}", "\n".join(f"{row['url']}, {size_of(row['size'])}" for row in rows)
+        yield f"/{name}", "\n".join(f"{raw.url}, {size_of(raw.size)}" for raw in about[RAW_FILES])
         try:
             line = open_virtual(path, name, allow=allow)
         except StoreError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -65,18 +66,22 @@ def groups_to_show(
 
 def _opened(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
     """Return the groups that can be read, and why others cannot."""
-    from hyperpaint.io.store import list_groups, open_group
+    from hyperpaint.io.store import list_groups, open_group, open_unverified
     from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.root_record import set_state
+    from hyperpaint.io.store.manifest import store_state
 
     groups = list_groups(store)
     opened = {}
-    problems = list(set_state(Location.of(store), groups).problems)  # what is finished is shown all the same
+    problems = list(
+        store_state(Location.of(store), groups).problems
+    )  # what is finished is shown all the same
     for group in groups:
         try:
             opened[group] = with_new_names(open_group(store, group))
         except StoreError as error:
             problems.append(f"/{group}: {error}")
+            with contextlib.suppress(StoreError):  # what can be read of it
+                opened[group] = open_unverified(store, group)
     return opened, problems
 
 

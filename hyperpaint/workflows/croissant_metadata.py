@@ -208,7 +208,6 @@ def _record_set(root: str, group: str, line: xr.Dataset) -> dict[str, Any]:
         "additionalProperty": [
             {"@type": "sc:PropertyValue", "name": str(key), "value": _text(value)}
             for key, value in sorted(line.attrs.items())
-            if key != "hyperpaint_complete"
         ],
         "field": [
             _field(root, group, identity, str(name), line[name]) for name in sorted(line.variables, key=str)

@@ -328,7 +328,8 @@ class _Day:
     def _digest(self, step: str) -> str:
         """Return a digest of what a step is made from: the store's groups, regions, settings, the version."""
         from hyperpaint.io.store import list_groups, open_store
-        from hyperpaint.io.store.groups import INPUTS, version_of_program
+        from hyperpaint.io.store.groups import version_of_program
+        from hyperpaint.io.store.manifest import INPUTS
 
         groups = {
             name: open_store(self.store, name).attrs.get(INPUTS) for name in list_groups(self.store) if name

@@ -12,8 +12,9 @@ from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.io.store.group_writing import Job
+    from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.stage import Staging
+    from hyperpaint.io.store.writer import Job
     from hyperpaint.radiometry.slabs import Plan
 
 __all__ = ["PRODUCTS", "digest_of", "form_of", "take_up"]
@@ -49,8 +50,9 @@ def take_up(stage: Staging, job: Job) -> None:
     Every slab is judged: its counts by their checksum, read again from the cube; its products by all that
     they were calibrated with.
     """
-    from hyperpaint.io.store.flight_blocks import FlightBlocks
     from hyperpaint.radiometry.slabs import plan_of
+
+    from .flight_blocks import FlightBlocks
 
     dataset = job.dataset
     if "quality" not in dataset or "counts" not in dataset or dataset.sizes[ALONG_TRACK] < CHUNK_LINES:
@@ -60,7 +62,7 @@ def take_up(stage: Staging, job: Job) -> None:
     names = [name for name in ("counts", *PRODUCTS) if name in dataset]
     for blocks in FlightBlocks.begun(stage, job.group, form[names], job.codec):
         plan = plan_of(dataset["quality"].data)
-        sums = slab_sums(counts)
+        sums = slab_sums(counts, job.codec)
         slabs = range(len(sums))
         blocks.forget([slab for slab in slabs if blocks.checksum("counts", slab) != sums[slab]], names)
         whole = counts.sizes[ALONG_TRACK] // CHUNK_LINES
@@ -73,16 +75,20 @@ def take_up(stage: Staging, job: Job) -> None:
         blocks.hand_over(stage, job)
 
 
-def slab_sums(counts: xr.DataArray) -> list[int]:
-    """Return the checksum of every slab of counts, read anew."""
+def slab_sums(counts: xr.DataArray, codec: Codec) -> list[int]:
+    """Return the crc32c of every slab of counts as it would be stored; the counts are read anew."""
     import dask.array as da
 
-    from hyperpaint.io.store.record import checksum
+    from hyperpaint.io.store.layout import encode_chunk, fill_value
+
+    chunk = (CHUNK_LINES, *counts.shape[1:])
 
     def sums(block: Any) -> Any:
-        slabs = range(0, len(block), CHUNK_LINES)
-        each = [checksum(block[first : first + CHUNK_LINES]) for first in slabs]
-        return np.array(each, np.uint32)[:, None, None]
+        firsts = range(0, len(block), CHUNK_LINES)
+        fill = fill_value(block.dtype)
+        slabs = [np.ascontiguousarray(block[first : first + CHUNK_LINES]) for first in firsts]
+        ends = [encode_chunk(slab, chunk, fill, codec)[1] for slab in slabs]
+        return np.array([int.from_bytes(end, "little") for end in ends], np.uint32)[:, None, None]
 
     data = counts.data
     chunks = (tuple(-(-size // CHUNK_LINES) for size in data.chunks[0]), (1,), (1,))

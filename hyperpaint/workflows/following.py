@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
-    from hyperpaint.io.store.flight_blocks import FlightBlocks
     from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.stage import Staging
     from hyperpaint.radiometry.slabs import Plan
+
+    from .flight_blocks import FlightBlocks
 
 __all__ = ["FlightState", "Following", "follow"]
 
@@ -247,7 +248,7 @@ class Following:
 
     def _begin(self, line: _Line) -> None:
         """Take up what earlier attempts wrote, from the first slab on."""
-        from hyperpaint.io.store.flight_blocks import FlightBlocks
+        from .flight_blocks import FlightBlocks
 
         header = line.growing.header
         form = form_of(header.bands, header.samples, header.dtype.newbyteorder("="))

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperpaint.base.errors import PaintError, StoreError
-from hyperpaint.io.store.groups import INPUTS
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
+from hyperpaint.io.store import open_group
 from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.record import SETTINGS, ArrayRecord, read_record, recorded_form
+from hyperpaint.io.store.manifest import Manifest, content_of
 
 from .store_inputs import inputs_digest
 
@@ -52,43 +53,41 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
     from .laboratory import opened_collect
 
     location = Location.of(store)
-    words = _words(location)
-    source = Path(words[2]) if collect is None else collect
+    manifest = Manifest.read(location)
+    command = _words(location, manifest)
+    source = Path(command[2]) if collect is None else collect
     if not source.is_file():
         raise StoreError(
             f"there is no {source}, from which {store} was made",
             mend="say where it is now: compare_inputs(store, collect)",
             option="say where it is now: --collect COLLECT.toml",
         )
-    opened = opened_collect(source, need_irradiance="radiance" not in words)
+    opened = opened_collect(source, need_irradiance="radiance" not in command)
     problems: list[str] = []
     blocks = 0
     for group in location.groups():
-        attributes = (location.metadata(group) or {}).get("attributes") or {}
-        if INPUTS not in attributes:
-            continue  # a user's
+        words = content_of(location, group, manifest).split(" ", 2)
+        if len(words) < 3:
+            continue  # a user's; a run names path, inputs and settings
         if f"/{group}" not in opened.tree.groups:
             problems.append(f"/{group}: {source.name} does not name it any more")
             continue
         dataset = opened.tree[group].to_dataset()
         cubes = opened.cubes.get(group, ())
-        if inputs_digest(dataset, cubes, str(attributes.get(SETTINGS))) != attributes[INPUTS]:
+        if inputs_digest(dataset, cubes, words[2]) != words[1]:
             problems.append(f"/{group}: its inputs are not those that it was made from")
         for name in [name for name in _RAW if name in dataset][:1] if cubes else []:
-            record = read_record(location, group)
-            if record is not None and name in record.arrays:
-                blocks += len(record.arrays[name].chunks)
-                problems += _different_blocks(location, group, dataset[name], record.arrays[name])
+            stored = open_group(store, group, chunks=None)
+            if name in stored:
+                blocks += -(-stored.sizes[ALONG_TRACK] // CHUNK_LINES)
+                problems += _different_blocks(group, dataset[name], stored[name])
     return InputReport(source, blocks, tuple(problems))
 
 
-def _words(location: Location) -> list[str]:
+def _words(location: Location, manifest: Manifest | None) -> list[str]:
     """Return the command that a store was made by."""
-    from hyperpaint.io.store.root_record import read_set
-
-    record = read_set(location)
     try:
-        words = shlex.split(record.command) if record is not None else []
+        words = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes: hyperpaint did not write it
         words = []
     if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
@@ -98,29 +97,24 @@ def _words(location: Location) -> list[str]:
     return words
 
 
-def _different_blocks(
-    location: Location, group: str, cube: xr.DataArray, record: ArrayRecord
-) -> Iterator[str]:
+def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
     """Yield the blocks of a cube whose samples are not those that were stored."""
     import numpy as np
 
-    from hyperpaint.io.store.chunks import region
-    from hyperpaint.io.store.record import checksum
-
     name = str(cube.name)
-    form = recorded_form(location, group, name, record)
-    if cube.shape != form.shape:
-        yield f"/{group}: {name} of {cube.shape} samples, stored are {form.shape}"
+    if cube.shape != stored.shape:
+        yield f"/{group}: {name} of {cube.shape} samples, stored are {stored.shape}"
         return
 
-    def differs(index: tuple[int, ...], expected: int) -> str:
-        inside = region(index, form.chunk, form.shape)
+    def difference(first: int) -> str:
+        lines = {ALONG_TRACK: slice(first, first + CHUNK_LINES)}
         try:
-            values = cube[inside].compute(scheduler="synchronous").values
-        except (PaintError, OSError) as error:
+            values = cube.isel(lines).compute(scheduler="synchronous").values
+            same = np.array_equal(values, stored.isel(lines).values, equal_nan=values.dtype.kind == "f")
+        except (PaintError, OSError, ValueError) as error:
             return f"/{group}: {name} cannot be read: {error!s:.300}"
-        lines = f"lines {inside[0].start} to {inside[0].stop - 1}"
-        return "" if checksum(values) == expected else f"/{group}: {name}, {lines}: not what was stored"
+        last = min(first + CHUNK_LINES, len(cube)) - 1
+        return "" if same else f"/{group}: {name}, lines {first} to {last}: not what was stored"
 
     with ThreadPoolExecutor() as pool:
-        yield from filter(None, pool.map(differs, np.ndindex(record.grid), record.chunks))
+        yield from filter(None, pool.map(difference, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))

@@ -13,10 +13,17 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
-from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
+from hyperpaint.base.errors import (
+    CollectError,
+    IncompleteStoreError,
+    PaintError,
+    Problems,
+    SchemaError,
+    StoreError,
+    needs_extra,
+)
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
-from hyperpaint.io.store.groups import INPUTS
-from hyperpaint.io.store.record import SETTINGS
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
@@ -28,9 +35,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
     from hyperpaint.io.store.layout import Codec, Layout
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.record import GroupRecord
-    from hyperpaint.io.store.store_runs import TakeUp
+    from hyperpaint.io.store.writer import TakeUp
 
 __all__ = [
     "Outcome", "aligned_group", "computing_on", "kept_groups", "local_folder", "opened_groups", "process",
@@ -81,8 +86,11 @@ def kept_groups(
 
     Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
     """
-    from hyperpaint.io.store.groups import groups_above, has_all_chunks, problems_above
+    from hyperpaint.io.store import is_complete
+    from hyperpaint.io.store.groups import groups_above, problems_above
     from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
+    from hyperpaint.io.store.writer import run_contents
 
     if not out.exists():
         return []
@@ -93,16 +101,30 @@ def kept_groups(
         problems.add(text)
     problems.raise_if_any()
     complete = []
+    contents = run_contents(groups)
+    try:
+        manifest = Manifest.read(location)
+    except IncompleteStoreError:
+        if not overwrite:
+            raise
+        manifest = None
     for name in location.groups():
-        record, same, state = _finished(location, name, command)
+        content = content_of(location, name, manifest)
+        of_run = len(content.split(" ", 2)) == 3  # a run names path, inputs and settings
         if name not in groups:
-            if only is not None and name.startswith(only[0]):
+            if only is not None and name.startswith(only[0]) and of_run:
                 problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
-        elif same == groups[name].attrs[INPUTS]:
-            # a chunk that is missing is made again by `to_store`, with all others of its group
-            if record is not None and has_all_chunks(location, name, record):
+        elif content == contents[name]:
+            # where a chunk is missing, the group is written again
+            if is_complete(out, name):
                 complete.append(name)
         elif not overwrite:
+            numerics = numerics_of(content)
+            state = "with other inputs or parameters"
+            if not of_run:
+                state = f"not by {command}, or by hyperpaint 0.2 or older"
+            elif numerics not in (None, NUMERICS_VERSION):
+                state = f"made by numerics {numerics}, this is {NUMERICS_VERSION}"
             problems.add(
                 f"/{name} is there already, {state}",
                 mend="pass overwrite=True to replace it",
@@ -110,26 +132,6 @@ def kept_groups(
             )
     problems.raise_if_any()
     return complete
-
-
-def _finished(location: Location, group: str, command: str) -> tuple[GroupRecord | None, str, str]:
-    """Return the record of a finished group, what names its inputs, and in words how it may differ."""
-    from hyperpaint.io.store import is_complete
-    from hyperpaint.io.store.record import read_record
-    from hyperpaint.io.store.root_record import numerics_of
-
-    if not is_complete(location.url, group):
-        return None, "", f"never finished, or not by {command}"
-    record = read_record(location, group)
-    attributes = (location.metadata(group) or {}).get("attributes", {})
-    inputs, numerics = str(attributes.get(INPUTS, "")), numerics_of(str(attributes.get(SETTINGS, "")))
-    if not inputs:
-        return record, "", f"never finished, or not by {command}"
-    if numerics is None:
-        return record, inputs, "of hyperpaint 0.1, which told inputs apart in another way"
-    if numerics != NUMERICS_VERSION:
-        return record, inputs, f"made by numerics {numerics}, this is {NUMERICS_VERSION}"
-    return record, inputs, "with other inputs or parameters"
 
 
 # --- where it is computed ---
@@ -305,9 +307,7 @@ def run(
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.layout import with_layout
-    from hyperpaint.io.store.root_record import Member
-    from hyperpaint.io.store.store_runs import whole_run
-    from hyperpaint.io.store.writer import check_codec, check_room
+    from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
     _check_words(to, reflectance, alignment, accept, layout)
     check_codec(codec)
@@ -341,9 +341,6 @@ def run(
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()}, codec)
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
-        members = {
-            name: Member(token_of(dataset), dataset.attrs[SETTINGS]) for name, dataset in groups.items()
-        }
         again = {
             "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
             "--reflectance": None if reflectance == "stored" else reflectance, "--accept": sorted(accept),
@@ -353,7 +350,7 @@ def run(
         turn = stack.enter_context(
             whole_run(
                 out,
-                members,
+                run_contents(groups),
                 products,
                 opened.tree.attrs,
                 command=command,

@@ -44,7 +44,7 @@ from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
-from hyperpaint.io.store.groups import INPUTS
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
 from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
@@ -173,9 +173,7 @@ def run(
     """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
     from hyperpaint.io.store import open_group
     from hyperpaint.io.store.computing import errors_of_the_cluster
-    from hyperpaint.io.store.root_record import Member
-    from hyperpaint.io.store.store_runs import whole_run
-    from hyperpaint.io.store.writer import check_room
+    from hyperpaint.io.store.writer import check_room, run_contents, whole_run
 
     from .scene_files import read_scene_file
     from .scene_parts import build_parts, chosen_atmospheres
@@ -195,15 +193,16 @@ def run(
         stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
         lines = CHUNK_LINES if client is None else CLUSTER_LINES
         traced = _traced(file, parts, lines)
+        settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, chosen)}
+        planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
         complete = kept_groups(planned, out, overwrite=overwrite, command="render")
         _refuse_orphans(out, planned, complete)
         pending = [name for name in planned if name not in complete]
         tokens = {name: token_of(planned[name]) for name in pending}
         check_room({name: planned[name] for name in pending}, out, tokens)
         attrs = {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")}
-        settings = f"numerics={NUMERICS_VERSION}"
-        members = {name: Member(token_of(dataset), settings) for name, dataset in planned.items()}
+        contents = run_contents(planned)
         writing = {name: planned[name] for name in pending}
         again = {
             "--samples": samples, "--to": to, "--atmosphere": list(atmospheres), "--overwrite": overwrite,
@@ -212,7 +211,7 @@ def run(
         }  # fmt: skip
         command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
         turn = stack.enter_context(
-            whole_run(out, members, writing, attrs, command=command, overwrite=overwrite)
+            whole_run(out, contents, writing, attrs, command=command, overwrite=overwrite)
         )
         for name in pending:
             dataset = traced
@@ -222,7 +221,7 @@ def run(
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:
                 sys.stderr.write(_announcement(name, file))
-            turn.write(name, dataset, progress=progress)
+            turn.write(name, dataset.assign_attrs(settings), progress=progress)
     return Outcome(out, tuple(pending), tuple(complete))
 
 

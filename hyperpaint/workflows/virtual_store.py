@@ -15,7 +15,7 @@ from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.io.files.publishing import published_folder
-from hyperpaint.io.store.record import SETTINGS
+from hyperpaint.io.store.manifest import SETTINGS
 
 from .collect_check import refuse_findings
 from .pipeline import Outcome, aligned_group, local_folder, opened_groups
@@ -135,7 +135,7 @@ def virtualise(
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
     """Return how a store differs from a whole one of the same inputs and raw files; empty if it does not."""
-    from hyperpaint.io.store.raw_references import check_whole, is_virtual, summary_of, virtual_groups
+    from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
 
     if not is_virtual(out):
         return "and no virtual store"
@@ -147,7 +147,9 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
         return f"and cannot be read ({error})"
     try:
         # the places that the caller names, not the store
-        check_whole(out, [file.url for cube in cubes.values() for file in cube.files])
+        allow = [file.url for cube in cubes.values() for file in cube.files]
+        for name in wanted:
+            open_virtual(out, name, allow=allow)
     except StoreError:
         return _NOT_WHOLE
     return ""

@@ -40,7 +40,7 @@ from support.tiny_collects import tiny_collect
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.root_record import set_state
+from hyperpaint.io.store.manifest import store_state
 
 __all__ = ["StoreSequence", "run_sequences"]
 
@@ -62,13 +62,27 @@ class StoreSequence(RuleBasedStateMachine):
         self.collects["a"].write_text(text)
         self.collects["b"].write_text(text.replace("= 7.0", "= 8.0"))
         self.path = self.folder / "lot.zarr"
-        # by group: where it was written, and what it is
-        self.wanted: dict[str, tuple[str, str]] = {}
-        self.present: dict[str, tuple[str, str]] = {}
-        self.finished = True
+        # what a group is: where it was written, and its version
+        self.recorded: dict[str, tuple[str, str]] = {}  # By the manifest
+        self.present: dict[str, tuple[str, str]] = {}  # On the disk
+        self.writes: list[tuple[str, dict[str, tuple[str, str]]]] = []  # Not ended: of a version, or a user's
         self.source = ""  # The version that was processed last
-        self.run: set[str] = set()  # What it was to write, until it has
         self.moves = 0
+
+    def is_lacking(self, labels: dict[str, tuple[str, str]]) -> bool:
+        """Tell whether a write that did not end is halfway."""
+        untouched = all(name in self.recorded and self.at(name) == self.recorded[name] for name in labels)
+        return not untouched and any(self.at(name) != label for name, label in labels.items())
+
+    def at(self, name: str) -> tuple[str, str] | None:
+        return self.present.get(name)
+
+    def settle(self) -> None:
+        """Take up what writes that are over have put in place."""
+        for write in list(self.writes):
+            if not self.is_lacking(write[1]):
+                self.writes.remove(write)
+                self.recorded |= {name: label for name, label in write[1].items() if self.at(name) == label}
 
     def teardown(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -82,38 +96,33 @@ class StoreSequence(RuleBasedStateMachine):
     )
     def process(self, kind: str, overwrite: bool, stop: Any) -> None:
         """Process a version, to the end or until a kill before a group gets its place, or before the seal."""
-        pending = [name for name in LINES if self.present.get(name) != (name, kind)]
-        refused = not overwrite and any(name in self.present for name in pending)
-        if isinstance(stop, int) and stop >= len(pending):
-            stop = None
         lines = {name: (name, kind) for name in LINES}
-        nothing = not pending and self.finished and self.wanted.items() >= lines.items()
-        if nothing and not (overwrite and set(self.wanted) - set(self.present)):
-            stop = None
-        if refused:
+        known = {name: {self.recorded.get(name)} | {w[1].get(name) for w in self.writes} for name in LINES}
+        pending = [name for name in LINES if self.at(name) != lines[name] or lines[name] not in known[name]]
+        if not overwrite and any(name in self.present and self.at(name) != lines[name] for name in pending):
             with pytest.raises(PaintError):
                 self._process(kind, stop, overwrite=overwrite)
             return
-        repeats = kind == self.source
-        of_run = self.run if repeats else set()
-        forgettable = set(self.wanted) if repeats and overwrite and self.finished else of_run
-        in_place = {name for name, (place, _) in self.present.items() if place == name}
-        wanted = {
-            name: label for name, label in self.wanted.items() if name in in_place or name not in forgettable
-        }
-        others = {name: label for name, label in wanted.items() if name not in lines and name not in of_run}
-        lacks = not self.finished and not self.present.items() >= others.items()
-        self._process(kind, stop, overwrite=overwrite, unsealed=lacks)
-        if (nothing and not overwrite) or (stop == "seal" and not pending):
+        if isinstance(stop, int) and stop >= len(pending):
+            stop = None
+        done = not pending and not any(set(w[1]) & set(lines) for w in self.writes)
+        if done and lines.items() <= self.recorded.items():
+            stop = None
+            self._process(kind, stop, overwrite=overwrite)
             return
-        self.wanted = wanted | lines
-        done = pending[:stop] if isinstance(stop, int) else pending
-        self.present |= {name: lines[name] for name in done}
-        if repeats or not lacks:
-            self.source, self.run = kind, set(lines)
-        self.finished = stop is None and not lacks
-        if self.finished:
-            self.run = set()
+        self.settle()
+        self.writes = [w for w in self.writes if w[0] != kind and not set(w[1]) <= set(lines)]
+        if overwrite and kind == self.source:
+            self.recorded = {name: label for name, label in self.recorded.items() if name in self.present}
+        placed = pending[:stop] if isinstance(stop, int) else pending
+        self.present |= {name: lines[name] for name in placed}
+        if stop is None:
+            self.recorded |= lines
+        else:
+            self.writes.append((kind, lines))
+        self.source = kind
+        left = stop is None and any(self.is_lacking(w[1]) for w in self.writes)
+        self._process(kind, stop, overwrite=overwrite, unsealed=left)
 
     def _process(self, kind: str, stop: Any, *, overwrite: bool, unsealed: bool = False) -> None:
         from hyperpaint.io.store import stage, writer
@@ -131,7 +140,7 @@ class StoreSequence(RuleBasedStateMachine):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(stage.Staging, "publish", killed)
             if stop == "seal":
-                patch.setattr(writer, "finish_root", interrupt)
+                patch.setattr(writer._StoreWriter, "finish", interrupt)
             try:
                 with pytest.raises(PaintError) if unsealed and stop is None else contextlib.nullcontext():
                     hp.process(self.collects[kind], self.path, to="radiance", overwrite=overwrite)
@@ -144,10 +153,10 @@ class StoreSequence(RuleBasedStateMachine):
     def add(self, name: str, value: int) -> None:
         """Add a group of a user's, or replace what is there."""
         hp.to_store(xr.Dataset({"a": ("x", np.full(2, value))}), self.path, name, overwrite=True)
-        self.present[name] = name, f"user {value}"
-        self.wanted[name] = self.present[name]
-        self.finished = self.finished or self.present.items() >= self.wanted.items()
-        self.run = set() if self.finished else self.run
+        label = (name, f"user {value}")
+        self.settle()
+        self.writes = [w for w in self.writes if not set(w[1]) <= {name}]
+        self.present[name] = self.recorded[name] = label
 
     @precondition(lambda self: self.present)
     @rule(data=st.data(), again=st.booleans())
@@ -199,16 +208,19 @@ class StoreSequence(RuleBasedStateMachine):
         if not self.path.exists():
             assert not self.present
             return
-        whole = self.finished and self.present == self.wanted
-        state = set_state(Location.of(self.path))
-        assert (not state.problems) == whole, (state.problems, self.wanted, self.present, self.finished)
+        written = {name for _, labels in self.writes for name in labels}
+        whole = not any(self.is_lacking(labels) for _, labels in self.writes) and all(
+            self.at(name) == label for name, label in self.recorded.items() if name not in written
+        )
+        state = store_state(Location.of(self.path))
+        assert (not state.problems) == whole, (state.problems, self.recorded, self.present, self.writes)
         assert hp.verify(self.path).ok <= whole
         try:
             hp.open_store(self.path)
             opened = True
         except PaintError:
             opened = False
-        assert opened == (whole and bool(self.present))
+        assert opened == whole
 
 
 def run_sequences(examples: int, steps: int = 8, *, derandomize: bool = False) -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.io.store.store_runs import WholeRun
+from hyperpaint.io.store.writer import WholeRun
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from support.tiny_collects import tiny_collect
 import hyperpaint as hp
 from hyperpaint.cli.info_command import info
 from hyperpaint.cli.verify_command import verify
-from hyperpaint.io.store.store_runs import WholeRun
+from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.report import write_report
 
 
@@ -40,9 +40,7 @@ def test_an_unfinished_store_says_how_it_is_finished(
     monkeypatch.setattr(WholeRun, "write", stop)
     with pytest.raises(KeyboardInterrupt):
         hp.process(collect, out, to="radiance")
-    again = (
-        "unfinished: 1 of 2 groups are there; lacking, or of other settings: /flightlines/raw_1; to finish it"
-    )
+    again = "unfinished: 1 of 2 groups are there, not yet: /flightlines/raw_1; to finish it"
     for command, expected in ((verify, 1), (info, 0)):
         status, text = said(command, out)
         assert status == expected

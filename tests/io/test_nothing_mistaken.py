@@ -173,7 +173,7 @@ RIGHT = [
     Case("a certificate", certificate("nm;R\n400;0.981\n450;0.985\n"), ""),
     Case("a line", line(), ""),
     Case("a line in half the light", line(0.5), ""),
-    Case("a line at 8 bits", line(saturation_count=((), 4095.0, {"units": "count"})), ""),
+    Case("a line at 8 bits", line(saturation_count=((), 40950.0, {"units": "count"})), ""),
 ]  # fmt: skip
 
 

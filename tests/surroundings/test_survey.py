@@ -137,9 +137,9 @@ def test_a_grey_with_a_missing_channel_is_grey() -> None:
 
 def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> None:
     dead = shadow_line.isel(along_track=slice(0)).assign(good=("band", np.zeros(NM.size, bool)))
-    with pytest.raises(SchemaError, match=r"(?s)at least one line.*none of the 96 bands is good"):
+    with pytest.raises(SchemaError, match="nothing is selected: along_track"):
         hp.surroundings.survey(dead, sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="at least one line, band and column"):
+    with pytest.raises(SchemaError, match="nothing is selected: cross_track"):
         hp.surroundings.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
     nm = np.where(np.arange(NM.size) == 7, np.nan, NM)
     unknown = shadow_line.assign_coords(wavelength=("band", nm, {"units": "nm"}))

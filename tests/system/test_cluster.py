@@ -254,7 +254,7 @@ def test_progress_is_drawn_to_its_end(
 ) -> None:
     hp.to_store(line_with(whole), tmp_path / "lot.zarr", GROUP, progress=True)
     shown = capsys.readouterr().out
-    assert shown.count("% Completed") == SLABS
+    assert shown.count("% Completed") == SLABS + 1
     assert re.search(r"\r\[#{40}\] \| 100% Completed \| [\d. ]+ms\n$|100% Completed \| [\d. ]+s\n$", shown)
 
 

@@ -17,10 +17,9 @@ from support.flown_writers import Recording
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.flightline.growing import GrowingTable, growing_cubes
-from hyperpaint.io.store import flight_blocks
 from hyperpaint.io.store.stage import Staging, staging
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.workflows import following as followed, pipeline
+from hyperpaint.workflows import flight_blocks, following as followed, pipeline
 from hyperpaint.workflows.following import FlightState, Following, follow
 from hyperpaint.workflows.pipeline import run
 

@@ -82,7 +82,7 @@ def test_a_collect_becomes_one_group_a_line_and_the_archives(store: Path) -> Non
         assert line["irradiance_age"].dtype == np.float32
         assert line["reflectance"].attrs["keep_bits"] == 12
         assert line["counts"].data.chunksize[0] == 32
-        assert line.attrs["hyperpaint_format"] == 2
+        assert line.attrs["hyperpaint_format"] == 3
 
 
 def test_stored_reflectance_is_the_computed_one_rounded(store: Path) -> None:

@@ -103,7 +103,7 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 def test_other_numerics_are_said_and_computed_on_request(
     collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("workflows.store_inputs", "workflows.pipeline", "io.store.root_record"):
+    for module in ("workflows.store_inputs", "workflows.pipeline", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
     report = hp.verify(store)
     assert report.ok
@@ -117,7 +117,7 @@ def test_other_numerics_are_said_and_computed_on_request(
 def test_other_settings_cut_short_are_not_whole(
     collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hyperpaint.io.store.store_runs import WholeRun
+    from hyperpaint.io.store.writer import WholeRun
 
     write = WholeRun.write
 
@@ -132,9 +132,7 @@ def test_other_settings_cut_short_are_not_whole(
         with pytest.raises(KeyboardInterrupt):
             process(collect, store, overwrite=True)
     report = hp.verify(store)
-    assert "unfinished: 1 of 2 groups are there; lacking, or of other settings: /flightlines/raw_1" in str(
-        report
-    )
+    assert "unfinished: 1 of 2 groups are there, not yet: /flightlines/raw_1" in str(report)
     assert report.resume == f"hyperpaint process {collect} --out {store} --to radiance --overwrite"
     assert process(collect, store, overwrite=True).written == (LINES[1],)
     assert hp.verify(store).ok

@@ -82,14 +82,15 @@ _TABULATED = ("srf_offset", "srf")
 _LARGEST = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
 
 
-def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str | None = None) -> xr.Dataset:
+def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     """Open a calibration and check it.
 
     Parameters
     ----------
     source
-        A Zarr store or netCDF file with ``radiance_gain`` (band, cross_track), ``wavelength`` (band) and
-        ``fwhm`` (band) at its root, all with units; or such a Dataset.
+        A Zarr store (folder, zip file, URL or store object of zarr) or netCDF file with ``radiance_gain``
+        (band, cross_track), ``wavelength`` (band) and ``fwhm`` (band) at its root, all with units; or such a
+        Dataset.
     group
         Group of the store that holds them; by default the root, or ``calibration`` where the root is a
         collect.
@@ -103,7 +104,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     Raises
     ------
     FormatError
-        The store cannot be read, or is one of ours and was never finished or has lost a part.
+        The store cannot be read, or is not what its manifest names.
     SchemaError
         Variables, units or values are missing or impossible; all problems are listed.
 
@@ -129,39 +130,33 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
 
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
-    path = Path(source)
-    dataset = _read(path, group, "calibration", _load_store)
-    if group is None and "radiance_gain" not in dataset.variables and (path / "calibration").is_dir():
-        dataset = _read(path, "calibration", "calibration", _load_store)
-    return check_calibration(dataset, str(path))
+    from hyperpaint.io.store import list_groups, load_unverified
+
+    def load(source: Any, group: str | None) -> xr.Dataset:
+        groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
+        return load_unverified(source, "calibration" if groups == {"calibration"} else group)
+
+    return check_calibration(_read(source, group, "calibration", load), str(source))
 
 
 def _read(
-    path: Path, group: str | None, what: str, open_zarr: Callable[[Path, str | None], xr.Dataset]
+    source: Any, group: str | None, what: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
-    if not input_path(path, f"a {what} in a Zarr store or netCDF file").exists():
-        raise FormatError(f"{path}: no such {what}; expected a Zarr store or a netCDF file")
+    """Open any Zarr, or load a netCDF file."""
+    from hyperpaint.io.store.reader import is_zarr
+
+    zarr = is_zarr(source)
+    is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
+    if is_path and not input_path(Path(source), f"a {what} in a Zarr store or netCDF file").exists():
+        raise FormatError(f"{source}: no such {what}; expected a Zarr store or a netCDF file")
     try:
-        return open_zarr(path, group) if path.is_dir() else load_netcdf(path, group)
-    except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
-        hint = "" if path.is_dir() else "; netCDF-4 needs: python -m pip install h5netcdf"
+        return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
+    except Exception as error:  # numpy and the netCDF engines each have their own
+        hint = "" if zarr else "; netCDF-4 needs: python -m pip install h5netcdf"
         raise FormatError(
-            f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200}){hint}"
+            f"{source}: not a readable Zarr store or netCDF file "
+            f"({type(error).__name__}: {error!s:.200}){hint}"
         ) from error
-
-
-def _load_store(path: Path, group: str | None) -> xr.Dataset:
-    """Load a group, which must be finished where hyperpaint wrote it; other programs leave no record."""
-    from hyperpaint.io.store import load_unverified, open_store
-    from hyperpaint.io.store.location import Location, clean_group
-    from hyperpaint.io.store.record import CHUNKS, COMPLETE
-
-    location, name = Location.of(path), clean_group(group)
-    attributes = (location.metadata(name) or {}).get("attributes") or {}
-    ours = COMPLETE in attributes or any(
-        location.has(name, array, CHUNKS) for array in location.folders(name)
-    )
-    return open_store(path, group or "", chunks=None).load() if ours else load_unverified(path, group)
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
@@ -293,13 +288,14 @@ def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
-def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.Dataset:
+def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     """Open a lab sweep, lazily where it is a Zarr store; what it must hold is checked when it is calibrated.
 
     Parameters
     ----------
     path
-        A Zarr store or netCDF file with the rows of `hyperpaint.base.schema.SWEEP_VARIABLES`.
+        A Zarr store, as of `open_calibration`, or netCDF file with the rows of
+        `hyperpaint.base.schema.SWEEP_VARIABLES`.
     group
         Group of the store that holds them; by default the root.
 
@@ -315,7 +311,6 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
     """
     from hyperpaint.io.store import open_unverified
 
-    path = Path(path)
     # counts change from step to step only along one dim: a chunk of steps is all that is in memory
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:

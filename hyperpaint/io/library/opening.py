@@ -40,7 +40,6 @@ _MOST_SHOWN = 20
 _ENVI_SUFFIXES = (".hdr", ".sli")
 _TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
 _ANCILLARY = ".ancillary.txt"
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -59,7 +58,7 @@ class _Options:
         Raises FormatError: One is given.
         """
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
-            raise FormatError(OWN_AXES.format(os.fspath(path)))
+            raise FormatError(OWN_AXES.format(path))
 
 
 def open_library(
@@ -84,7 +83,8 @@ def open_library(
           table with wavelengths in its first column: several files make one library where their wavelengths
           are equal;
         * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
-        * what `hyperpaint.write_library` wrote, CSV and Zarr among it; a path inside a store names a group.
+        * what `hyperpaint.write_library` wrote, CSV and Zarr among it; any Zarr (folder, zip file, URL or
+          store object of zarr); a path inside a store names a group.
     wavelength, fwhm
         Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
         USGS text without them looks for its own beside it and in the two folders above.
@@ -136,8 +136,10 @@ def open_library(
         raise FormatError(f"quantity={quantity!r}: a paint library holds reflectance; leave quantity= out")
     sure = quantity is not None
     options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, sure)
-    if isinstance(path, str | os.PathLike) and _is_store(path):
-        options.refuse_for(path)
+    from hyperpaint.io.store.reader import is_zarr
+
+    if is_zarr(path):
+        options.refuse_for(str(path))
         return _read_store(path)
     files = find_paths(
         path,
@@ -158,15 +160,6 @@ def open_library(
                 break
     problems.raise_if_any()
     return _joined(opened)
-
-
-def _is_store(path: Path_) -> bool:
-    text = os.fspath(path)
-    return (
-        _URL.match(text) is not None
-        or text.endswith(".zarr")
-        or os.path.isfile(os.path.join(text, "zarr.json"))
-    )
 
 
 def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
@@ -359,7 +352,7 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 # --- Zarr stores -------------------------------------------------------------------------------------------
 
 
-def _read_store(path: str | os.PathLike[str]) -> xr.Dataset:
+def _read_store(path: Any) -> xr.Dataset:
     """Open a library lazily.
 
     Raises FormatError: The store is whole but holds no paint library; groups that do are named.
@@ -369,13 +362,13 @@ def _read_store(path: str | os.PathLike[str]) -> xr.Dataset:
 
     groups = list_groups(path)
     if "" not in groups:
-        named = ", ".join(f"{os.fspath(path)}/{group}" for group in groups) or "none"
-        raise FormatError(f"{os.fspath(path)} holds no paint library at its root; groups found: {named}")
+        named = ", ".join(f"{path}/{group}" for group in groups) or "none"
+        raise FormatError(f"{path} holds no paint library at its root; groups found: {named}")
     library = with_new_names(open_store(path, ""))
     rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):
         reasons = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
-        raise FormatError(f"{os.fspath(path)} holds no paint library: {reasons}")
+        raise FormatError(f"{path} holds no paint library: {reasons}")
     return library

@@ -77,9 +77,9 @@ def open_irradiance(
     ----------
     paths
         A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, or
-        csv series (see `read_irradiance_csv`); or a Zarr or netCDF store, or an xarray object, with
-        ``irradiance`` on a time and a wavelength dim (of a collect's store, the group ``irradiance``); or a
-        netCDF product of HYPERNETS, L1A to L1C.
+        csv series (see `read_irradiance_csv`); or any Zarr (folder, zip file, URL or store object), a netCDF
+        file or an xarray object, with ``irradiance`` on a time and a wavelength dim (of a collect's store,
+        the group ``irradiance``); or a netCDF product of HYPERNETS, L1A to L1C.
     quantity
         ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
         with a warning. Binary files become irradiance through their calibration.
@@ -154,8 +154,9 @@ def open_irradiance(
     _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s, clock_uncertainty_s)
     if isinstance(paths, xr.Dataset | xr.DataArray):
         series = _from_xarray(paths, utc_offset_h, units)
-    elif isinstance(paths, str | os.PathLike) and is_store(Path(paths)):
-        series = _from_xarray(stored_series(Path(paths)), utc_offset_h, units, Path(paths).name)
+    elif is_store(paths):
+        name = os.path.basename(paths) if isinstance(paths, str | os.PathLike) else type(paths).__name__
+        series = _from_xarray(stored_series(paths), utc_offset_h, units, name)
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)

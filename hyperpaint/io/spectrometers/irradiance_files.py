@@ -160,37 +160,30 @@ def _width(name: str, comments: dict[str, str]) -> float | None:
     return width
 
 
-_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
-_FILES = ("zarr.json", ".zgroup", ".zattrs")
+_SUFFIXES = (".nc", ".nc4", ".h5")
 
 
-def is_store(path: Path) -> bool:
-    """Tell whether a path is a Zarr or netCDF store, by its name or by what is in it."""
-    return path.suffix.lower() in _SUFFIXES or any(os.path.lexists(path / name) for name in _FILES)
+def is_store(path: Any) -> bool:
+    """Return whether a path or store object is Zarr or netCDF, by its name or content."""
+    from hyperpaint.io.store.reader import is_zarr
+
+    is_name = isinstance(path, str | os.PathLike)
+    return is_zarr(path) or (is_name and os.fspath(path).lower().endswith(_SUFFIXES))
 
 
-def stored_series(path: Path) -> xr.Dataset:
+def stored_series(path: Any) -> xr.Dataset:
     """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
-    from hyperpaint.io.store import load_unverified, open_store
-    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store import list_groups, load_unverified
+    from hyperpaint.io.store.reader import is_zarr
 
-    group, ours = None, False
-    path = input_path(path, "an irradiance series")
     try:
-        if not path.is_dir():
-            return _of_hypernets(load_netcdf(path))
-        location = Location.of(path)
-        inner, node = location.metadata("irradiance") or {}, location.metadata("") or {}
-        if inner.get("node_type") == "group":
-            group, node = "irradiance", inner
-        ours = "hyperpaint_format" in (node.get("attributes") or {})
-        # ours is refused where it was never finished
-        return open_store(path, group or "", chunks=None).load() if ours else load_unverified(path, group)
-    except IncompleteStoreError as error:
-        if ours:
-            raise
-        raise FormatError(f"{path}: cannot be opened as a Zarr store ({error})") from error
-    except Exception as error:  # zarr, h5py and xarray leak classes of their own on damaged stores
+        if not is_zarr(path):
+            return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
+        group = "irradiance" if "irradiance" in list_groups(path) else None
+        return _of_hypernets(load_unverified(path, group))
+    except IncompleteStoreError:
+        raise
+    except Exception as error:  # h5py and xarray leak classes of their own on damaged files
         raise FormatError(
             f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
         ) from error

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems
-from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.io.files.reading import read_limited_text
 
 from .spectrum_files import find_paths
@@ -23,25 +22,27 @@ __all__ = ["open_references", "open_spectra", "read_pairs"]
 _GROUP = "references/"
 
 
-def open_references(paths: Sequence[str | os.PathLike[str]]) -> list[xr.Dataset]:
+def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
     """Open references of reflectance.
 
     paths: Files, globs or folders: SVC ``.sig``, ASD binary or text export, anything
-        `hyperpaint.open_library` reads, or a store with groups ``references/<instrument>``.
+        `hyperpaint.open_library` reads, or a store with groups ``references/<instrument>``: any Zarr in a
+        folder, zip file, URL or store object.
     Returns list of xarray.Dataset: Files of one kind and one set of wavelengths are in one Dataset.
     Raises FormatError: Files are missing, damaged or of no kind known; all are named.
     Raises StoreError: A store was never finished, or is damaged.
     """
-    stores = [Path(path) for path in paths if is_plain_file(Path(path) / "zarr.json")]
-    others = [path for path in paths if Path(path) not in stores]
-    datasets = [dataset for store in stores for dataset in _of_store(store)]
+    from hyperpaint.io.store.reader import is_zarr
+
+    datasets = [dataset for path in paths if is_zarr(path) for dataset in _of_store(path)]
+    others = [path for path in paths if not is_zarr(path)]
     if others:
         files = find_paths(others, _spectra_in, ".sig or .asd files, text exports, or a library")
         datasets += _opened(files, "reflectance", references=True)
     return datasets
 
 
-def _of_store(path: Path) -> list[xr.Dataset]:
+def _of_store(path: Any) -> list[xr.Dataset]:
     from hyperpaint.io.store import list_groups, open_store
 
     groups = list_groups(path)

@@ -1,12 +1,11 @@
-"""The memory a run takes, known before it starts.
+"""The memory plan of a run, made before it starts.
 
-Memory is modelled, not measured: a fixed share, the calibration and matched spectra that every task reads,
-and for every thread the slabs of lines it has in hand; `MARGIN` comes on top. What was measured against the
-model is in the figures of merit (docs).
+A model gives the memory: a fixed share, the calibration and matched spectra that every task reads, and for
+every thread the slabs of lines that it holds; `MARGIN` comes on top. The figures of merit (docs) compare the
+model with measured peaks.
 
-Where the address space is limited as well (``ulimit -v``, some batch systems), more is needed than what
-becomes resident: stacks, and the arenas that glibc reserves for every thread. `HELPER_SPACE` and
-`THREAD_SPACE` stand for them.
+A limit of the address space (``ulimit -v``, some batch systems) counts more than resident memory: stacks, and
+the arenas that glibc reserves for every thread, see `HELPER_SPACE` and `THREAD_SPACE`.
 """
 
 from __future__ import annotations
@@ -16,8 +15,9 @@ import ctypes
 import math
 import os
 import sys
+import re
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RUNNING = 100 * 10**6
-"""Bytes that kernels, codecs and the writer add to what is resident once a collect is open."""
+"""Bytes that kernels, codecs and the writer add to the resident memory of an open collect."""
 
 PROCESS = 330 * 10**6
 """Bytes of a process that did nothing else before, kernels compiled in it, without any slab."""
@@ -42,24 +42,24 @@ SLABS_IN_HAND = 2
 """Slabs of a thread: one is made while another waits for its last chunk to be stored."""
 
 ENCODED_COPIES = 1.5
-"""Encoding a chunk takes room for the worst case, and a copy of what came out."""
+"""Sizes of a chunk that encoding it takes: room for the worst case, and a copy of the result."""
 
 TASK_BYTES = 16_000
 """Graph of one slab."""
 
 MARGIN = 1.1
-"""Needed is what the model says, and a tenth more."""
+"""Needed memory over modelled memory."""
 
 LOADED = 390 * 10**6
-"""Bytes of a process in which what reads, calibrates and surveys lines is loaded, without any slab."""
+"""Bytes of a process with the modules loaded that read, calibrate and survey lines, without any slab."""
 
 USABLE = 0.8
-"""Share of the available memory that a run takes when it is given no limit."""
+"""Share of the available memory that a run takes if the user gives no limit."""
 
 HELPER_SPACE = 48 * 2**20
-"""Address space of each thread that zarr starts for its files, beyond what becomes resident.
+"""Address space of each thread that zarr starts for its files, beyond its resident memory.
 
-They are up to four more than there are processors.
+zarr starts up to four more than there are processors.
 """
 
 THREAD_SPACE = 72 * 2**20
@@ -74,7 +74,7 @@ SMILE_STEP = 0.5
 
 @dataclass(frozen=True)
 class Load:
-    """What one flight line asks of memory; all in bytes.
+    """Memory that one flight line takes; all in bytes.
 
     Examples
     --------
@@ -97,7 +97,12 @@ class Load:
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize
-        cells = _smile_cells(line)
+        # pieces that the smile is cut into; many where it is not at hand
+        cells, shift = 1, line.variables.get("wavelength_shift")
+        if shift is not None and shift.chunks is not None:
+            cells = 16
+        elif shift is not None and shift.size:
+            cells += math.ceil(float(np.ptp(shift.values)) / SMILE_STEP)
         cubic = line.sizes[BAND] * cells * 4 * np.dtype(np.float64).itemsize
         small = sum(v.nbytes for v in line.variables.values() if ALONG_TRACK not in v.dims or v.ndim == 1)
         return cls(
@@ -111,7 +116,7 @@ class Load:
 
     @property
     def a_thread(self) -> int:
-        """What a thread takes that reads slabs of a storage chunk's lines [byte]."""
+        """Memory of a thread that reads slabs of the lines of a storage chunk [byte]."""
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
         return SLABS_IN_HAND * slab + self.encoded // 2
 
@@ -121,17 +126,6 @@ class Load:
         slab = min(lines, self.lines) * (self.scan_line + self.light)
         a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
         return fixed + self.shared + TASK_BYTES * slabs + min(threads, slabs) * a_thread
-
-
-def _smile_cells(line: xr.Dataset) -> int:
-    """Return how many pieces the smile is cut into, or a large number where it is not at hand."""
-    if "wavelength_shift" not in line.variables:
-        return 1
-    variable = line.variables["wavelength_shift"]
-    if variable.chunks is not None:
-        return 16
-    values = variable.values
-    return 1 + math.ceil(float(values.max() - values.min()) / SMILE_STEP) if values.size else 1
 
 
 @dataclass(frozen=True)
@@ -159,7 +153,7 @@ def fit(
 
     ``loads``: by name of the flight line; they are processed one after the other; ``lines``, ``threads``: the
     numbers wished for, of threads ``least_threads`` at least; ``fixed``: memory without any slab; ``limit``:
-    most memory of the process, None for no limit; ``a_thread``: what each thread takes besides its slabs, see
+    most memory of the process, None for no limit; ``a_thread``: memory of a thread besides its slabs, see
     `thread_space`; all in bytes.
 
     Raises `StoreError`: Not even the fewest threads with 32 lines a task stay within the limit.
@@ -176,10 +170,9 @@ def fit(
         return Demand(lines, threads, int(MARGIN * max(peaks, default=0)) + threads * a_thread * bool(peaks))
 
     plan = demand(lines, threads)
-    if limit is None:
-        return plan
+    limit = plan.needed if limit is None else limit
     while plan.needed > limit and plan.lines > CHUNK_LINES:
-        plan = demand(max(CHUNK_LINES, plan.lines // 2), plan.threads)
+        plan = demand(max(CHUNK_LINES, plan.lines // 2), threads)
     while plan.needed > limit and plan.threads > least_threads:
         plan = demand(plan.lines, plan.threads - 1)
     if plan.needed > limit:
@@ -215,27 +208,26 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0) -> Iterator[None]:
     """Compute on as many threads as stay within the memory that may be taken; all of a cluster's.
 
-    ``a_thread``: what each thread takes; ``fixed``: what is there without any; ``least``: what is needed at
+    ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``least``: memory needed at
     another time, whatever the threads; all in bytes.
 
     Raises `StoreError`: not even one thread stays within; the figures are given.
     """
-    from dask.base import get_scheduler as dask_scheduler
+    from dask.base import get_scheduler
 
     # nobody who has not imported distributed has a client
-    scheduler = dask_scheduler() if "distributed" in sys.modules else None
+    scheduler = get_scheduler() if "distributed" in sys.modules else None
     if hasattr(getattr(scheduler, "__self__", None), "scheduler_info"):
         yield
         return
-    resident, threads = resident_memory(), thread_count()
+    resident = resident_memory()
     limit = process_limit(resident)
     fixed = max(fixed, resident)
 
     def needed(threads: int) -> int:
         return int(MARGIN * max(least, fixed + threads * a_thread)) + threads * thread_space()
 
-    while threads > 1 and needed(threads) > limit:
-        threads -= 1
+    threads = _threads_within(limit, needed)
     if needed(threads) > limit:
         raise StoreError(
             f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}, but "
@@ -246,7 +238,7 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
         yield
 
 
-# --- what there is -----------------------------------------------------------------------------------------
+# --- available memory --------------------------------------------------------------------------------------
 
 
 def parse_size(size: str | int) -> int:
@@ -274,8 +266,8 @@ def parse_size(size: str | int) -> int:
 def available_memory(system: Path = Path("/")) -> int:
     """Return the memory that can still be taken [byte]; ``system`` is where ``proc`` and ``sys`` are.
 
-    The least of what the machine, its container and the limit of this process's address space leave; of the
-    last, what helper threads reserve is taken off first.
+    The machine, its container and the limit of the address space of this process each leave some: this is
+    the least. The reserve of helper threads is taken off the address space first.
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
@@ -285,7 +277,7 @@ def available_memory(system: Path = Path("/")) -> int:
 
 
 def _shared_memory(system: Path) -> int:
-    """Return what the machine and its container leave: other programs take of it as well."""
+    """Return the memory that the machine and its container leave; other programs share it."""
     import psutil
 
     # with the cache of files, which gives way
@@ -326,46 +318,38 @@ def _address_space() -> int | None:
         return None
     import psutil
 
-    # zarr's threads are those of asyncio; what runs already has its space
+    # zarr's threads are threads of asyncio; running ones have their space already
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
-def _container_memory(system: Path) -> Iterable[int]:
-    """Yield what the control groups of this process (version 2 or 1), and those above them, leave.
+def _container_memory(system: Path) -> Iterator[int]:
+    """Yield the memory that the control groups of this process (version 2 or 1), and those above them, leave.
 
-    psutil knows no control groups, and distributed only the limit of the innermost, not what is left of it.
+    psutil knows no control groups, and distributed only the limit of the innermost one.
     """
     root = system / "sys/fs/cgroup"
-    for entry in _read(system / "proc/self/cgroup").splitlines():
-        number, _, rest = entry.partition(":")
-        controllers, _, path = rest.partition(":")
+    try:
+        entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return
+    for number, controllers, path in (entry.split(":", 2) for entry in entries if entry.count(":") >= 2):
         if number == "0":
             base, limit, used = root, "memory.max", "memory.current"
         elif "memory" in controllers.split(","):
             base, limit, used = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
         else:
             continue
-        inside = [part for part in path.split("/") if part not in ("", "..")]
-        for depth in range(len(inside) + 1):
-            folder = base.joinpath(*inside[:depth])
-            most, taken = _read(folder / limit).strip(), _read(folder / used).strip()
-            if most.isdigit() and taken.isdigit():
-                yield int(most) - int(taken) + _reclaimable(folder)
-
-
-def _reclaimable(group: Path) -> int:
-    statistics = dict(line.split(" ", 1) for line in _read(group / "memory.stat").splitlines() if " " in line)
-    values = (statistics.get(name, "") for name in ("inactive_file", "total_inactive_file"))
-    return next((int(value) for value in values if value.isdigit()), 0)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="ascii", errors="replace")
-    except OSError:
-        return ""
+        inside = base.joinpath(*(part for part in path.split("/") if part not in ("", "..")))
+        for folder in (inside, *(above for above in inside.parents if above.is_relative_to(base))):
+            with contextlib.suppress(OSError, ValueError):  # no such group, or no limit ("max")
+                left = int((folder / limit).read_text()) - int((folder / used).read_text())
+                # cached files give way
+                with contextlib.suppress(OSError):
+                    cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
+                    left += int(cached[1]) if cached else 0
+                yield left
 
 
 def resident_memory() -> int:
@@ -376,11 +360,11 @@ def resident_memory() -> int:
 
 
 def share_one_heap() -> None:
-    """Let threads that are still to come allocate from one heap, where the allocator is that of glibc.
+    """Let threads that start later allocate from one heap, if the allocator is that of glibc.
 
-    By itself it gives each thread a heap of its own, which grows to the most that the thread ever held, holes
-    included. That holds for the whole process from then on; who has set ``MALLOC_ARENA_MAX`` or
-    ``GLIBC_TUNABLES`` has decided.
+    By itself it gives each thread a heap of its own, which stays as large as the most that the thread ever
+    held, and takes address space before any plan. The setting lasts as long as the process; the user decides
+    by ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES``.
     """
     if not {"MALLOC_ARENA_MAX", "GLIBC_TUNABLES"} & set(os.environ):
         with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
@@ -414,57 +398,60 @@ def limited_threads(count: int | None) -> Iterator[None]:
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
 
-    Its dask chunks are as they are, so that only threads can be saved. No value is read. What is made of dask
-    arrays counts: cubes along the flight are computed together, line by line; of the others, each alone.
+    The dask chunks cannot be changed here, only the number of threads. No value is read. Dask arrays count:
+    cubes along the flight are computed together, line by line, other arrays one by one.
 
     ``subject`` names the dataset in errors. Returns None where nothing is known against any number.
 
     Raises `StoreError`: One block is larger than the memory that is available; the figures are given.
     """
     share_one_heap()
-    cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
-    available = available_memory()
-    _check_blocks(dataset, available, subject)
+    available, fixed = available_memory(), thread_space()
+    problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
+    cubes = []
+    for name, variable in dataset.variables.items():
+        if variable.chunks and ALONG_TRACK in variable.dims and variable.ndim > 1:
+            cubes.append(variable)
+        elif variable.chunks and variable.size:
+            sizes = tuple(map(max, variable.chunks))
+            block = math.prod(sizes) * variable.dtype.itemsize + fixed
+            if block > available:
+                problems.add(
+                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}; take "
+                    "smaller chunks, end other programs, or raise the memory limit"
+                )
+    problems.raise_if_any()
     if not cubes or not all(v.size for v in cubes):
         return None
     length = cubes[0].sizes[ALONG_TRACK]
     a_line = [v.nbytes // length for v in cubes]
     lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
     encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
-    surely = lines * sum(a_line) + encoded + thread_space()
+    surely = lines * sum(a_line) + encoded + fixed
     if surely > available:
         raise StoreError(
             f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}, "
             f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
             f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
         )
-    # what a cube alone is made from is taken to be half as large: 16-bit counts of a float32 product
+    # a cube alone is taken to be made from one half as large: 16-bit counts of a float32 product
     alone = sum(size > max(a_line) // 4 for size in a_line) == 1
     load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
-    resident, threads = resident_memory(), thread_count()
-    limit = process_limit(resident)
-    while threads > 1:
+    resident = resident_memory()
+
+    def needed(threads: int) -> float:
         peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
-        if MARGIN * peak + threads * thread_space() <= limit:
-            break
+        return MARGIN * peak + threads * fixed
+
+    return _threads_within(process_limit(resident), needed)
+
+
+def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
+    """Return the most threads, at least one, that need no more memory than the limit."""
+    threads = thread_count()
+    while threads > 1 and needed(threads) > limit:
         threads -= 1
     return threads
-
-
-def _check_blocks(dataset: xr.Dataset, available: int, subject: str) -> None:
-    """Refuse a dataset of which one block that is not of whole lines takes more than is available."""
-    problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
-    for name, variable in dataset.variables.items():
-        if not variable.chunks or (ALONG_TRACK in variable.dims and variable.ndim > 1):
-            continue
-        block = math.prod(map(max, variable.chunks)) * variable.dtype.itemsize if variable.size else 0
-        if block + thread_space() > available:
-            sizes = tuple(map(max, variable.chunks))
-            problems.add(
-                f"{name!r} needs {size_text(block + thread_space())} for one dask chunk of {sizes}; take "
-                "smaller chunks, end other programs, or raise the memory limit"
-            )
-    problems.raise_if_any()
 
 
 # --- sizes ------------------------------------------------------------------------------------------------

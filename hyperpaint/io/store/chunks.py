@@ -1,27 +1,27 @@
-"""Chunk files of a group under construction: written from dask blocks, taken up by the next run.
+"""Chunk files of a group under construction: written from dask blocks, resumed by the next run.
 
-Beside every chunk file lies its record ``.<name>.done``: the chunk's key and the crc32c of its decoded
-samples. It is written after the chunk and removed before the group is published. A power failure may leave
-either without its content, so a chunk is taken up only where it decodes to its checksum.
+A chunk file ends in the crc32c of all bytes before it, and gets its name when it is whole. A power failure
+may leave it without its content, so the next run uses only chunks with the right checksum.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
+import math
 import os
-import re
+import stat
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import PaintError, StoreError
+from hyperpaint.base.errors import PaintError
 
 from .disk import at_once
-from .layout import Codec, chunks_of, encode_chunk
-from .location import plain_file, replace_file
-from .record import checksum
+from .layout import Codec, chunks_of, encode_chunk, fill_value
+from .location import Location, replace_file
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -31,70 +31,72 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """A Zarr array that blocks are written to; pickles small, for processes and clusters."""
+    """An array that blocks are written to, without zarr's event loop; pickles small, for clusters."""
 
-    array: Any  # The Zarr array
-    folder: Path | None  # On a local disk: chunks are then encoded and written without zarr's event loop
+    place: Location  # Of the group
+    name: str
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]  # On disk
     chunk: tuple[int, ...]  # Storage chunk
     fill: Any  # Fills what an edge chunk lacks
     codec: Codec = "compact"
 
-    def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        """Write a block of whole chunks that starts at the chunk ``offset`` of the grid; return checksums.
+    @classmethod
+    def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:
+        """Return where the blocks of a variable go."""
+        import numpy as np
 
-        At the far edges of the array chunks may be cut. The checksums (uint32) have the shape of the block's
-        grid.
+        dtype = np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<")
+        return cls(
+            place, name, tuple(map(str, variable.dims)), variable.shape, dtype, chunks_of(variable),
+            fill_value(variable.dtype), codec,
+        )  # fmt: skip
+
+    def key(self, position: tuple[int, ...]) -> str:
+        """Return the key of a chunk within the array."""
+        return "/".join(("c", *map(str, position)))
+
+    def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
+        """Write a block of whole chunks that starts at the chunk ``offset`` of the grid.
+
+        At the far edges of the array chunks may be cut. Return the crc32c of the encoded chunks (uint32), in
+        the shape of the block's grid.
         """
         import numpy as np
 
-        block = _as_stored(block, self.array.dtype)
+        # times are stored as int64 nanoseconds
+        if block.dtype.kind in "mM":
+            block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
+        if block.dtype.newbyteorder("<") != self.dtype:
+            raise TypeError(f"a block of {self.name} came as {block.dtype}, declared was {self.dtype}")
+        block = block.astype(self.dtype, copy=False)
         grid = tuple(-(-size // step) for size, step in zip(block.shape, self.chunk, strict=True))
         sums = np.empty(grid, dtype=np.uint32)
         for index in np.ndindex(grid):
-            piece = np.ascontiguousarray(block[region(index, self.chunk, block.shape)])
-            sums[index] = checksum(piece)
+            part = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, self.chunk, strict=True))
+            piece = np.ascontiguousarray(block[part])
             position = tuple(first + step for first, step in zip(offset, index, strict=True))
-            if self.folder is None:
-                self.array[self.region(position)] = piece
+            encoded, checksum = encode_chunk(piece, self.chunk, self.fill, self.codec)
+            sums[index] = int.from_bytes(checksum, "little")
+            key = self.key(position)
+            if self.place.local is None:
+                self.place.fs.pipe_file(self.place.key(self.name, key), encoded + checksum)
             else:
-                key = self.array.metadata.encode_chunk_key(position)
-                encoded = encode_chunk(piece, self.chunk, self.fill, self.codec)
-                write_chunk(self.folder, key, encoded, int(sums[index]))
+                write_chunk(self.place.local / self.name, key, [encoded, checksum])
         return sums
 
-    def region(self, position: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the part of the array that one storage chunk holds."""
-        return region(position, self.chunk, self.array.shape)
 
-
-class _Slabs:
-    """An array in memory or in a file, as dask slices it: by block, inside the task, without copies."""
-
-    def __init__(self, variable: xr.Variable) -> None:
-        self.variable = variable
-        self.shape, self.dtype, self.ndim = variable.shape, variable.dtype, variable.ndim
-
-    def __getitem__(self, key: Any) -> np.ndarray[Any, Any]:
-        import numpy as np
-
-        return np.asarray(self.variable[key].values)
-
-
-def region(index: tuple[int, ...], chunk: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """Return the part of an array that one storage chunk holds.
-
-    Examples
-    --------
-    >>> region((1, 0), (32, 5), (40, 5))
-    (slice(32, 40, None), slice(0, 5, None))
-    """
-    return tuple(
-        slice(i * step, min((i + 1) * step, size)) for i, step, size in zip(index, chunk, shape, strict=True)
-    )
+def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
+    """Write the file ``key`` of an array's folder."""
+    # step by step from the array's folder: a task that outlives its run must not make that again
+    for parent in reversed((folder / key).relative_to(folder).parents[:-1]):
+        (folder / parent).mkdir(exist_ok=True)
+    replace_file(folder / key, parts, durable=False)
 
 
 def is_streamed(variable: xr.Variable) -> bool:
-    """Tell whether a variable is written block by block; the others are small and written by xarray."""
+    """Return whether a variable is written block by block; xarray writes the others, which are small."""
     import dask
 
     if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
@@ -120,173 +122,110 @@ def lazy_checksums(
     import dask
     import dask.array as da
     import numpy as np
+    from dask.highlevelgraph import HighLevelGraph
 
-    data = variable.data if dask.is_dask_collection(variable) else _sliced(variable, target.chunk)
-    offsets = tuple(
-        tuple(start // step for start in itertools.accumulate((0, *sizes[:-1])))
-        for sizes, step in zip(data.chunks, target.chunk, strict=True)
-    )
-    grid = tuple(
-        tuple(-(-size // step) for size in sizes)
-        for sizes, step in zip(data.chunks, target.chunk, strict=True)
-    )
+    if dask.is_dask_collection(variable):
+        data = variable.data
+    else:  # in memory or in a file: a task reads one storage chunk
+        chunks = dict(zip(variable.dims, target.chunk, strict=True))
+        data = variable.chunk(chunks, name=f"slabs-{uuid.uuid4().hex}").data
+    offsets, grid = [], []
+    for sizes, step in zip(data.chunks, target.chunk, strict=True):
+        offsets.append(tuple(start // step for start in itertools.accumulate((0, *sizes[:-1]))))
+        grid.append(tuple(-(-size // step) for size in sizes))
     sums = da.map_blocks(
-        _Writing(target, offsets),
+        functools.partial(_write_block, target, offsets),
         data,
-        chunks=grid,
+        chunks=tuple(grid),
         dtype=np.uint32,
         meta=np.empty((0,) * data.ndim, dtype=np.uint32),
         name=f"store-{uuid.uuid4().hex}",
     )
-    return _without_finished(sums, offsets, finished) if finished else sums
-
-
-def _without_finished(
-    sums: da.Array, offsets: tuple[tuple[int, ...], ...], finished: Mapping[tuple[int, ...], int]
-) -> da.Array:
-    """Put values in the place of blocks whose chunks are finished; their tasks are then culled."""
-    import dask.array as da
-    import numpy as np
-    from dask.highlevelgraph import HighLevelGraph
-
+    if not finished:
+        return sums
+    # values stand in the place of blocks whose chunks are finished; dask drops their tasks
     name = f"resumed-{uuid.uuid4().hex}"
     layer: dict[tuple[Any, ...], Any] = {}
     for index in np.ndindex(sums.numblocks):
         first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
-        sizes = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
-        chunks = [finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(sizes)]
-        if None in chunks:
-            layer[(name, *index)] = (sums.name, *index)
-        else:
-            layer[(name, *index)] = np.array(chunks, dtype=np.uint32).reshape(sizes)
+        shape = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
+        found = [finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)]
+        layer[(name, *index)] = (sums.name, *index)
+        if None not in found:
+            layer[(name, *index)] = np.array(found, dtype=np.uint32).reshape(shape)
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
     return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
 
 
-def _sliced(variable: xr.Variable, chunk: tuple[int, ...]) -> da.Array:
-    import dask.array as da
-    import numpy as np
-
-    return da.from_array(
-        _Slabs(variable),
-        chunks=chunk,
-        name=f"slabs-{uuid.uuid4().hex}",
-        asarray=False,
-        meta=np.empty((0,) * variable.ndim, dtype=variable.dtype),
-    )
-
-
-class _Writing:
-    """Stores blocks of one array; whole to dask, which looks for its own in arguments, tuple by tuple."""
-
-    def __init__(self, target: Target, offsets: tuple[tuple[int, ...], ...]) -> None:
-        self._target, self._offsets = target, offsets
-
-    def __call__(self, block: np.ndarray[Any, Any], block_id: tuple[int, ...] = ()) -> np.ndarray[Any, Any]:
-        offset = tuple(starts[i] for starts, i in zip(self._offsets, block_id, strict=True))
-        return self._target.write(block, offset)
-
-
-def _as_stored(block: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
-    """Return a block in the dtype on disk: times as int64 nanoseconds."""
-    import numpy as np
-
-    if block.dtype.kind in "mM":
-        return block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
-    if block.dtype.newbyteorder("=") != dtype.newbyteorder("="):
-        raise TypeError(f"a block came as {block.dtype}, declared was {dtype}")
-    return block.astype(dtype.newbyteorder("<"), copy=False)
-
-
-_RECORD = re.compile(r"(\S{1,200}) ([0-9a-f]{8})\n")
-
-
-def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> None:
-    """Write the file ``key`` of an array's folder from ``parts``, then its record with the checksum."""
-    path = folder / key
-    _make_parents(folder, path)
-    replace_file(path, parts, durable=False)
-    replace_file(_record_of(path), [f"{key} {value:08x}\n".encode()], durable=False)
+def _write_block(
+    target: Target,
+    offsets: Sequence[tuple[int, ...]],
+    block: np.ndarray[Any, Any],
+    block_id: tuple[int, ...] = (),
+) -> np.ndarray[Any, Any]:
+    """Write a block of dask, where ``offsets`` are the first chunks of all blocks along each dim."""
+    return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
     """Move finished chunks of an earlier run's array into the array's own folder; add them to ``finished``.
 
-    ``leftover`` need not exist; the target's metadata are already written. A chunk is added, by its position
-    in the grid, once it has been read and its checksum is the recorded one.
+    ``leftover`` need not exist. A chunk is added, by its position in the grid, where its checksum is right.
     """
     import numpy as np
 
-    folder, array = target.folder, target.array
-    if folder is None or leftover.is_symlink() or not leftover.is_dir():
+    if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
         return
+    folder = target.place.local / target.name
+    expected = math.prod(target.chunk) * target.dtype.itemsize
 
     def moved(position: tuple[int, ...]) -> int | None:
-        key = array.metadata.encode_chunk_key(position)
-        value = recorded(leftover, key)
-        if value is None:
-            return None
-        path = folder / key
-        _make_parents(folder, path)
+        key = target.key(position)
+        source = leftover / key
         try:
-            os.replace(leftover / key, path)
-        except FileNotFoundError:
+            if not stat.S_ISREG(os.lstat(source).st_mode):
+                return None
+            checksum = whole_chunk(source.read_bytes(), expected)
+        except OSError:
             return None
-        # the record follows before the chunk is read: after a kill in between both are taken up once more
-        os.replace(_record_of(leftover / key), _record_of(path))
-        try:
-            computed = checksum(np.asarray(array[target.region(position)]))
-        except Exception:  # a damaged chunk may raise anything that a codec raises
-            computed = None
-        if computed != value:
-            _record_of(path).unlink()
-            path.unlink()
-            return None
-        return value
+        if checksum is not None:
+            (folder / key).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, folder / key)
+        return checksum
 
-    grid = (-(-size // step) for size, step in zip(array.shape, target.chunk, strict=True))
+    grid = (-(-size // step) for size, step in zip(target.shape, target.chunk, strict=True))
     positions = [position for position in np.ndindex(*grid) if position not in finished]
     checksums = zip(positions, at_once(moved, positions, os.cpu_count() or 1), strict=True)
     finished.update((position, value) for position, value in checksums if value is not None)
 
 
-def is_mendable(error: BaseException) -> bool:
-    """Tell whether the same run may succeed later, so that its finished chunks are worth their room.
+def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
+    """Return the crc32c that ends a chunk, None where it does not match the rest.
 
-    So it is after an interruption, a full disk or memory, or lost workers; what is wrong with the data will
-    be wrong again, or come with other content.
+    ``decoded_bytes``: size that its blosc frame must declare, where it is known.
+
+    Examples
+    --------
+    >>> whole_chunk(b"") is None, whole_chunk(bytes(20)) is None
+    (True, True)
+    """
+    import google_crc32c
+
+    body, stored = encoded[:-4], int.from_bytes(encoded[-4:], "little")
+    if not body or int(google_crc32c.value(body)) != stored:
+        return None
+    if decoded_bytes is not None and int.from_bytes(body[4:8], "little") != decoded_bytes:
+        return None
+    return stored
+
+
+def is_mendable(error: BaseException) -> bool:
+    """Return whether the same run may succeed later, so that its finished chunks are worth their room.
+
+    It may after an interruption, a full disk or memory, or lost workers. An error in the data comes again, or
+    is mended by other data.
     """
     if isinstance(error, PaintError):
         return error.__cause__ is not None and is_mendable(error.__cause__)
     lost = type(error).__module__.partition(".")[0] == "distributed"
     return lost or not isinstance(error, Exception) or isinstance(error, OSError | MemoryError)
-
-
-def _record_of(path: Path) -> Path:
-    return path.with_name(f".{path.name}.done")
-
-
-def forget(folder: Path, key: str) -> None:
-    """Drop the record of a chunk, without which it is not taken up."""
-    _record_of(folder / key).unlink(missing_ok=True)
-
-
-def recorded(folder: Path, key: str) -> int | None:
-    """Return the recorded checksum of a chunk; None without one, or where anything is a link or a pipe."""
-    record = _record_of(folder / key)
-    try:
-        if plain_file(str(folder), key) is None:
-            return None
-        if plain_file(str(folder), record.relative_to(folder).as_posix()) is None:
-            return None
-        with open(record, "rb") as file:
-            match = _RECORD.fullmatch(file.read(300).decode("ascii", "replace"))
-    except (OSError, StoreError):
-        return None
-    return int(match[2], 16) if match is not None and match[1] == key else None
-
-
-def _make_parents(folder: Path, path: Path) -> None:
-    # step by step from the array's folder: a task that outlives its failed run must not make that again
-    for parent in reversed(path.relative_to(folder).parents[:-1]):
-        (folder / parent).mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Where blocks are computed: on threads or a cluster; errors name the block, a bar shows the progress.
+"""Compute blocks on threads or a cluster; errors name the block, a bar shows the progress.
 
 A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
 nodes fails for a moment now and then. The result of a block is fetched as soon as it is done, so that the
@@ -13,7 +13,7 @@ import contextlib
 import sys
 import time
 import traceback
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -44,8 +44,9 @@ class _Block:
     """One block to compute."""
 
     array: str
-    sums: tuple[slice, ...]  # Its place among the array's checksums
+    sums: tuple[slice, ...]  # Its place among the checksums of the array
     words: str  # Name its lines in messages
+    stage: int  # Stages are computed one after the other
 
 
 def compute(
@@ -60,26 +61,38 @@ def compute(
         block. Other errors of a task are raised as they are, with a note that names it.
     """
     import numpy as np
+    from dask.array.core import slices_from_chunks
     from dask.highlevelgraph import HighLevelGraph
 
     if not lazy:
         return {}
-    arrays = list(lazy.values())
+    # the blocks of a map are computed by rows of tiles, or by columns if it is wider than high
+    maps = [name for name in lazy if targets[name].dims[:2] == ("y", "x")]
+    axis = int(bool(maps) and targets[maps[0]].shape[1] > targets[maps[0]].shape[0])
+    size = max((max(lazy[name].chunks[axis]) * targets[name].chunk[axis] for name in maps), default=1)
     blocks: dict[Key, _Block] = {}
     for name, array in lazy.items():
-        blocks |= _blocks(name, array, targets[name])
+        target = targets[name]
+        called = "lines" if target.dims[0] == ALONG_TRACK else target.dims[0]
+        for index, region in zip(np.ndindex(array.numblocks), slices_from_chunks(array.chunks), strict=True):
+            first = region[0].start * target.chunk[0]
+            last = min(region[0].stop * target.chunk[0], target.shape[0]) - 1
+            stage = region[axis].start * target.chunk[axis] // size if name in maps else 0
+            words = f"{called} {first} to {last} of {name}"
+            blocks[(array.name, *index)] = _Block(name, region, words, stage)
+    arrays = list(lazy.values())
     merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
     # together: apart, what two arrays share would be fused into both
     graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
-    if client is None:
-        stages = _stages(blocks, targets)
-        results = _on_threads(scheduler_in_force(), graph, blocks, stages, group, progress=progress)
-    else:
-        results = _on_cluster(client, graph, blocks, group)
-        results = _with_bar(results, len(blocks)) if progress else results
-    with contextlib.closing(results):
+    with contextlib.ExitStack() as stack:
+        bar = stack.enter_context(BlockBar(len(blocks))) if progress else None
+        if client is None:
+            results = _on_threads(scheduler_in_force(), graph, blocks, group, bar)
+        else:
+            results = _on_cluster(client, graph, blocks, group, bar)
+        stack.enter_context(contextlib.closing(results))
         for key, value in results:
             sums[blocks[key].array][blocks[key].sums] = value
     return sums
@@ -92,10 +105,10 @@ def client_in_force() -> Client | None:
 
 
 def scheduler_in_force() -> Any:
-    """Return what dask computes arrays with.
+    """Return the scheduler with which dask computes arrays.
 
-    dask itself imports distributed to ask for a client, which takes a quarter of a second; where nobody has
-    imported it, there is none.
+    dask itself imports distributed to ask for a client, which takes a quarter of a second. Without that
+    import there is no client.
     """
     import dask
     import dask.threaded
@@ -111,8 +124,6 @@ def errors_of_the_cluster(what: str) -> Iterator[None]:
     """Turn lost workers, and a lost scheduler, into a StoreError; ``what`` opens the message."""
     try:
         yield
-    except PaintError:
-        raise
     except (Exception, *_CANCELLED) as error:
         reason = _cluster_failure(error)
         if reason is None:
@@ -120,110 +131,40 @@ def errors_of_the_cluster(what: str) -> Iterator[None]:
         raise StoreError(f"{what}: {reason}; {RUN_AGAIN}") from error
 
 
-# --- blocks ------------------------------------------------------------------------------------------------
-
-
-def _blocks(name: str, sums: da.Array, target: Target) -> dict[Key, _Block]:
-    """Return the blocks of an array by their keys in the graph."""
-    import numpy as np
-    from dask.array.core import slices_from_chunks
-
-    dim, *_ = target.array.metadata.dimension_names or ("row",)
-    called = "lines" if dim == ALONG_TRACK else dim
-    blocks = {}
-    for index, region in zip(np.ndindex(sums.numblocks), slices_from_chunks(sums.chunks), strict=True):
-        first = region[0].start * target.chunk[0]
-        last = min(region[0].stop * target.chunk[0], target.array.shape[0]) - 1
-        blocks[(sums.name, *index)] = _Block(name, region, f"{called} {first} to {last} of {name}")
-    return blocks
-
-
-def _stages(blocks: Mapping[Key, _Block], targets: Mapping[str, Target]) -> dict[Key, int]:
-    """Return when each block is computed: those of a map by rows of tiles, or by columns of a wide one."""
-    shapes = [
-        targets[block.array].array.shape for block in blocks.values() if _is_of_map(targets[block.array])
-    ]
-    if not shapes:
-        return dict.fromkeys(blocks, 0)
-    axis = int(shapes[0][1] > shapes[0][0])
-
-    def cells(block: _Block, edge: str) -> int:
-        return int(getattr(block.sums[axis], edge) * targets[block.array].chunk[axis])
-
-    of_map = {key: block for key, block in blocks.items() if _is_of_map(targets[block.array])}
-    size = max(cells(block, "stop") - cells(block, "start") for block in of_map.values())
-    return {key: cells(block, "start") // size if key in of_map else 0 for key, block in blocks.items()}
-
-
-def _is_of_map(target: Target) -> bool:
-    return (target.array.metadata.dimension_names or ())[:2] == ("y", "x")
-
-
-def _fed(graph: Mapping[Key, Any], blocks: Mapping[Key, _Block], key: Any) -> list[_Block]:
-    """Return the blocks that a task of the graph is needed for."""
-    from dask.core import get_deps
-
-    _, dependents = get_deps(dict(graph))
-    seen, pending = set(), [key]
-    while pending:
-        above = pending.pop()
-        if above not in seen:
-            seen.add(above)
-            pending.extend(dependents.get(above, ()))
-    return [block for name, block in blocks.items() if name in seen]
-
-
-def _place(group: str, blocks: Iterable[_Block]) -> str:
-    """Return words for a group's blocks; the group alone where the task was needed for many of them."""
-    listed = list(blocks)
-    words = dict.fromkeys(block.words for block in listed)
-    arrays = {block.array for block in listed}
-    return f"/{group}, {' and '.join(words)}" if 0 < len(words) == len(arrays) else f"/{group}"
-
-
-# --- threads -----------------------------------------------------------------------------------------------
-
-
 def _on_threads(
-    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], stages: Mapping[Key, int], group: str, *,
-    progress: bool,
-) -> Found:  # fmt: skip
+    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
+) -> Found:
     """Yield keys and checksums, a stage at a time; ``get`` is any scheduler of dask in this process."""
     from dask.callbacks import Callback
+    from dask.core import get_deps
+    from dask.local import execute_task
 
     from .stages import in_stages
 
-    with contextlib.ExitStack() as stack:
-        if progress:
-            bar = stack.enter_context(_bar(len(blocks)))
-            bar.advance(0)
+    def count(key: Any, *_: Any) -> None:
+        if bar is not None and key in blocks:
+            bar.advance()
 
-            def count(key: Any, *_: Any) -> None:
-                if key in blocks:
-                    bar.advance()
-
-            stack.enter_context(Callback(posttask=count))
-        try:
-            yield from in_stages(get, graph, stages)
-        except Exception as error:
-            failed = _failed_task(error)
-            _raise_named(error, _place(group, [] if failed is None else _fed(graph, blocks, failed)))
-
-
-def _failed_task(error: BaseException) -> Any:
-    """Return the key of the task that raised an error, None where it is not known."""
-    from dask.local import execute_task
-
-    for frame, _ in traceback.walk_tb(error.__traceback__):
-        if frame.f_code is execute_task.__code__:
-            return frame.f_locals.get("key")
-    return None
+    try:
+        with Callback(posttask=count):
+            yield from in_stages(get, graph, {key: block.stage for key, block in blocks.items()})
+    except Exception as error:
+        # the task that failed, and all blocks that need it
+        frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+        pending = [frame.f_locals.get("key") for frame in frames if frame.f_code is execute_task.__code__]
+        _, dependents = get_deps(graph)
+        needing: set[Any] = set()
+        while pending:
+            key = pending.pop()
+            if key not in needing:
+                needing.add(key)
+                pending.extend(dependents.get(key, ()))
+        _raise_named(error, group, [block for key, block in blocks.items() if key in needing])
 
 
-# --- cluster -----------------------------------------------------------------------------------------------
-
-
-def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str) -> Found:
+def _on_cluster(
+    client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
+) -> Found:
     """Yield keys and checksums as they come."""
     from distributed import as_completed
 
@@ -238,9 +179,11 @@ def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Blo
                 # a task's error comes with its type and traceback, a cancellation as it is
                 error = result[1] if isinstance(result, tuple) else result
                 hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
-                _raise_named(error, _place(group, [blocks[future.key]]), hint)
+                _raise_named(error, group, [blocks[future.key]], hint)
             # the cluster forgets what is fetched: a worker that dies takes no finished block with it
             del wanted[future.key]
+            if bar is not None:
+                bar.advance()
             yield future.key, result
     finally:
         # the cluster would remember failed tasks for as long as a traceback holds their futures, and another
@@ -250,16 +193,8 @@ def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Blo
                 client.cancel(list(wanted.values()), force=True)
 
 
-def _with_bar(results: Found, total: int) -> Found:
-    """Draw a bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
-    with contextlib.closing(results), _bar(total) as bar:
-        for each in results:
-            bar.advance()
-            yield each
-
-
 def _cluster_failure(error: BaseException) -> str | None:
-    """Return what happened to the cluster, None for an error of other origin."""
+    """Return words for a failure of the cluster, None for any other error."""
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
         last = getattr(getattr(error, "last_worker", None), "address", "unknown")
@@ -273,8 +208,12 @@ def _cluster_failure(error: BaseException) -> str | None:
     return None
 
 
-def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
-    """Raise a task's error so that it names the block; those of system, memory, cluster as StoreError."""
+def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:
+    """Raise the error of a task so that it names the blocks; of system, memory or cluster as StoreError."""
+    # one block an array; the group alone where many blocks need the task
+    words = dict.fromkeys(block.words for block in blocks)
+    few = 0 < len(words) == len({block.array for block in blocks})
+    place = f"/{group}, {' and '.join(words)}" if few else f"/{group}"
     reason = _cluster_failure(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
         reason = f"{type(error).__name__}: {error}{hint}; mend this"
@@ -295,6 +234,14 @@ class BlockBar:
         self._total, self._done, self._shown = total, 0, 0
         self._begun = time.perf_counter()
 
+    def __enter__(self) -> BlockBar:
+        self.advance(0)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.stdout.write("\n")  # an error is reported below the bar
+        sys.stdout.flush()
+
     def advance(self, blocks: int = 1) -> None:
         """Count blocks that are done, and draw."""
         from dask.utils import format_time
@@ -306,17 +253,7 @@ class BlockBar:
         text = f"[{bar:<{_WIDTH}}] | {percent}% Completed | {format_time(elapsed)}"
         if _FEWEST <= share < 1.0:
             text += f", {format_time(elapsed / share - elapsed).strip()} left"
-        # what a longer text has left would stay
-        sys.stdout.write(("\r" + " " * self._shown if len(text) < self._shown else "") + "\r" + text)
+        # blanks first: the end of a longer text would stay
+        sys.stdout.write("\r" + " " * self._shown + "\r" + text)
         sys.stdout.flush()
         self._shown = len(text)
-
-
-@contextlib.contextmanager
-def _bar(total: int) -> Iterator[BlockBar]:
-    """Yield a bar; an error is reported below it."""
-    try:
-        yield BlockBar(total)
-    finally:
-        sys.stdout.write("\n")
-        sys.stdout.flush()

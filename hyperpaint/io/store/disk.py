@@ -1,8 +1,8 @@
 """The disk under a store: its free space, files that survive a power failure, folders that change places.
 
-The kernel keeps written files in memory for half a minute or so. A group is therefore flushed, every file and
-folder of it, before it is sealed and before it gets its place; chunks begin to be written as soon as they are
-in their files, so that little is left to wait for at the end.
+The kernel keeps written files in memory for half a minute or so. All files and folders of a group are
+therefore flushed before it gets its place. The disk begins to write each chunk at once, so that little is
+left to wait for at the end.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import functools
 import math
 import os
 import shutil
@@ -18,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from hyperpaint.base.errors import PaintError, StoreError
 
@@ -46,8 +45,8 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
     """Return the bytes a group takes on disk at the most, margin included: as if it were all noise.
 
     Of a sample only the bits that can differ count: those up to the saturation of the counts, and the
-    mantissa that is kept of a rounded float, in whole bytes where these are shuffled (``"fast"``). What is
-    not noise takes less: real counts of 12 bits about half.
+    mantissa that is kept of a rounded float, in whole bytes where these are shuffled (``"fast"``). Data that
+    are not noise take less: real counts of 12 bits about half.
 
     Examples
     --------
@@ -58,37 +57,31 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
     """
     needed, blocks = 0.0, 16
     for name, variable in dataset.variables.items():
-        bits = 8 * variable.dtype.itemsize
-        noisy = _noise_bits(dataset, str(name))
+        # the bits of a sample that can differ
+        bits = noisy = 8 * int(variable.dtype.itemsize)
+        full = dataset.variables.get("saturation_count") if name == "counts" else None
+        if variable.dtype.kind == "f" and bits == 32 and "keep_bits" in variable.attrs:
+            noisy = min(bits, _SIGN_AND_EXPONENT + int(variable.attrs["keep_bits"]))
+        elif full is not None and full._in_memory and full.size == 1:
+            noisy = min(bits, math.ceil(math.log2(max(2.0, float(full.values.item()) + 1))))
         noisy = -(-noisy // 8) * 8 if codec == "fast" else noisy
-        share = min(1.0, noisy / bits + NOISE_SHARE) if bits else 1.0
-        needed += share * variable.nbytes
+        needed += variable.nbytes * (min(1.0, noisy / bits + NOISE_SHARE) if bits else 1.0)
+        # files and folders of chunks
         grid = zip(variable.shape, chunks_of(variable), strict=True)
-        chunks = math.prod(-(-size // step) for size, step in grid)
-        blocks += 4 * chunks + 4
+        blocks += 4 * math.prod(-(-size // step) for size, step in grid) + 4
     return int(MARGIN * needed) + blocks * _BLOCK
-
-
-def _noise_bits(dataset: xr.Dataset, name: str) -> int:
-    """Return how many bits of each sample of a variable can differ."""
-    variable = dataset.variables[name]
-    bits = 8 * int(variable.dtype.itemsize)
-    if variable.dtype.kind == "f" and bits == 32 and "keep_bits" in variable.attrs:
-        return min(bits, _SIGN_AND_EXPONENT + int(variable.attrs["keep_bits"]))
-    full = dataset.variables.get("saturation_count")
-    if name == "counts" and full is not None and full._in_memory and full.size == 1:
-        return min(bits, math.ceil(math.log2(max(2.0, float(full.values.item()) + 1))))
-    return bits
 
 
 def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
     """Refuse a store whose disk has less free space than ``needed`` bytes, with the figures.
 
     Neither the store nor the folders above need exist. The size of the folders ``begun``, which an
-    interrupted run left and this one takes up, is taken off.
+    interrupted run left and this one resumes, is taken off.
     """
-    free = _free(store)
-    left = needed - sum(_size(file) for folder in begun for file in folder.rglob("*"))
+    free, left = _free(store), needed
+    for file in (file for folder in begun for file in folder.rglob("*")):
+        with contextlib.suppress(OSError):  # another run clears it up
+            left -= file.stat().st_size if file.is_file() else 0
     if free is not None and left > free:
         raise StoreError(
             f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free; make "
@@ -104,25 +97,31 @@ def _free(store: Path) -> int | None:
     return None
 
 
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size if path.is_file() else 0
-    except OSError:  # another run clears it up
-        return 0
-
-
 @contextlib.contextmanager
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
     """Turn a full disk or memory, and files that cannot be used, into one readable error."""
+
+    def room() -> str:
+        needed = size_text(sum(map(disk_needed, groups.values())))
+        free = None if location.local is None else _free(location.local)
+        available = "" if free is None else f", {size_text(free)} are free now"
+        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}; make room"
+
     try:
         yield
     except PaintError as error:
-        cause = error.__cause__  # a block's error, which names the block
+        cause = error.__cause__  # the error of a block, which names the block
         if isinstance(cause, OSError) and cause.errno in _FULL:
-            raise StoreError(f"{error}; {_room(location, groups)}") from cause
+            raise StoreError(f"{error}; {room()}") from cause
         raise
     except OSError as error:
-        reason = _reason(error, location, groups)
+        reason, file = error.strerror or str(error), error.filename
+        if error.errno in _FULL:
+            reason += f"; {room()}"
+        elif file and location.local is not None and not _is_beside(file, location.local):
+            reason += f": {file}, which it is made from; mend this"
+        else:
+            reason += f"{f' ({file})' if file else ''}; mend this"
         raise StoreError(f"cannot write {location.url}: {reason} and {RUN_AGAIN}") from error
     except (MemoryError, RuntimeError) as error:
         # threads that cannot be started raise a RuntimeError
@@ -134,25 +133,8 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
         ) from error
 
 
-def _reason(error: OSError, location: Location, groups: Mapping[str, xr.Dataset]) -> str:
-    reason = error.strerror or str(error)
-    if error.errno in _FULL:
-        return f"{reason}; {_room(location, groups)}"
-    if error.filename and location.local is not None and not _is_beside(error.filename, location.local):
-        return f"{reason}: {error.filename}, which it is made from; mend this"
-    return f"{reason}{f' ({error.filename})' if error.filename else ''}; mend this"
-
-
-def _room(location: Location, groups: Mapping[str, xr.Dataset]) -> str:
-    """Return words for the room that groups need, and that there is."""
-    needed = size_text(sum(map(disk_needed, groups.values())))
-    free = None if location.local is None else _free(location.local)
-    available = "" if free is None else f", {size_text(free)} are free now"
-    return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}; make room"
-
-
 def _is_beside(file: object, store: Path) -> bool:
-    """Tell whether a file is in a store or in the folder where it is staged."""
+    """Return whether a file is in a store, or in the folder where it is staged."""
     if not isinstance(file, str | bytes):
         return False
     inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), os.path.abspath(store.parent))
@@ -181,7 +163,7 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
-    """Return what a function that waits for the disk makes of every item, some at a time.
+    """Return the results of a function that waits for the disk, for all items, some at a time.
 
     One after the other where the address space is limited: a thread would reserve some 70 MiB of it, which
     the plan of a run has given to its computing threads.
@@ -194,7 +176,7 @@ def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: 
 
 _HERE = -100  # AT_FDCWD
 _EXCHANGE = 2  # RENAME_EXCHANGE
-#: What kernels, sandboxes and file systems that do not know it answer.
+#: Answers of kernels, sandboxes and file systems that do not know it.
 _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
@@ -203,8 +185,9 @@ def exchange(one: Path, other: Path) -> bool:
 
     Linux can, on most local disks.
     """
-    rename = _renameat2()
-    if rename is None:
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError, TypeError):  # not Linux
         return False
     # as `os.rename` does: this is one
     sys.audit("os.rename", os.fspath(one), os.fspath(other), -1, -1)
@@ -214,17 +197,3 @@ def exchange(one: Path, other: Path) -> bool:
     if code in _UNKNOWN:
         return False
     raise OSError(code, os.strerror(code), os.fspath(one), None, os.fspath(other))
-
-
-@functools.cache
-def _renameat2() -> Any:
-    """Return the C library's function, None where there is none."""
-    if sys.platform != "linux":
-        return None
-    try:
-        function = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):
-        return None
-    function.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
-    function.restype = ctypes.c_int
-    return function

@@ -1,34 +1,18 @@
-"""The groups of a store: what writing one would lose, those around it, and the root's list of all metadata.
-
-Plain `xarray.open_zarr` reads the metadata of every group from the root's list; our readers ask each group.
-"""
+"""The groups of a store: their metadata, the list of all in the root, and what writing one would lose."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import itertools
 import json
-import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import IncompleteStoreError
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
-from .location import METADATA, Location, is_temporary, sync
-from .record import (
-    CHUNKS,
-    COMPLETE,
-    OWN_ATTRS,
-    PLACE,
-    SET,
-    GroupRecord,
-    metadata_checksum,
-    read_record,
-    sealed_attributes,
-)
+from .location import MANIFEST_NODE, METADATA, Location, joined
+from .manifest import OWN_ATTRS, Manifest, content_of, entry_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,9 +20,7 @@ if TYPE_CHECKING:
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
 """Attributes that say when, not what: they do not make another content."""
 
-INPUTS = "inputs_digest"
-"""Attribute of what `process` writes: names the inputs and parameters. In what a user made of that it would
-say so no longer, and is left out."""
+_LISTED = {"kind": "inline", "must_understand": False}
 
 
 def groups_above(group: str) -> list[str]:
@@ -47,7 +29,7 @@ def groups_above(group: str) -> list[str]:
     return ["/".join(parts[:depth]) for depth in range(len(parts))]
 
 
-def stamped(attrs: Any, action: str) -> dict[str, Any]:
+def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
     """Return attributes with format, version, time and one more line of history."""
     import datetime
 
@@ -74,148 +56,60 @@ def version_of_program() -> str:
         return "unknown"
 
 
-@contextlib.contextmanager
-def without_known_warnings() -> Iterator[None]:
-    """Silence the one known warning: consolidated metadata are not in the v3 specification."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
-        yield
-
-
-def make_groups_above(group: str, location: Location) -> None:
-    """Make the groups that a group is in, where they are missing."""
-    for above in groups_above(group):
-        if location.metadata(above) is None:
-            _write_group(above, stamped({}, "created"), location)
-
-
-def has_all_chunks(location: Location, group: str, record: GroupRecord) -> bool:
-    """Tell whether every chunk of a finished group has its file; none is read."""
-    for name, array in record.arrays.items():
-        present = location.files(f"{group}/{name}" if group else name)
-        places = itertools.product(*map(range, array.grid))
-        if not all("/".join(("c", *map(str, place))) in present for place in places):
-            return False
-    return True
-
-
-def is_damaged(group: str, location: Location) -> bool:
-    """Tell whether there is metadata of a group that cannot be read; a link or pipe there is a StoreError."""
-    try:
-        location.metadata(group)
-    except IncompleteStoreError:
-        return True
-    return False
-
-
-def rebuild_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the metadata of damaged or missing groups without arrays anew; what is in them stays."""
-    for group in groups:
-        _write_group(group, stamped({}, "rebuilt"), location)
-
-
-def _write_group(group: str, attributes: Mapping[str, Any], location: Location) -> None:
-    """Write the metadata of a group without arrays: there whole or not at all, even after a power cut."""
-    if location.local is not None:
-        (location.local / group).mkdir(parents=True, exist_ok=True)
+def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the ``zarr.json`` of a group."""
     plain = json.loads(json.dumps(attributes, default=lambda value: value.tolist()))
-    node = {"attributes": sealed_attributes(plain), "zarr_format": 3, "node_type": "group"}
-    location.write_json(node, group, METADATA)
-    if location.local is not None:
-        sync((location.local / group).absolute().parent)
+    return {"attributes": plain, "zarr_format": 3, "node_type": "group"}
 
 
-def announce(text: str, groups: Collection[str], location: Location) -> None:
-    """Write the root record into the root, before the first of ``groups`` gets its place.
-
-    Consolidated metadata that list one of them are dropped: they would describe the old one.
-    """
-    document = location.read_json("", METADATA)
-    if document is None:
-        _write_group("", {**stamped({}, "created"), SET: text}, location)
-        return
-    listed = (document.get("consolidated_metadata") or {}).get("metadata", {})
-    others = {key: value for key, value in document.items() if key != "consolidated_metadata"}
-    kept = document if listed.keys().isdisjoint(groups) else others
-    announced = {**kept, "attributes": {**kept.get("attributes", {}), SET: text}}
-    if announced != document:
-        location.write_json(announced, METADATA)
+def ensure_groups(groups: Iterable[str], location: Location) -> None:
+    """Write the metadata of groups where they are missing or damaged; what is in the groups stays."""
+    for group in groups:
+        try:
+            if location.metadata(group) is not None:
+                continue
+        except IncompleteStoreError:
+            pass
+        location.write_json(group_document(stamped({}, "created")), group, METADATA)
 
 
-def finish_root(attrs: Mapping[str, dict[str, Any]], text: str, location: Location) -> None:
-    """Set the attributes of groups without variables (by group), then list all metadata in the root.
-
-    ``text`` is the root record, empty where the root holds the only group.
-    """
-    for group, wanted in attrs.items():
-        make_groups_above(group, location)
-        node = location.metadata(group)
-        if node is None or not _has_attrs(node, wanted):
-            stored = (node or {}).get("attributes", {})
-            _write_group(group, {**stored, **stamped({**stored, **_plain(wanted)}, "to_store")}, location)
-    document = _consolidated(location)
-    if text:
-        document["attributes"] = {**document.get("attributes", {}), SET: text}
-    location.write_json(document, METADATA)
+def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> None:
+    """Set attributes of a group without arrays, unless it has them."""
+    stored = location.attributes(group)
+    if not has_attributes(group, wanted, location):
+        attributes = {**stored, **stamped({**stored, **wanted}, "to_store")}
+        location.write_json(group_document(attributes), group, METADATA)
 
 
-def _consolidated(location: Location) -> dict[str, Any]:
-    """Return the root's metadata with those of all nodes in it.
-
-    zarr does it, to a copy of the metadata in memory: what it writes to a disk itself a power cut could tear.
-    """
-    import zarr
-    from zarr.core.buffer import default_buffer_prototype
-
-    copied: dict[str, Any] = {}
-    pending = [""]
-    while pending:
-        path = pending.pop()
-        document = location.metadata(path)
-        if document is None:
-            continue
-        raw = json.dumps(document).encode()
-        copied[f"{path}/{METADATA}".lstrip("/")] = default_buffer_prototype().buffer.from_bytes(raw)
-        if document.get("node_type") == "group":
-            pending += [f"{path}/{child}".lstrip("/") for child in location.folders(path)]
-    with without_known_warnings():
-        zarr.consolidate_metadata(zarr.storage.MemoryStore(copied), zarr_format=3)
-    return dict(json.loads(copied[METADATA].to_bytes()))
+def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> bool:
+    """Return whether a group is there with these attributes, those of the time of writing left out."""
+    if not location.has(group, METADATA):
+        return False
+    stored, plain = location.attributes(group), group_document(wanted)["attributes"]
+    others = {key: value for key, value in plain.items() if key not in VOLATILE_ATTRS}
+    return all(key in stored and stored[key] == value for key, value in others.items())
 
 
-def _plain(attrs: dict[str, Any]) -> dict[str, Any]:
-    """Return attributes as JSON holds them."""
-    import numpy as np
-
-    return {
-        key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        for key, value in attrs.items()
-    }
-
-
-def _has_attrs(node: dict[str, Any], wanted: dict[str, Any]) -> bool:
-    stored = node.get("attributes", {})
-    return all(
-        key in stored and stored[key] == value
-        for key, value in _plain(wanted).items()
-        if key not in VOLATILE_ATTRS
-    )
+def listed_documents(location: Location) -> dict[str, Any]:
+    """Return the metadata of nodes by path that the root lists; none where it lists none."""
+    try:
+        root = location.read_json("", METADATA) or {}
+    except IncompleteStoreError:
+        return {}
+    listed = root.get("consolidated_metadata")
+    documents = listed.get("metadata") if isinstance(listed, dict) else None
+    return dict(documents) if isinstance(documents, dict) else {}
 
 
-def is_listed(groups: Iterable[str], attrs: Mapping[str, dict[str, Any]], location: Location) -> bool:
-    """Tell whether the root's consolidated metadata and attributes are up to date."""
-    root = location.read_json("", METADATA) or {}
-    listed = (root.get("consolidated_metadata") or {}).get("metadata", {})
-    for group, wanted in attrs.items():
-        node = location.metadata(group)
-        if node is None or not _has_attrs(node, wanted) or (group and group not in listed):
-            return False
-    records = {group: read_record(location, group) for group in groups}
-    return None not in records.values() and all(
-        metadata_checksum(listed.get(f"{group}/{name}".lstrip("/"), {})) == array.metadata
-        for group, record in records.items()
-        for name, array in (record.arrays.items() if record else ())
-    )
+def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the root's metadata with those of all nodes in it, as zarr consolidates them."""
+    listed = {}
+    for path in sorted(documents, key=lambda path: (path.count("/"), path)):
+        document = {key: value for key, value in documents[path].items() if key != "consolidated_metadata"}
+        if document["node_type"] == "group":
+            document["consolidated_metadata"] = {**_LISTED, "metadata": {}}
+        listed[path] = document
+    return {**root, "consolidated_metadata": {**_LISTED, "metadata": listed}}
 
 
 # --- what writing a group would lose -----------------------------------------------------------------------
@@ -226,106 +120,77 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
 
     With ``overwrite``, damaged metadata may be written anew.
     """
-    if _is_foreign(location):
+    entries = location.entries("")
+    file = location.local is not None and location.local.is_file()
+    # without the root's metadata it is still a store where it has a manifest
+    if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
         return ["it exists and is not a Zarr v3 store; choose another path"]
-    outer = _store_around(location)
-    if outer:
-        return [f"it lies in the store {outer}; write a group of that, or choose another path"]
-    return [
-        f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write them "
-        "anew, the groups in it stay"
-        for group in ([] if overwrite else damaged_groups(groups, location))
-    ]
-
-
-def _store_around(location: Location) -> str:
-    """Return the store that a path lies in, which would be damaged: an array, or a group that none wrote."""
     parents = [] if location.local is None else location.local.absolute().parents
-    return next((str(parent) for parent in parents if (parent / METADATA).is_file()), "")
+    if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
+        return [f"it lies in the store {outer[0]}; write a group of that, or choose another path"]
+    problems = []
+    for group in groups:
+        try:
+            damaged = location.metadata(group) is None and not group and bool(entries)
+        except IncompleteStoreError:
+            damaged = True
+        if damaged and not overwrite:
+            problems.append(
+                f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write "
+                "them anew, the groups in it stay"
+            )
+    return problems
 
 
-def damaged_groups(groups: Iterable[str], location: Location) -> list[str]:
-    """Return the groups whose metadata cannot be read; the root also where they are missing in a store."""
-    return [
-        group
-        for group in groups
-        if is_damaged(group, location)
-        or (not group and location.metadata("") is None and _entries(location, ""))
-    ]
-
-
-def occupant(group: str, token: str, location: Location) -> str:
-    """Return what is in a group's place; ``token`` names the content that is to be written.
+def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
+    """Return what is in a group's place; ``content`` names what is to be written.
 
     Nothing (""), the "same" content, which perhaps "lacks chunks", a "parent" of what is not part of it, an
     "array", or in words that go into a sentence what else.
     """
-    if any(_is_array(location, each) for each in (*groups_above(group), group) if each):
+    from .reader import check_entry
+
+    kinds = [location.kind(each) for each in (*groups_above(group)[1:], group)]
+    if "array" in kinds:
         return "array"
-    try:
-        metadata = location.metadata(group)
-        record = read_record(location, group)
-    except IncompleteStoreError:  # damaged: to be replaced
-        metadata, record = {}, None
-    if metadata is None and not _entries(location, group):
+    entries = [name for name in location.entries(group) if name != MANIFEST_NODE or group]
+    if not kinds[-1] and not entries:
         return ""
-    if record is not None and record.token == token and _lies_at(metadata, group):
-        return "same" if has_all_chunks(location, group, record) else "lacks chunks"
-    below = (f"{group}/{child}" if group else child for child in location.folders(group))
-    strays = location.strays(group) if group else []
-    if strays or not all(_is_array(location, path) for path in below):
+    stored, lacks = content_of(location, group, manifest), False
+    if stored == content:
+        try:
+            if manifest is None:
+                entry_of(location, group)
+            else:
+                check_entry(location, group, manifest)
+            return "same"
+        except StoreError:
+            lacks = True
+    # arrays, damaged ones too, are parts of the group; all else would be lost
+    children = {name: location.kind(joined(group, name)) for name in location.folders(group)}
+    children.pop("" if group else MANIFEST_NODE, None)
+    arrays = {
+        name
+        for name, kind in children.items()
+        if kind == "array" or (kind == "unreadable" and location.has(group, name, "c"))
+    }
+    if len(arrays) < len(children) or (group and location.strays(group)):
         return "parent"
-    return "was never finished or is damaged" if record is None else "with other content"
-
-
-def _lies_at(metadata: Mapping[str, Any] | None, group: str) -> bool:
-    """Tell whether a group's own record says that it belongs where it is."""
-    return ((metadata or {}).get("attributes") or {}).get(PLACE) == f"/{group}"
-
-
-def _is_foreign(location: Location) -> bool:
-    """Tell whether something else than a store is in its place."""
-    if not location.has("") or location.has("", METADATA):
-        return False
-    if location.local is not None and not location.local.is_dir():
-        return True
-    # without the root's metadata it is still one where it holds a group of its own, and nothing else
-    return bool(_entries(location, "")) and (
-        bool(location.strays("")) or not any(_is_own(location, group) for group in location.groups())
-    )
-
-
-def _is_own(location: Location, group: str) -> bool:
-    """Tell whether a group was finished where it is: a calibration in a folder is a store of its own."""
-    metadata = location.metadata(group) or {}
-    attributes = metadata.get("attributes") or {}
-    return COMPLETE in attributes and (PLACE not in attributes or _lies_at(metadata, group))
-
-
-def _entries(location: Location, group: str) -> list[str]:
-    """Return the names in a group's folder, without what a killed writer left half-written."""
-    try:
-        listed = location.fs.ls(location.key(group), detail=False)
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-    names = (str(entry).rstrip("/").rpartition("/")[2] for entry in listed)
-    return [name for name in names if not is_temporary(name)]
-
-
-def _is_array(location: Location, path: str) -> bool:
-    """Tell whether a folder is an array's: from its metadata or, where they are damaged, its record."""
-    metadata = None if is_damaged(path, location) else location.metadata(path)
-    if metadata is not None:
-        return metadata.get("node_type") == "array"
-    return location.has(path, CHUNKS)
+    entry = manifest.groups.get(group) if manifest is not None else None
+    added = sorted(arrays - set(entry.arrays)) if entry is not None else []
+    if lacks and added:
+        return f"lacks chunks, and holds {', '.join(added)}, which others added"
+    if lacks:
+        return "lacks chunks"
+    return "with other content" if stored else "was not written by this version of hyperpaint"
 
 
 #: Where arrays that wrap others keep them: xarray's adapters, its zarr wrapper, ours.
 _INNER = ("array", "_array", "variable", "_data")
 
 
-def reads_from(dataset: xr.Dataset, location: Location, group: str) -> list[str]:
-    """Return the variables that are still read, lazily, from a group of a store."""
+def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
+    """Return the variables that are still read, lazily, from a group of a store or store object of zarr."""
     return [
         str(name)
         for name, variable in dataset.variables.items()
@@ -334,13 +199,11 @@ def reads_from(dataset: xr.Dataset, location: Location, group: str) -> list[str]
 
 
 def is_named_by_content(variable: xr.Variable) -> bool:
-    """Tell whether dask's name for a variable changes with what is stored in the Zarr arrays it reads.
+    """Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
 
-    Names follow the URL, and the time of the root folder at best: a source that is rewritten keeps them. Only
-    those of our finished groups follow the content.
+    Names follow the URL and the time of the root folder; those of `named_stores` follow the content.
     """
-    stores = (array.store_path.store for array in _zarr_arrays(variable))
-    return all(getattr(store, "record", None) is not None for store in stores)
+    return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
 
 
 def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
@@ -392,8 +255,10 @@ def _names(thing: Any) -> set[str]:
     return slots | set(getattr(thing, "__dict__", ()))
 
 
-def _lies_in(array: Any, location: Location, group: str) -> bool:
+def _lies_in(array: Any, location: Any, group: str) -> bool:
     place = array.store_path
+    if not isinstance(location, Location):
+        return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
     root = getattr(place.store, "root", None)  # local stores
     if location.local is not None:
         if root is None:

@@ -1,6 +1,6 @@
 """Layout on disk: chunks, codec, fill values and encodings of every variable.
 
-One rule for every group, so that what `xarray.open_zarr` shows a user is what one task computes on:
+One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk that one task computes on:
 
 * an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
   looking at, `"explore"`, a cube into groups of bands as well; for pages, `"web"`, into small tiles;
@@ -68,26 +68,23 @@ def storage_chunks(
     >>> storage_chunks(("band", "cross_track"), (272, 640), 4)
     (272, 640)
     """
-    chunks = [max(1, size) for size in shape]
-    if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= set(dims) or {"y", "x"} <= set(dims)):
-        side = WEB_CUBE if BAND in dims else WEB_PLANE
-        places = (ALONG_TRACK, CROSS_TRACK, "y", "x")
-        chunks = [min(c, side) if dim in places else c for dim, c in zip(dims, chunks, strict=True)]
-    elif ALONG_TRACK in dims and len(dims) > 1:
-        axis = dims.index(ALONG_TRACK)
-        chunks[axis] = min(chunks[axis], CHUNK_LINES)
-        if layout == "explore" and {BAND, CROSS_TRACK} <= set(dims):
-            chunks[dims.index(BAND)] = -(-chunks[dims.index(BAND)] // BAND_GROUPS)
-    elif "coarse_y" in dims and BAND in dims:
-        chunks[dims.index("coarse_y")] = min(chunks[dims.index("coarse_y")], TILE)
-        chunks[dims.index(BAND)] = -(-chunks[dims.index(BAND)] // BAND_GROUPS)
-    elif "y" in dims and "x" in dims:
-        for name in ("y", "x"):
-            chunks[dims.index(name)] = min(chunks[dims.index(name)], TILE)
-    elif len(dims) > 1 and math.prod(chunks) * itemsize > LARGEST_SINGLE_CHUNK:
-        row = math.prod(chunks[1:]) * itemsize
-        chunks[0] = min(chunks[0], max(1, SPLIT_CHUNK // row))
-    return tuple(chunks)
+    sizes = dict(zip(dims, shape, strict=True))
+    # the largest size along each dim; all of it along others
+    most: dict[Hashable, int] = {}
+    if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= sizes.keys() or {"y", "x"} <= sizes.keys()):
+        side = WEB_CUBE if BAND in sizes else WEB_PLANE
+        most = dict.fromkeys((ALONG_TRACK, CROSS_TRACK, "y", "x"), side)
+    elif ALONG_TRACK in sizes and len(dims) > 1:
+        most = {ALONG_TRACK: CHUNK_LINES}
+        if layout == "explore" and {BAND, CROSS_TRACK} <= sizes.keys():
+            most[BAND] = -(-sizes[BAND] // BAND_GROUPS)
+    elif "coarse_y" in sizes and BAND in sizes:
+        most = {"coarse_y": TILE, BAND: -(-sizes[BAND] // BAND_GROUPS)}
+    elif "y" in sizes and "x" in sizes:
+        most = {"y": TILE, "x": TILE}
+    elif len(dims) > 1 and math.prod(shape) * itemsize > LARGEST_SINGLE_CHUNK:
+        most = {dims[0]: SPLIT_CHUNK // (math.prod(shape[1:]) * itemsize)}
+    return tuple(max(1, min(size, most.get(dim, size))) for dim, size in zip(dims, shape, strict=True))
 
 
 def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
@@ -118,8 +115,8 @@ def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
 def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     """Return dask chunks along one dim that start at multiples of the storage chunk.
 
-    Borders move down to the next multiple of ``step``; those that meet become one. What is aligned already
-    comes back unchanged, so nothing is recomputed or moved without need. ``pieces``: dask chunks along the
+    Borders move down to the next multiple of ``step``; borders that meet become one. Aligned chunks come back
+    unchanged, so nothing is recomputed or moved without need. ``pieces``: dask chunks along the
     dim; ``step``: storage chunk along it.
 
     Examples
@@ -137,7 +134,7 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
-    """Return what a missing chunk reads as: never a value that could be taken for data, where one exists.
+    """Return the value that a missing chunk reads as: where possible one that cannot be taken for data.
 
     NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
     and strings have no such value, for them `hyperpaint.verify` is the only protection.
@@ -163,7 +160,7 @@ def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, di
     Parameters
     ----------
     dataset
-        What will be written; reads dims, shapes and dtypes only.
+        The dataset to write; only dims, shapes and dtypes are read.
     codec
         As that of `to_store`.
 
@@ -213,27 +210,52 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
 
     StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
+    import dask.array as da
+    import numpy as np
     import xarray as xr
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
-    _check_attrs("the dataset", dataset.attrs, problems)
+    owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
+    for owner, attrs in {"the dataset": dataset.attrs, **owners}.items():
+        for key, value in attrs.items():
+            if not isinstance(key, str) or not _is_plain(value):
+                problems.add(
+                    f"attribute {key!r} of {owner} is a {type(value).__name__}; expected text, numbers, "
+                    "lists or dicts of them (write times as ISO text)"
+                )
     for name, variable in dataset.variables.items():
-        _check_name(name, problems)
-        _check_attrs(f"{name!r}", variable.attrs, problems)
+        if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
+            problems.add(f"variable name {name!r}; expected text without '/' that starts with no '.' or '__'")
         if variable.dtype.kind not in "biufcmMUOT":
             problems.add(f"{name!r} has dtype {variable.dtype}; expected numbers, booleans, times or text")
-        elif variable.dtype.kind == "O" and (wrong := _not_text(variable)):
-            problems.add(f"{name!r} holds Python objects ({wrong}); expected text, or a numeric dtype")
+        elif variable.dtype.kind == "O" and variable._in_memory:
+            wrong = {type(each).__name__ for each in np.ravel(variable.values) if not isinstance(each, str)}
+            if wrong:
+                found = ", ".join(sorted(wrong))
+                problems.add(f"{name!r} holds Python objects ({found}); expected text, or a numeric dtype")
     multi = xr.indexes.PandasMultiIndex
     for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
         problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
     problems.raise_if_any()
     layouts = layouts_of(dataset)
     prepared = dataset.drop_encoding()
-    for name, layout in layouts.items():
-        prepared.variables[name].encoding = {_LAYOUT: layout}
-    changed = {name: _prepared(variable) for name, variable in prepared.variables.items()}
-    replaced = {name: new for name, new in changed.items() if new is not prepared.variables[name]}
+    replaced = {}
+    for name, variable in prepared.variables.items():
+        if name in layouts:
+            variable.encoding = {_LAYOUT: layouts[name]}
+        if variable.dtype.kind in "UT":
+            # fixed-length text has no place in the Zarr v3 specification
+            replaced[name] = variable.astype(object)
+        elif is_at_hand(variable) and isinstance(variable.data, da.Array) and variable.size:
+            # dask chunks that begin at storage chunks
+            chunks = tuple(
+                regroup(pieces, step) if step < size else (size,)
+                for pieces, step, size in zip(
+                    variable.data.chunks, chunks_of(variable), variable.shape, strict=True
+                )
+            )
+            if chunks != variable.data.chunks:
+                replaced[name] = variable.copy(data=variable.data.rechunk(chunks))
     return with_variables(prepared, replaced, prepared.coords)
 
 
@@ -245,70 +267,28 @@ def with_variables(
     return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
 
 
-def _prepared(variable: xr.Variable) -> xr.Variable:
-    import dask.array as da
-
-    if variable.dtype.kind in "UT":
-        # fixed-length text has no place in the Zarr v3 specification
-        return variable.astype(object)
-    if not is_at_hand(variable) or not isinstance(variable.data, da.Array) or not variable.size:
-        return variable
-    step = chunks_of(variable)
-    chunks = tuple(
-        regroup(pieces, each) if each < size else (size,)
-        for pieces, each, size in zip(variable.data.chunks, step, variable.shape, strict=True)
-    )
-    return variable if chunks == variable.data.chunks else variable.copy(data=variable.data.rechunk(chunks))
-
-
 def is_at_hand(variable: xr.Variable) -> bool:
-    """Tell whether ``variable.data`` costs nothing: a lazy file-backed array would be read whole."""
+    """Return whether ``variable.data`` costs nothing: a lazy file-backed array would be read whole."""
     import dask
 
     return dask.is_dask_collection(variable) or bool(variable._in_memory)
 
 
-def _not_text(variable: xr.Variable) -> str | None:
-    import numpy as np
-
-    if not variable._in_memory:
-        return None
-    odd = {type(value).__name__ for value in np.ravel(variable.values) if not isinstance(value, str)}
-    return ", ".join(sorted(odd)) or None
-
-
-def _check_name(name: Hashable, problems: Problems) -> None:
-    if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
-        problems.add(f"variable name {name!r}; expected text without '/' that starts with no '.' or '__'")
-
-
-def _check_attrs(owner: str, attrs: Mapping[Any, Any], problems: Problems) -> None:
-    for key, value in attrs.items():
-        if not isinstance(key, str) or not _is_plain(value):
-            kind = type(value).__name__
-            problems.add(
-                f"attribute {key!r} of {owner} is a {kind}; expected text, numbers, lists or dicts of them "
-                "(write times as ISO text)"
-            )
-
-
 def _is_plain(value: Any, depth: int = 0) -> bool:
     import numpy as np
 
-    if value is None or isinstance(value, str | bool | int | float | np.bool | np.integer | np.floating):
-        return True
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "biufU"
-    if depth > 20:
-        return False
     if isinstance(value, Mapping):
-        return all(isinstance(k, str) and _is_plain(v, depth + 1) for k, v in value.items())
-    return isinstance(value, list | tuple) and all(_is_plain(v, depth + 1) for v in value)
+        return depth <= 20 and all(isinstance(k, str) and _is_plain(v, depth + 1) for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return depth <= 20 and all(_is_plain(each, depth + 1) for each in value)
+    return value is None or isinstance(value, str | bool | int | float | np.bool | np.integer | np.floating)
 
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    """Return what makes a blosc frame of an array: the package ``blosc`` where it is there, else numcodecs.
+    """Return a function that makes a blosc frame of an array: of the package ``blosc``, or else numcodecs.
 
     Both make the same bytes; the first has the wider instructions of newer processors. Many tasks encode at
     once, one thread each.

@@ -1,4 +1,4 @@
-"""Where a store lies: a local folder, or a URL of fsspec."""
+"""Where a store lies: a local folder, a zip file, a URL of fsspec, or a store object of zarr."""
 
 from __future__ import annotations
 
@@ -14,36 +14,44 @@ from typing import Any
 
 from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, StoreError
 
-from .documents import MOST_JSON_BYTES, parse_document
-
 METADATA = "zarr.json"
 
-MOST_DEPTH = 16
+MANIFEST_NODE = "hyperpaint"
+"""Group of the root whose attributes are the manifest; see `manifest`."""
+
+MAX_METADATA_BYTES = 32 * 2**20
+"""Largest metadata document: a collect of 60 lines has 2 MB of them in its root, one of 1000 lines 30."""
+
+MAX_VALUES = 1_000_000
+"""Objects, lists and separators of a metadata document; each costs many times its size in memory."""
+
+MAX_DEPTH = 16
 """Groups within groups; `process` nests two."""
 
-MOST_NODES = 50_000
-"""Groups and arrays of a store, and folders of a group: some 1,600 flight lines."""
-
-_HEAD_BYTES = 2**20
-"""What is read of the root for its attributes: the record of 1,600 lines has a quarter of it."""
-
-_ATTRIBUTES = re.compile(rb'\s*\{\s*"attributes"\s*:\s*(?=\{)')
-
-_MOST_FOLDERS_DEEP = 40
-"""Folders within an array's folder: one for each of its dims, which are 32 at the most."""
+MAX_NODES = 50_000
+"""Groups and arrays of a store, and entries of a group: some 1,600 flight lines."""
 
 
 def clean_group(group: str | None) -> str:
     """Return a group's path without slashes around it (the root is ``""``), or raise a StoreError."""
     parts = [part for part in (group or "").split("/") if part]
-    if any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts):
-        raise StoreError(f"group {group!r}: expected names without a leading '.' or '__' between slashes")
+    wrong = any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts)
+    if wrong or parts[:1] == [MANIFEST_NODE]:
+        raise StoreError(
+            f"group {group!r}: expected names without a leading '.' or '__' between slashes, the first of "
+            f"them not {MANIFEST_NODE!r}"
+        )
     return "/".join(parts)
+
+
+def joined(*parts: str) -> str:
+    """Return a path of the parts that are not empty."""
+    return "/".join(part for part in parts if part)
 
 
 @dataclass(frozen=True)
 class Location:
-    """A store's place."""
+    """A store's place: metadata and chunks are read and written by their keys."""
 
     url: str  # What zarr and xarray open
     root: str  # Path inside the file system ``fs``
@@ -59,7 +67,13 @@ class Location:
         """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
-        text = os.fspath(path)
+        try:
+            text = os.fspath(path)
+        except TypeError:
+            raise StoreError(
+                f"a store is named by its folder or URL here, not by {type(path).__name__}",
+                mend="open it by open_store(store, group) or xarray.open_zarr(store, group=group)",
+            ) from None
         if "::" in text or "\0" in text:
             # dask:: would start a cluster, and others copy or unpack what they are given
             what = "a chained URL" if "::" in text else "a name with a NUL character"
@@ -79,80 +93,98 @@ class Location:
             return cls(str(folder), str(folder), fs, folder)
         return cls(text.rstrip("/"), str(root).rstrip("/"), fs, None)
 
-    def key(self, group: str, *parts: str) -> str:
+    def key(self, *parts: str) -> str:
         """Return a path inside the file system."""
-        return "/".join(part for part in (self.root, group, *parts) if part)
+        return joined(self.root, *parts)
 
     def group_url(self, group: str) -> str:
         """Return what zarr opens for a group."""
-        return f"{self.url}/{group}" if group else self.url
+        return joined(self.url, group)
 
-    def has(self, group: str, *parts: str) -> bool:
-        """Tell whether a file or folder is there."""
-        return bool(self.fs.exists(self.key(group, *parts)))
+    def has(self, *parts: str) -> bool:
+        """Return whether a file or folder is there."""
+        if self.local is not None:
+            return os.path.exists(self.key(*parts))
+        return bool(self.fs.exists(self.key(*parts)))
 
-    def read(self, group: str, *parts: str, head_bytes: int | None = None) -> bytes | None:
-        """Return a small file's bytes; None without such a file, StoreError where it may not be read.
-
-        ``head_bytes``: of a file of any size, so many from its begin.
-        """
-        key = self.key(group, *parts)
+    def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
+        """Return a file's bytes, None where there is none; `StoreError` above ``limit`` bytes."""
+        key = self.key(*parts)
         try:
             if self.local is not None:
-                if plain_file(self.root, key[len(self.root) :].lstrip("/")) is None:
-                    return None
-            elif ".." in key.split("/"):
-                raise StoreError(f"{key} leads out of the store")
-            if head_bytes is not None:
-                return bytes(self.fs.cat_file(key, start=0, end=head_bytes))
-            if self.fs.size(key) > MOST_JSON_BYTES:
-                raise IncompleteStoreError(
-                    f"{key} is larger than {MOST_JSON_BYTES} bytes, which no metadata of a store is"
-                )
+                mode = os.stat(key).st_mode
+                if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe would wait for ever
+                    raise IncompleteStoreError(f"{key:.200} is no plain file")
+            size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
+            if limit is not None and size > limit:
+                raise IncompleteStoreError(f"{key} has {size} bytes, expected metadata of at most {limit}")
+            if self.local is not None:
+                return Path(key).read_bytes()
             return bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
         except OSError as error:
+            if isinstance(error, StoreError):
+                raise
             raise StoreError(f"{key:.200} cannot be read: {error.strerror or error}") from error
 
-    def read_json(self, group: str, *parts: str) -> dict[str, Any] | None:
+    def read_json(self, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
-        raw = self.read(group, *parts)
-        return None if raw is None else parse_document(raw, self.key(group, *parts))
-
-    def root_attributes(self) -> dict[str, Any]:
-        """Return the attributes of the root, without its list of all metadata, which is long and follows."""
-        head = self.read("", METADATA, head_bytes=_HEAD_BYTES) or b""
-        if (match := _ATTRIBUTES.match(head)) is not None:
-            try:
-                attributes = json.JSONDecoder().raw_decode(head[match.end() :].decode(errors="ignore"))[0]
-            except (ValueError, RecursionError):
-                pass  # longer than that, or damaged
-            else:
-                return dict(attributes)
-        attributes = (self.read_json("", METADATA) or {}).get("attributes")
-        return attributes if isinstance(attributes, dict) else {}
-
-    def metadata(self, group: str, *parts: str) -> dict[str, Any] | None:
-        """Return the ``zarr.json`` of a node without consolidated metadata; None where there is no node."""
-        document = self.read_json(group, *parts, METADATA)
-        if document is not None:
-            document.pop("consolidated_metadata", None)
+        raw = self.read(*parts)
+        if raw is None:
+            return None
+        if len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES:
+            raise IncompleteStoreError(f"{self.key(*parts)} has more than {MAX_VALUES} values")
+        try:
+            document = json.loads(raw)
+        except (ValueError, RecursionError) as error:
+            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: {error!s:.200}") from None
+        if not isinstance(document, dict):
+            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: expected a JSON object")
         return document
 
-    def write_json(self, document: dict[str, Any], *parts: str, durable: bool = True) -> None:
-        """Write a JSON object, on a local disk so that it is there whole or not at all.
+    def metadata(self, path: str) -> dict[str, Any] | None:
+        """Return the ``zarr.json`` of a node without consolidated metadata; None where there is no node."""
+        document = self.read_json(path, METADATA)
+        if document is not None:
+            document.pop("consolidated_metadata", None)
+            if not isinstance(document.get("attributes", {}), dict):
+                raise IncompleteStoreError(f"{self.key(path, METADATA)} is damaged: attributes are no object")
+        return document
 
-        ``durable``: see `replace_file`.
-        """
+    def kind(self, path: str) -> str:
+        """Return ``group``, ``array``, ``unreadable``, or nothing where there is no node."""
+        try:
+            document = self.metadata(path)
+        except StoreError:
+            return "unreadable"
+        return "" if document is None else str(document.get("node_type"))
+
+    def attributes(self, group: str) -> dict[str, Any]:
+        """Return the attributes of a group; none where its metadata are missing or damaged."""
+        try:
+            return dict((self.metadata(group) or {}).get("attributes", {}))
+        except StoreError:
+            return {}
+
+    def write_json(self, document: Mapping[str, Any], *parts: str) -> None:
+        """Write a JSON object: on a local disk it is there whole or not at all, also after a power cut."""
         content = json.dumps(document).encode()
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
-        else:
-            replace_file(self.local.joinpath(*parts), [content], durable=durable)
+            return
+        path = self.local.joinpath(*(part for part in parts if part))
+        for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:
+            if folder.is_symlink():
+                raise StoreError(f"{folder} is a link; nothing is written through links inside a store")
+        fresh = not path.parent.exists()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, [content], durable=True)
+        if fresh:
+            sync(path.parent.parent)
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
-        """Write small files by their paths; see `replace_file` for what is not durable."""
+        """Write small files by their paths; they are not flushed to the disk yet."""
         if self.local is None:
             self.fs.pipe({self.key(path): content for path, content in files.items()})
             return
@@ -161,167 +193,97 @@ class Location:
         for path, content in files.items():
             replace_file(self.local / path, [content], durable=False)
 
-    def groups(self) -> list[str]:
-        """Return every group that holds arrays, sorted; unreadable nodes are passed over; see `nodes`."""
-        arrays = (path for path, kind in self.nodes().items() if kind == "array")
-        return sorted({path.rpartition("/")[0] for path in arrays})
-
     def nodes(self) -> dict[str, str]:
-        """Return every node below the root: ``group``, ``array``, or ``unreadable``.
+        """Return every node below the root: ``group``, ``array`` or ``unreadable``.
 
-        StoreError where there are more than `MOST_NODES`, or groups more than `MOST_DEPTH` deep; or see
-        `folders`.
+        `StoreError` where there are more than `MAX_NODES`, or groups more than `MAX_DEPTH` deep.
         """
         kinds: dict[str, str] = {}
         pending = [""]
         while pending:
             group = pending.pop()
-            for child in self.folders(group):
-                path = f"{group}/{child}" if group else child
-                if (kind := self.node_type(path)) in ("group", "array", "unreadable"):
-                    kinds[path] = str(kind)
-                    if len(kinds) > MOST_NODES:
-                        raise StoreError(
-                            f"{self.url} holds more than {MOST_NODES} groups and arrays, which no store does"
-                        )
-                if kind == "group":
-                    pending.append(path)
+            for name in self.folders(group):
+                path = joined(group, name)
+                kind = self.kind(path)
+                if path != MANIFEST_NODE and kind in ("group", "array", "unreadable"):
+                    kinds[path] = kind
+                    pending += [path] if kind == "group" else []
+                if len(kinds) > MAX_NODES or path.count("/") > MAX_DEPTH:
+                    raise StoreError(
+                        f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
+                        f"{MAX_DEPTH} deep ({path:.80}); open a group by its own path"
+                    )
         return kinds
 
-    def folders(self, group: str) -> list[str]:
-        """Return the names of the folders in a group.
+    def groups(self) -> list[str]:
+        """Return every group that holds arrays, sorted."""
+        return sorted({path.rpartition("/")[0] for path, kind in self.nodes().items() if kind == "array"})
 
-        StoreError where one of them is a link, which would lead out of the store, or around in it without
-        end; where there are more than `MOST_NODES`, the group is more than `MOST_DEPTH` deep, or it cannot be
-        listed.
-        """
-        if group.count("/") >= MOST_DEPTH:
-            raise StoreError(
-                f"{self.url}: groups more than {MOST_DEPTH} deep ({group:.80}...), which no store of ours has"
-            )
-        names: list[str] = []
+    def entries(self, group: str) -> dict[str, bool]:
+        """Return the visible names in a group's folder, and whether each is a folder."""
         try:
-            for name, is_folder, is_link in self._entries(group):
-                if is_folder and is_link:
-                    place = self.key(group, name)
-                    raise StoreError(
-                        f"{place}: a link to another folder; a store holds plain files and folders"
-                    )
-                if is_folder:
-                    names.append(name)
-                if len(names) > MOST_NODES:
-                    raise StoreError(
-                        f"{self.key(group)} holds more than {MOST_NODES} folders, which no group does"
-                    )
+            if self.local is not None:
+                with os.scandir(self.key(group)) as entries:
+                    listed = {entry.name: entry.is_dir() for entry in entries}
+            else:
+                found = self.fs.ls(self.key(group), detail=True)
+                listed = {
+                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory" for each in found
+                }
         except (FileNotFoundError, NotADirectoryError):
-            return []
+            return {}
         except OSError as error:
             raise StoreError(f"{self.key(group):.200} cannot be listed: {error.strerror or error}") from error
-        return sorted(names)
+        # hidden and half-written files do not count
+        return {
+            name: folder
+            for name, folder in listed.items()
+            if not name.startswith(".") and not _TEMPORARY.fullmatch(name)
+        }
 
-    def _entries(self, group: str) -> Iterator[tuple[str, bool, bool]]:
-        """Yield the name of each entry of a group's folder, whether it is a folder, and whether a link."""
-        if self.local is not None:
-            with os.scandir(self.key(group)) as entries:
-                yield from ((e.name, e.is_dir(), e.is_symlink()) for e in entries)
-            return
-        for entry in self.fs.ls(self.key(group), detail=True):
-            yield entry["name"].rstrip("/").rsplit("/", 1)[-1], entry["type"] == "directory", False
+    def folders(self, group: str) -> list[str]:
+        """Return the names of the folders in a group, sorted."""
+        return sorted(name for name, folder in self.entries(group).items() if folder)
 
     def strays(self, group: str) -> list[str]:
-        """Return what lies in a group's folder and is no node of the store; hidden files do not count."""
-        visible = [(n, f) for n, f, _ in self._entries(group) if n != METADATA and not n.startswith(".")]
-        return sorted(
+        """Return what lies in a group's folder and is no node of the store."""
+        return [
             name
-            for name, is_folder in visible
-            if not is_folder or self.node_type(f"{group}/{name}".lstrip("/")) is None
-        )
+            for name, folder in sorted(self.entries(group).items())
+            if name != METADATA and not (folder and self.has(group, name, METADATA))
+        ]
 
-    def node_type(self, path: str) -> str | None:
-        """Return ``group``, ``array`` or ``unreadable``, None where there is no node."""
-        try:
-            document = self.read_json(path, METADATA)
-        except StoreError:
-            return "unreadable"
-        return None if document is None else str(document.get("node_type"))
-
-    def files(self, group: str) -> set[str]:
-        """Return the paths of all files below a group, relative to it; links are files."""
+    def files(self, path: str) -> set[str]:
+        """Return the paths of all files below a node, relative to it."""
         if self.local is None:
-            prefix = self.key(group).rstrip("/") + "/"
-            return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
-        top = self.key(group)
-
-        def refuse(error: OSError) -> None:
-            if not isinstance(error, FileNotFoundError):
-                reason = error.strerror or error
-                raise StoreError(f"{error.filename!s:.200} cannot be listed: {reason}") from error
-
-        paths: set[str] = set()
-        for folder, folders, names in os.walk(top, onerror=refuse):
-            inside = folder[len(top) + 1 :]
-            if inside.count("/") > _MOST_FOLDERS_DEEP:
-                raise StoreError(f"{top}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has")
-            links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
-            paths.update(f"{inside}/{name}".lstrip("/") for name in (*names, *links))
-        return paths
+            prefix = self.key(path).rstrip("/") + "/"
+            return {file.removeprefix(prefix) for file in self.fs.find(self.key(path))}
+        top = self.key(path)
+        return {joined(folder[len(top) + 1 :], name) for folder, _, names in os.walk(top) for name in names}
 
 
-def plain_file(root: str, key: str) -> os.stat_result | None:
-    """Return the state of a plain file at ``key`` inside a store's folder ``root``; None where there is none.
-
-    The folder itself may be reached through links. StoreError where the path leaves the store, passes through
-    a link, or ends in something that is no plain file: a store holds files and folders only.
-    """
-    parts = key.split("/")
-    if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
-        raise StoreError(f"{root}: {key!r:.200} is no path inside a store")
-    place = root
-    status: os.stat_result | None = None
-    for part in parts:
-        place = f"{place}/{part}"
-        try:
-            status = os.lstat(place)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except OSError as error:
-            raise StoreError(f"{place:.200} cannot be read: {error.strerror}") from error
-        if stat.S_ISLNK(status.st_mode):
-            raise StoreError(f"{place} is a link; a store holds plain files and folders")
-    if status is None or stat.S_ISDIR(status.st_mode):
-        return None
-    if not stat.S_ISREG(status.st_mode):
-        raise StoreError(
-            f"{place} is no plain file, but a pipe or a device; a store holds plain files and folders"
-        )
-    return status
+#: Names of half-written files, ours and zarr's.
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
-#: Names of half-written metadata, ours and zarr's.
-_TEMPORARY = re.compile(r"\.zarr\.json\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
-
-
-def is_temporary(name: str) -> bool:
-    """Tell whether a file is one that a killed writer left half-written in a group's folder.
-
-    Examples
-    --------
-    >>> is_temporary(".zarr.json.4711"), is_temporary("notes.partial")
-    (True, False)
-    """
-    return _TEMPORARY.fullmatch(name) is not None
+def temporaries(folder: Path) -> Iterator[Path]:
+    """Yield the half-written files that a killed writer left in a group's own folder."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                yield Path(entry.path)
 
 
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
     """Write a file so that it is there whole or not at all; ``durable``: even after a power failure.
 
-    Otherwise the kernel begins to write it to the disk, and is not waited for.
+    Without ``durable`` the disk begins to write it at once, but is not waited for.
     """
-    # a scheduler may run a task twice at once: each writes its own file, the last rename stands
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}")
     try:
         with open(temporary, "wb") as file:
-            file.writelines(parts)
+            for part in parts:
+                file.write(part)
             file.flush()
             if durable:
                 os.fsync(file.fileno())

@@ -42,20 +42,15 @@ from hyperpaint.base.errors import (
 )
 from hyperpaint.base.input_files import head_of, read_limited
 
-from .groups import INPUTS
 from .layout import encoding, prepare
 from .location import clean_group
+from .manifest import INPUTS
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "RAW_FILES", "RawFile", "VirtualCube", "check_whole", "is_virtual", "open_virtual", "outside",
-    "refuse_kerchunk", "summary_of", "virtual_groups", "write_icechunk",
-]  # fmt: skip
-
 RAW_FILES = "raw_files"
-"""Attribute of the root: of every group its raw files as they were, and what names its inputs, as JSON."""
+"""Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs."""
 
 _FILL = 65535
 _MAX_JSON_BYTES = 2**26
@@ -98,20 +93,24 @@ class RawFile:
         try:
             fs, path = url_to_fs(url)
             info = fs.info(path)
+            etag = info.get("ETag")
+            return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
         except Exception as error:  # each file system of fsspec has its own
             raise StoreError(f"{url}: {type(error).__name__}: {error!s:.200}") from error
-        etag = info.get("ETag")
-        return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
 
-    def difference(self, now: RawFile) -> str:
-        """Return in words how a file differs from this one; empty where it does not."""
+    def difference(self) -> str:
+        """Return in words how the file of today differs from this one; empty where it does not."""
+        try:
+            now = RawFile.of(self.url)
+        except StoreError as error:
+            return str(error)
         if self.size != now.size:
-            return f"{now.size} bytes, expected {self.size}"
+            return f"{self.url}: {now.size} bytes, expected {self.size}"
         if self.etag != now.etag:
-            return f"etag {now.etag!r:.100}, expected {self.etag!r:.100}"
+            return f"{self.url}: etag {now.etag!r:.100}, expected {self.etag!r:.100}"
         if self.changed_ns != now.changed_ns:
             times = [np.datetime64(each or 0, "ns") for each in (now.changed_ns, self.changed_ns)]
-            return f"changed at {times[0]} UTC, expected {times[1]}"
+            return f"{self.url}: changed at {times[0]} UTC, expected {times[1]}"
         return ""
 
 
@@ -138,19 +137,14 @@ class VirtualCube:
         """Shape of a slab."""
         return (self.lines, *self.shape[1:])
 
-    @property
-    def slab_bytes(self) -> int:
-        """Bytes of a slab."""
-        return int(np.prod(self.chunk)) * self.dtype.itemsize
-
 
 Groups = Mapping[str, tuple["xr.Dataset", VirtualCube]]
 
 
 def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
-    """Return what names the inputs of every group, and its raw files, as `virtual_groups` finds them."""
+    """Return the digest of the inputs of every group, and its raw files, as `virtual_groups` finds them."""
     return {
-        name: {INPUTS: dataset.attrs.get(INPUTS), RAW_FILES: [asdict(each) for each in cube.files]}
+        name: {INPUTS: dataset.attrs.get(INPUTS), RAW_FILES: list(cube.files)}
         for name, (dataset, cube) in groups.items()
     }
 
@@ -167,7 +161,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
     config = _own_config([file.url for _, cube in groups.values() for file in cube.files])
     repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)), config)
     session = repository.writable_session("main")
-    about = {**attrs, RAW_FILES: json.dumps(summary_of(groups))}
+    about = {**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)}
     zarr.open_group(session.store, mode="a", attributes=about)
     for name, (dataset, cube) in groups.items():
         rest = prepare(dataset, name)
@@ -177,23 +171,20 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             serializer=BytesCodec(endian="big" if cube.dtype.str.startswith(">") else "little"),
             fill_value=_FILL, dimension_names=cube.dims, attributes=dict(cube.attrs),
         )  # fmt: skip
-        slabs = [_specification(icechunk, cube, *slab) for slab in cube.slabs]
+        slabs, size = [], math.prod(cube.chunk) * cube.dtype.itemsize
+        for number, file, offset in cube.slabs:
+            raw, changed = cube.files[file], None
+            # icechunk reads the path as part of a URL: a percent sign or a hash in it would lead elsewhere
+            url = f"file://{quote(_local_path(raw.url))}" if raw.url.startswith("file:") else raw.url
+            if raw.changed_ns is not None:  # icechunk compares whole seconds
+                changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
+            slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
         # references that it does not take would be read as missing
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
             raise StoreError(f"icechunk does not reach {cube.files[0].url}")
         for number, block in cube.copies.items():
             array[number * cube.lines : number * cube.lines + len(block)] = block
     session.commit("references to raw cubes")
-
-
-def _specification(icechunk: Any, cube: VirtualCube, number: int, file: int, offset: int) -> Any:
-    raw = cube.files[file]
-    # icechunk reads the path as part of a URL: a percent sign or a hash in it would lead elsewhere
-    url = f"file://{quote(_local_path(raw.url))}" if raw.url.startswith("file:") else raw.url
-    changed = None
-    if raw.changed_ns is not None:  # whole seconds count there
-        changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
-    return icechunk.VirtualChunkSpec([number, 0, 0], url, offset, cube.slab_bytes, raw.etag, changed)
 
 
 def _icechunk() -> Any:
@@ -217,13 +208,6 @@ def check_url(url: str) -> None:
         )
 
 
-def _prefix(url: str) -> str:
-    """Return the folder below which icechunk may read: one that is spelled alike in paths and URLs."""
-    parts = url.split("/")[:-1]
-    plain = list(itertools.takewhile(lambda part: quote(part) == part, parts[3:]))
-    return "/".join([*parts[:3], *plain, ""])
-
-
 def _own_config(urls: Sequence[str]) -> Any:
     """Return a configuration of icechunk with the containers of raw files, and no others.
 
@@ -232,9 +216,14 @@ def _own_config(urls: Sequence[str]) -> Any:
     icechunk = _icechunk()
     config = icechunk.RepositoryConfig.default()
     config.clear_virtual_chunk_containers()
+    prefixes = set()
     for url in urls:
         check_url(url)
-    for prefix in sorted({_prefix(url) for url in urls}):
+        # the deepest folder that is spelled alike in paths and URLs
+        parts = url.split("/")[:-1]
+        plain = itertools.takewhile(lambda part: quote(part) == part, parts[3:])
+        prefixes.add("/".join([*parts[:3], *plain, ""]))
+    for prefix in sorted(prefixes):
         if prefix.startswith("file:"):
             place = icechunk.local_filesystem_store(_local_path(prefix))
         elif prefix.startswith("http"):
@@ -243,15 +232,17 @@ def _own_config(urls: Sequence[str]) -> Any:
             endpoint = os.environ.get("AWS_ENDPOINT_URL")
             place = icechunk.s3_store(
                 region=os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION") or "us-east-1",
-                endpoint_url=endpoint, allow_http=str(endpoint).startswith("http:"),
-                force_path_style=endpoint is not None, s3_compatible=endpoint is not None,
-            )  # fmt: skip
+                endpoint_url=endpoint,
+                allow_http=str(endpoint).startswith("http:"),
+                force_path_style=endpoint is not None,
+                s3_compatible=endpoint is not None,
+            )
         config.set_virtual_chunk_container(icechunk.VirtualChunkContainer(prefix, place))
     return config
 
 
 def is_virtual(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path is that of a repository of icechunk.
+    """Return whether a path leads to a repository of icechunk.
 
     Examples
     --------
@@ -272,7 +263,8 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
     file = place / ".zmetadata" if place.is_dir() else place
     keys: set[str] = set()
     if write:
-        keys = {"refs"} if place.suffix.lower() in (".json", ".parq", ".parquet") else keys
+        if place.suffix.lower() in (".json", ".parq", ".parquet"):
+            keys = {"refs"}
     elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         try:
             keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
@@ -295,7 +287,7 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
 
 @contextlib.contextmanager
 def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn what icechunk and zarr raise about a repository that is damaged or forged into our error."""
+    """Turn errors of icechunk and zarr about a damaged or forged repository into our error."""
     try:
         yield
     except PaintError:
@@ -312,10 +304,9 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
     refuse_kerchunk(path)
     if not is_virtual(path):
         raise StoreError(f"{os.fspath(path)} is no virtual store", expected="one of `hyperpaint virtual`")
-    for folder, folders, names in os.walk(path):
-        for name in (*folders, *names):
-            if os.path.islink(os.path.join(folder, name)):
-                raise StoreError(f"{os.path.join(folder, name)!r} is a link, which no repository holds")
+    for entry in Path(path).rglob("*"):
+        if entry.is_symlink():
+            raise StoreError(f"{os.fspath(entry)!r} is a link, which no repository holds")
     icechunk = _icechunk()
     config = _own_config(urls)
     access = {
@@ -331,7 +322,7 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
 
 
 def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what names the inputs of every group, and its raw files; see `summary_of`. No raw file is read.
+    """Return the digest of the inputs of every group, and its raw files; these are not read.
 
     Raises `StoreError`: there is no such store, it is damaged, or its record is none.
     """
@@ -350,12 +341,12 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
         for name, about in groups.items():
             if not name or clean_group(name) != name or not name.isprintable():
                 raise StoreError(f"{os.fspath(path)} names a group {name!r:.200}")
-            for row in about[RAW_FILES]:
-                raw = RawFile(**row)
+            about[RAW_FILES] = [RawFile(**row) for row in about[RAW_FILES]]
+            for raw in about[RAW_FILES]:
                 check_url(raw.url)
                 numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
                 if not (numbers and isinstance(raw.etag, str | None)):
-                    raise StoreError(f"{os.fspath(path)} describes {raw.url} by {row!r:.200}")
+                    raise StoreError(f"{os.fspath(path)} describes a raw file by {raw!r:.200}")
     return groups
 
 
@@ -364,7 +355,7 @@ def outside(
 ) -> tuple[list[str], list[str]]:
     """Return the raw files that may not be read, and the folders and URLs to allow for them.
 
-    Files may be read below the folder that holds the repository and below what is allowed, links resolved.
+    Files may be read below the folder that holds the repository and below ``allow``, links resolved.
     """
     home = os.path.dirname(os.path.realpath(path))
     prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # a root holds everything
@@ -374,65 +365,34 @@ def outside(
             text = f"file://{os.path.realpath(_local_path(text))}"
         check_url(text)
         prefixes.append(text.rstrip("/") + "/")
-    refused = []
+    refused, needed = [], []
     places: dict[str, set[str]] = {}
-    for url in dict.fromkeys(row["url"] for about in groups.values() for row in about[RAW_FILES]):
-        local = url.startswith("file:")
-        real = f"file://{os.path.realpath(_local_path(url))}" if local else url
+    for url in dict.fromkeys(raw.url for about in groups.values() for raw in about[RAW_FILES]):
+        real = f"file://{os.path.realpath(_local_path(url))}" if url.startswith("file:") else url
         if not any(f"{real}/".startswith(prefix) for prefix in prefixes):
             refused.append(real)
-            scheme, _, rest = real.partition("://")
-            host, _, key = rest.partition("/")
-            places.setdefault(f"{scheme}://{host}", set()).add(posixpath.dirname(f"/{key}"))
-    needed = []
+            parts = real.split("/", 3)
+            places.setdefault("/".join(parts[:3]), set()).add(posixpath.dirname("/".join(["", *parts[3:]])))
     for root, folders in places.items():
         common = posixpath.commonpath(folders)
-        # one folder for all, but never the root of the machine
-        chosen = sorted(folders) if common == "/" and root == "file://" else [common]
-        needed += [each if root == "file://" else f"{root}{each}".rstrip("/") for each in chosen]
+        if root != "file://":
+            needed.append(f"{root}{common}".rstrip("/"))
+        else:  # one folder for all, but never the root of the machine
+            needed += sorted(folders) if common == "/" else [common]
     return refused, needed
 
 
-def _checked_session(path: str | os.PathLike[str], groups: Mapping[str, Any], name: str, allow: Allow) -> Any:
-    """Return a session in which a group may be read: its files are allowed, and are what they were."""
-    refused, needed = outside(path, groups, allow)
-    if refused:
-        shown = needed[0] if len(needed) == 1 else needed
-        options = " ".join(f"--allow {shlex.quote(each)}" for each in needed)
-        raise StoreError(
-            f"{os.fspath(path)} refers to raw files elsewhere ({len(refused)}, such as {refused[0]!r})",
-            expected=f"files below {os.path.dirname(os.path.realpath(path))}",
-            mend=f"pass allow={shown!r} if these are your raw files",
-            option=f"pass {options} if these are your raw files",
-        )
-    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
-    urls = [row["url"] for row in groups[name][RAW_FILES]]
-    for row in groups[name][RAW_FILES]:
-        try:
-            difference = RawFile(**row).difference(RawFile.of(row["url"]))
-        except StoreError as error:
-            problems.add(str(error), mend=_AGAIN)
-            continue
-        if difference:
-            problems.add(f"{row['url']}: {difference}", mend=_AGAIN)
-    problems.raise_if_any()
-    repository, session = _session(path, urls)
-    # in a thread of its own: a notebook has a running loop
-    with ThreadPoolExecutor(1) as thread:
-        fault = thread.submit(asyncio.run, _fault(repository, session, name, urls)).result()
-    if fault:
-        raise IncompleteStoreError(f"{os.fspath(path)}: /{name} {fault}", mend=_AGAIN)
-    return session
-
-
-async def _fault(repository: Any, session: Any, name: str, urls: Sequence[str]) -> str:
-    """Return what is wrong with the chunks of a group; empty where all lie in the files of ``urls``.
+async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], place: str) -> None:
+    """Refuse a group with chunks that do not lie in the files of ``urls``; ``place`` names it in errors.
 
     Of each chunk the first and the last two bytes are read: icechunk fails beyond the end of a file.
     """
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
+
+    def error(fault: str) -> IncompleteStoreError:
+        return IncompleteStoreError(f"{place}: /{name} {fault}", mend=_AGAIN)
 
     # icechunk lists the references of all groups: those of this one are left when the others are deleted,
     # which happens in memory and is never committed
@@ -444,49 +404,34 @@ async def _fault(repository: Any, session: Any, name: str, urls: Sequence[str]) 
         above += f"{part}/"
     foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
     if foreign:
-        return f"refers to {min(foreign)!r:.200}, which the record does not name"
+        raise error(f"refers to {min(foreign)!r:.200}, which the record does not name")
     limit = asyncio.Semaphore(_MAX_READS)
 
-    async def fault_of(array: Any, at: tuple[int, ...], size: int | None) -> str:
-        key = f"{name}/{array.basename}/{array.metadata.encode_chunk_key(at)}"
+    async def check(key: str, size: int | None) -> None:
         async with limit:
             length = await session.store.getsize(key)
             if size is not None and length != size:
-                return f"has {length} bytes in {key}, expected {size}"
+                raise error(f"has {length} bytes in {key}, expected {size}")
             some = min(2, length)
             for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
                 content = await session.store.get(key, default_buffer_prototype(), part)
                 if content is None or len(content) != some:  # an offset near 2**64 wraps around
-                    return f"lacks bytes in {key}"
-        return ""
+                    raise error(f"lacks bytes in {key}")
 
     group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
     async for _, array in group.arrays():
-        path = f"/{name}/{array.basename}"
-        places = [tuple(at) async for at in session.chunk_coordinates(path)]
-        kinds = [await session.chunk_type_async(path, at) for at in places]
+        path = f"{name}/{array.basename}"
+        places = [tuple(at) async for at in session.chunk_coordinates(f"/{path}")]
+        kinds = [await session.chunk_type_async(f"/{path}", at) for at in places]
         size = None
         if _icechunk().ChunkType.VIRTUAL in kinds:
             # slabs of raw files hold plain samples, and none is missing
             size = math.prod(array.chunks) * array.dtype.itemsize
             codecs = [type(codec).__name__ for codec in array.metadata.codecs]
             if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
-                return f"has other chunks of {array.basename} than `hyperpaint virtual` writes"
-        faults = await asyncio.gather(*(fault_of(array, at, size) for at in places))
-        if any(faults):
-            return next(filter(None, faults))
-    return ""
-
-
-def check_whole(path: str | os.PathLike[str], allow: Allow) -> None:
-    """Refuse a virtual store with a group that could not be opened; its cubes are not read.
-
-    Raises `StoreError`: as `open_virtual`.
-    """
-    groups = virtual_groups(path)
-    with _own_errors(path):
-        for name in groups:
-            _checked_session(path, groups, name, allow)
+                raise error(f"has other chunks of {array.basename} than `hyperpaint virtual` writes")
+        keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in places]
+        await asyncio.gather(*(check(key, size) for key in keys))
 
 
 def open_virtual(
@@ -548,7 +493,29 @@ def open_virtual(
         (name,) = groups
     if name not in groups:
         raise StoreError(f"group {name!r} of {os.fspath(path)}", expected=f"one of {', '.join(groups)}")
+    # raw files: all are allowed, and are the files that the record describes
+    refused, needed = outside(path, groups, allow)
+    if refused:
+        shown = needed[0] if len(needed) == 1 else needed
+        options = " ".join(f"--allow {shlex.quote(each)}" for each in needed)
+        raise StoreError(
+            f"{os.fspath(path)} refers to raw files elsewhere ({len(refused)}, such as {refused[0]!r})",
+            expected=f"files below {os.path.dirname(os.path.realpath(path))}",
+            mend=f"pass allow={shown!r} if these are your raw files",
+            option=f"pass {options} if these are your raw files",
+        )
+    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
+    for raw in groups[name][RAW_FILES]:
+        if difference := raw.difference():
+            problems.add(difference, mend=_AGAIN)
+    problems.raise_if_any()
+    urls = [raw.url for raw in groups[name][RAW_FILES]]
+    # references: each lies in one of these files
     with _own_errors(path):
-        session = _checked_session(path, groups, name, allow)
+        repository, session = _session(path, urls)
+        # in a thread of its own: a notebook has a running loop
+        with ThreadPoolExecutor(1) as thread:
+            checked = _check_chunks(repository, session, name, urls, os.fspath(path))
+            thread.submit(asyncio.run, checked).result()
         opened: xr.Dataset = xr.open_zarr(session.store, group=name, **{"consolidated": False, **kwargs})
     return opened

@@ -1,89 +1,149 @@
-"""Open stores, and refuse what was never finished, or may not be read at all.
+"""Any Zarr that xarray opens: what must not be read is refused before a value is decoded.
 
-Whoever wrote a store, nothing of it is decoded before its metadata (`documents`) and each chunk as it is read
-(`guard`) have been checked. What only all chunks together show, `verification` finds.
+The reader is `xarray.open_zarr`. Before it, metadata are looked at once: codecs that run code are refused by
+name, and so are sizes that no memory holds. A group that is in its store's manifest must be as it was written
+and have all its chunks; each carries a crc32c, which zarr checks as it reads.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
+import stat
 import warnings
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
-from hyperpaint.base.schema import BAND, CROSS_TRACK, stamp_means
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
 
-from .documents import check_node
-from .groups import groups_above
-from .location import Location, clean_group
-from .record import (
-    PLACE,
-    SET,
-    SETTINGS,
-    GroupRecord,
-    attributes_checksum,
-    has_sealed_attributes,
-    metadata_checksum,
-    read_record,
-    read_seal,
-    recorded_form,
+from .location import (
+    MANIFEST_NODE,
+    MAX_DEPTH,
+    MAX_METADATA_BYTES,
+    MAX_NODES,
+    MAX_VALUES,
+    METADATA,
+    Location,
+    clean_group,
+    joined,
+)  # fmt: skip
+from .manifest import (
+    CONTENT,
+    MAX_CHUNKS,
+    OWN_ATTRS,
+    SEAL,
+    Manifest,
+    attributes_replaced,
+    changed_attributes,
+    check_state,
+    chunk_keys,
+    content_of,
+    document_checksum,
+    entry_of,
 )
-from .root_record import check_member, check_set, is_misplaced, set_stamp
 
 if TYPE_CHECKING:
     import xarray as xr
 
-MOST_LOADED_BYTES = 2**30
-"""Bytes of all arrays of a group that is loaded at once."""
+# Bytes of all arrays of a group that is loaded at once.
+MAX_LOADED_BYTES = 2**30
+# Decoded bytes of a chunk; `layout` makes none above a tenth of it for any camera there is.
+MAX_CHUNK_BYTES = 2**30
+# Bytes of an array with one dim, or of a chunk of texts or times: xarray loads them when it opens a group.
+MAX_INDEX_BYTES = 64 * 2**20
+# Bytes that a text takes in memory.
+TEXT_BYTES = 32
+# A group that is loaded, and declares more bytes, must have at least a thousandth of them on its disk.
+SMALL_BYTES, MAX_RATIO = 64 * 2**20, 1000
+# Parts of the names of codecs that run code from a file.
+CODE_CODECS = ("pickle",)
+# Files that make a folder a Zarr.
+METADATA_FILES = (METADATA, ".zgroup", ".zarray", ".zattrs", ".zmetadata")
+
+COARSE = "coarse_reflectance"
 
 
-def list_groups(path: str | os.PathLike[str]) -> list[str]:
-    """Return the groups of a store that hold arrays, finished or not, sorted; the root is ``""``.
+def list_groups(path: Any) -> list[str]:
+    """Return the groups of a store that hold arrays, sorted; the root is ``""``.
 
     Raises
     ------
     StoreError
-        There is no Zarr store.
+        There is no Zarr store, or its metadata are more than any store has.
     """
-    location = Location.of(path)
-    if location.read_json("", "zarr.json") is None:
-        raise StoreError(f"{location.url} is not a Zarr v3 store; expected a folder with a zarr.json")
-    return location.groups()
+    import zarr
+
+    location, source = place_of(path)
+    check_metadata(location, "")
+    if location is not None and is_format_3(location):
+        return location.groups()
+    # format 2, or a store object of zarr: level by level
+    found: list[str] = []
+    pending, nodes = [""], 0
+    while pending:
+        name = pending.pop()
+        check_metadata(location, name)
+        try:
+            members = dict(zarr.open_group(source, path=name, mode="r", use_consolidated=False).members())
+        except Exception as error:  # zarr and file systems each have their own
+            raise StoreError(
+                f"{path} is not a Zarr store ({type(error).__name__}: {error!s:.200})",
+                expected="a folder, zip file or URL with a zarr.json or .zgroup",
+            ) from error
+        groups = [joined(name, key) for key, node in members.items() if isinstance(node, zarr.Group)]
+        found += [name] if len(groups) < len(members) else []
+        pending += groups
+        nodes += len(members)
+        if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
+            raise StoreError(f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep")
+    return sorted(found)
+
+
+def is_format_3(location: Location) -> bool:
+    """Return whether a place is a Zarr 3 store; one of ours may have lost its root's metadata."""
+    return location.has(METADATA) or location.has(MANIFEST_NODE, METADATA)
 
 
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
-    """Tell whether a group was finished: it is sealed, and its arrays are those recorded.
+    """Return whether a group is in its store's manifest, and its metadata and chunk files are those written.
 
-    Cheap: no chunk is read. That every chunk is there and right is checked by `hyperpaint.verify`.
+    No chunk is read: `hyperpaint.verify` does.
     """
     try:
-        _complete_record(Location.of(path), clean_group(group))
+        location, name = place_of(path)[0] or Location.of(path), clean_group(group)
+        manifest = Manifest.read(location)
+        if manifest is None or not manifest.allowed(name):
+            return False
+        check_entry(location, name, manifest)
     except StoreError:
         return False
     return True
 
 
 @overload
-def open_store(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Dataset: ...
+def open_store(path: Any, group: str, **kwargs: Any) -> xr.Dataset: ...
 
 
 @overload
-def open_store(path: str | os.PathLike[str], group: None = None, **kwargs: Any) -> Any: ...
+def open_store(path: Any, group: None = None, **kwargs: Any) -> Any: ...
 
 
-def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> Any:
-    """Open a finished group lazily, like `xarray.open_zarr`, or all of a collect's store.
+def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
+    """Open a group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
-    The store must hold the groups that it is to hold, by its root record: none unfinished, deleted, swapped
-    or foreign, none of other settings (of a single group its own part of that is looked at, and that the
-    store is finished). The group must be sealed and its metadata those recorded; each chunk must be there and
-    hold what was recorded for it, which shows when it is read. A group that is replaced while it is open is
-    not read any further: open it again. All chunks at once are checked by `hyperpaint.verify`.
+    Any Zarr that xarray opens will do. Where the store has a manifest, it must hold the groups that it names:
+    none unfinished, deleted or exchanged; the group's metadata must be those written, and its chunks must be
+    there. zarr checks the crc32c of every chunk as it is read; `hyperpaint.verify` finds chunks that were
+    exchanged as a whole. Groups and variables that others added are opened as well.
 
     Parameters
     ----------
     path
-        Folder or URL of the store.
+        Folder, zip file or URL of the store, or a store object of zarr, such as that of an icechunk session.
     group
         Group inside it, ``""`` for the root; by default the root, or all groups where that holds no arrays.
     **kwargs
@@ -98,17 +158,10 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     Raises
     ------
     IncompleteStoreError
-        The store is not whole, the group was never finished, or its metadata are damaged; on reading values,
-        a chunk is missing or is not what was written, or the group was replaced since.
+        The store or the group is not what its manifest names.
     StoreError
-        There is no such store or group (those that exist are listed); or it holds what is not read: codecs,
-        data types, sizes or links that no store of ours has.
-
-    Warns
-    -----
-    PaintWarning
-        Whether the store lacks groups is not known: it was written by hyperpaint 0.1, which kept no record of
-        them, or is a part without its root. Or, of a tree, groups were made by other numerics.
+        There is no such store or group (those that exist are listed); or it has codecs that run code, or
+        declares sizes that no memory holds.
 
     See Also
     --------
@@ -125,175 +178,308 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     >>> sorted(open_store(path)["flightlines"].children)
     ['raw_0']
     """
-    location, name = Location.of(path), clean_group(group)
-    if group is None and (groups := location.groups()) and "" not in groups:
-        return _opened_tree(location, **kwargs)
-    if (node := location.metadata(name)) is not None:
-        _warn(check_member(location, name, node), 3)
+    import xarray as xr
+
+    location, _ = place_of(path)
+    groups = list_groups(path) if group is None else [""]
+    if "" not in groups and location is not None:
+        check_state(location)
+        manifest = Manifest.read(location)
+        recorded = manifest.groups.items() if manifest is not None else ()
+        groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
+    if groups and "" not in groups:
+        problems = Problems(f"{path} cannot be opened whole", IncompleteStoreError)
+        opened = {}
+        for name in groups:
+            try:
+                opened[name] = open_group(path, name, **kwargs)
+            except IncompleteStoreError as error:
+                problems.add(str(error), mend="open the others by open_store(path, group)")
+        problems.raise_if_any()
+        return xr.DataTree.from_dict(opened)
+    name = clean_group(group)
+    if location is not None and (manifest := Manifest.read(location)) is not None:
+        # a run that is under way, or was cut short, has not written all its groups
+        writes = [write for write in manifest.writes if name in write.contents]
+        if any(
+            manifest.lacking(write, lambda each: content_of(location, each, manifest)) for write in writes
+        ):
+            check_state(location)
     return open_group(path, name, **kwargs)
 
 
-def _warn(notes: tuple[str, ...], stacklevel: int) -> None:
-    for note in notes:
-        warnings.warn(note, PaintWarning, stacklevel)
-
-
-def open_group(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Dataset:
+def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
     """Open a finished group as `open_store` does, also while others of its store are still being written.
-
-    So a run can be followed, line by line. Whether the store holds all that it is to hold is not looked at.
 
     Raises
     ------
     IncompleteStoreError, StoreError
         As `open_store`, of this group.
     """
-    location, name = Location.of(path), clean_group(group)
-    before = read_seal(location, name)
-    try:
-        record = _complete_record(location, name)
-        return _opened(location, name, record.seal, record, **kwargs)
-    except IncompleteStoreError as error:
-        if before is None or read_seal(location, name) == before:
-            raise
-        # what was read is partly of one version, partly of the other
-        raise IncompleteStoreError(
-            f"group {'/' + name!r} of {location.url} was replaced while it was opened; open it again"
-        ) from error
-
-
-def _opened_tree(location: Location, **kwargs: Any) -> xr.DataTree:
-    """Open all groups, as they were at one instant."""
-    for _ in range(2):
-        begin = set_stamp(location)
+    name, (location, _) = clean_group(group), place_of(path)
+    if location is None:
+        return open_unverified(path, name, **kwargs)
+    for attempt in range(2):
+        check_metadata(location, name)
+        content = content_of(location, name)
         try:
-            groups = location.groups()
-            notes = check_set(location, groups)
-            opened = _opened_groups(location, groups, **kwargs)
-        except IncompleteStoreError:
-            if set_stamp(location) == begin:
+            manifest = Manifest.read(location)
+            if manifest is not None and manifest.allowed(name):
+                check_entry(location, name, manifest)
+            opened = open_unverified(path, name, **kwargs)
+            entry = manifest.groups.get(name) if manifest is not None else None
+            if entry is not None and attributes_replaced(location, name, entry):
+                kept = {key: value for key, value in entry.attributes.items() if key not in OWN_ATTRS}
+                opened.attrs = kept | opened.attrs
+            return opened
+        except (StoreError, OSError):
+            # where the group was replaced meanwhile, the new one is opened
+            if attempt or content_of(location, name) == content:
                 raise
-        else:
-            if set_stamp(location) == begin:
-                _warn(notes, 4)
-                return opened
-    raise IncompleteStoreError(f"{location.url} was written to while it was opened; open it again")
+    raise AssertionError
 
 
-def _opened_groups(location: Location, groups: list[str], **kwargs: Any) -> xr.DataTree:
-    import xarray as xr
+def check_entry(location: Location, group: str, manifest: Manifest) -> None:
+    """Refuse a group whose metadata are not those of the manifest, or whose chunk files are not all there.
 
-    problems = Problems(f"{location.url} cannot be opened whole", IncompleteStoreError)
-    opened: dict[str, xr.Dataset | xr.DataTree] = {}
-    for group in groups:
-        try:
-            opened[group] = open_group(location.url, group, **kwargs)
-        except IncompleteStoreError as error:
-            problems.add(str(error), mend="open the others by open_store(path, group)")
-    for above in dict.fromkeys(each for group in groups for each in groups_above(group) if each):
-        try:
-            node = location.metadata(above)
-            intact = node is not None and has_sealed_attributes(node)
-        except IncompleteStoreError:
-            intact = False
-        if not intact:
-            problems.add(f"the metadata of /{above} are missing or damaged; write one of its groups again")
+    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are those written.
+    """
+    where, mend = f"group {'/' + group!r} of {location.url}", "write the group again"
+    content, entry = content_of(location, group, manifest), manifest.groups.get(group)
+    if content not in manifest.allowed(group):
+        state = "is not what the manifest names" if location.has(group, METADATA) else "was deleted"
+        raise IncompleteStoreError(f"{where} {state}", mend=mend)
+    if entry is None or content != entry.content:
+        entry_of(location, group)  # of a writer who has not come to its entry: its chunks are there
+        return
+    problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
+    if attributes_replaced(location, group, entry):
+        text = f"{where}: another program replaced its attributes; those of the manifest are taken"
+        warnings.warn(text, PaintWarning, stacklevel=4)
+    elif others := changed_attributes(location, group, entry):
+        problems.add(f"its attributes are others: {', '.join(others)}")
+    files = location.files(group)
+    for name, array in entry.arrays.items():
+        document = location.metadata(joined(group, name))
+        if document is None or document_checksum(document) != array.metadata:
+            problems.add(f"{name}: metadata are {'missing' if document is None else 'others'}")
+            continue
+        missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
+        if missing and METADATA in files:  # not all servers list what they have
+            problems.add(f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}")
     problems.raise_if_any()
-    return xr.DataTree.from_dict(opened)
 
 
-def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
-    """Open a group lazily, finished or not, by hyperpaint or not; its chunks are checked as they are read.
-
-    Raises
-    ------
-    StoreError
-        There is no such store or group, or it holds what is not read.
-    """
-    location, name = Location.of(path), clean_group(group)
-    node = location.metadata(name)
-    if node is None:
-        old = any(location.has(name, file) for file in (".zgroup", ".zarray", ".zmetadata"))
-        hint = "; it is Zarr 2: rewrite it with xarray's to_zarr(..., zarr_format=3)" if old else ""
-        raise StoreError(f"there is no group {'/' + name!r} of Zarr 3 in {location.url}{hint}")
-    check_node(node, location.key(name))
-    return _opened(location, name, str(metadata_checksum(node)), None, **kwargs)
-
-
-def load_unverified(path: str | os.PathLike[str], group: str | None = None) -> xr.Dataset:
-    """Load a small group whole, finished or not, by hyperpaint or not.
+def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Dataset:
+    """Open a group of any Zarr lazily, whether or not it is in a manifest.
 
     Raises
     ------
     StoreError
-        As `open_unverified`; or its arrays are larger than `MOST_LOADED_BYTES` together.
+        There is no such store or group, or it must not be read.
     """
-    opened = open_unverified(path, group, chunks=None)
-    if opened.nbytes > MOST_LOADED_BYTES:
-        raise StoreError(
-            f"{os.fspath(path)} declares {opened.nbytes} bytes, expected at most {MOST_LOADED_BYTES}"
-        )
-    return opened.load()
-
-
-def _opened(
-    location: Location, group: str, content: str, record: GroupRecord | None, **kwargs: Any
-) -> xr.Dataset:
     import xarray as xr
+    import zarr
 
-    from .guard import guarded, stored_codecs
-
-    store = guarded(location, group=group, record=record, content=content)
-    # the root's consolidated metadata may be older than a group whose writer was killed just before the end
-    options = {"consolidated": False, **kwargs}
-    arrays = {} if record is None or "chunks" in options else record.arrays
-    grouped = {name for name, array in arrays.items() if len(array.grid) == 3 and max(array.grid[1:]) > 1}
-    if grouped:  # one task a slab, also of cubes that are cut into bands or tiles
-        options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
-    try:
-        opened: xr.Dataset = xr.open_zarr(store, group=group or None, **options)
-        if COARSE in grouped:  # of which a picture of one band reads its group alone
-            others = [name for name in arrays if name != COARSE]
-            options |= {"chunks": {}, "drop_variables": others}
-            opened[COARSE] = xr.open_zarr(store, group=group or None, **options)[COARSE].variable
-    except StoreError:
-        raise
-    except Exception as error:  # zarr, numpy and xarray's decoding each have their own
-        raise StoreError(
-            f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
-        ) from error
+    (location, source), name = place_of(path), clean_group(group)
+    check_metadata(location, name)
+    # a local list of all metadata may be older than a group whose writer was killed at its very end
+    is_remote = isinstance(source, str) and "://" in source
+    # files of others between the arrays are noted by verify
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Object at .* is not recognized")
+        try:
+            node = zarr.open_group(source, path=name, mode="r", use_consolidated=None if is_remote else False)
+            arrays = dict(node.arrays())
+            check_arrays(f"{path}/{name}".rstrip("/"), arrays)
+            options = {"consolidated": node.metadata.consolidated_metadata is not None, **kwargs}
+            cut = {
+                key
+                for key, array in arrays.items()
+                if getattr(array.metadata, "dimension_names", None) == (ALONG_TRACK, BAND, CROSS_TRACK)
+                and array.chunks[1:] != array.shape[1:]
+            }
+            if (
+                cut and "chunks" not in options
+            ):  # one task a slab, also of cubes that are cut into bands or tiles
+                options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
+            source = _named(source, node, arrays)
+            opened: xr.Dataset = xr.open_zarr(source, group=name or None, **options)
+            if COARSE in cut:  # of which a picture of one band reads its group alone
+                options |= {"chunks": {}, "drop_variables": [key for key in arrays if key != COARSE]}
+                opened[COARSE] = xr.open_zarr(source, group=name or None, **options)[COARSE].variable
+        except StoreError:
+            raise
+        except FileNotFoundError as error:
+            try:
+                text = f"groups found: {', '.join('/' + each for each in list_groups(path)) or 'none'}"
+            except StoreError as other:
+                text = str(other)
+            raise StoreError(f"there is no group {'/' + name!r} of {path}; {text}") from error
+        except Exception as error:  # zarr, file systems and xarray's decoding each have their own
+            text = f"{type(error).__name__}: {error!s:.200}"
+            raise StoreError(f"{path}/{name} cannot be opened: {text}") from error
     if COARSE in opened.variables:
         stamp_means(opened[COARSE], opened)
-    for name, variable in opened.variables.items():
-        variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
-    opened.encoding["source"] = location.url
-    for name in (SET, PLACE, SETTINGS):  # of the place, not of what is made from it
-        opened.attrs.pop(name, None)
+    if isinstance(path, str | os.PathLike):
+        opened.encoding["source"] = os.fspath(path)
+    for key in OWN_ATTRS:  # of the place, not of what is made from it
+        opened.attrs.pop(key, None)
     return opened
 
 
-COARSE = "coarse_reflectance"
+def load_unverified(path: Any, group: str | None = None) -> xr.Dataset:
+    """Load a small group whole; one in a manifest must be as it was written.
+
+    Raises
+    ------
+    StoreError
+        As `open_group`; a value cannot be read; or its arrays are larger than `MAX_LOADED_BYTES` together, or
+        far larger than its files.
+    """
+    opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
+    if isinstance(path, str | os.PathLike) and os.path.exists(path):
+        files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
+        if not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files):
+            raise StoreError(f"{path} has a pipe or device in it", expected="plain files")
+        limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
+    if opened.nbytes > limit:
+        raise StoreError(f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}")
+    try:
+        opened.load()
+    except Exception as error:  # each codec has its own
+        raise StoreError(f"{path} cannot be read: {type(error).__name__}: {error!s:.200}") from error
+    return opened
 
 
-def _complete_record(location: Location, group: str) -> GroupRecord:
-    """Return the record of a finished group, or raise."""
-    where = f"group {'/' + group!r} of {location.url}"
-    node = location.metadata(group)
-    if node is None or node.get("node_type") != "group":
-        others = ", ".join("/" + name for name in location.groups()) or "none"
-        raise StoreError(f"there is no {where}; groups found: {others}")
-    if is_misplaced(node, location, group):
-        place = node["attributes"][PLACE]
-        raise IncompleteStoreError(
-            f"{where} was swapped or copied: by its own record it is {place!s:.200}; write the group again"
-        )
-    record = read_record(location, group)
-    if record is None:
-        raise IncompleteStoreError(
-            f"{where} has no completion record: it was never finished, or not by hyperpaint; write it again"
-        )
-    if attributes_checksum(node) != record.attributes:
-        raise IncompleteStoreError(f"{where} has attributes other than recorded; write the group again")
-    for name, array in record.arrays.items():
-        recorded_form(location, group, name, array)
-    return record
+# --- what zarr is given, and what it must not read ---------------------------------------------------------
+
+
+def place_of(path: Any) -> tuple[Location | None, Any]:
+    """Return the place of a folder, zip file or URL, and what zarr opens; a store object has no place."""
+    import zarr
+
+    if isinstance(path, zarr.abc.store.Store | zarr.storage.StorePath):
+        return None, path
+    location = Location.of(path)
+    is_file = location.local is not None and os.path.isfile(location.url)  # a pipe would wait for ever
+    if not is_file or not zipfile.is_zipfile(location.url):
+        return location, location.url
+    from fsspec.implementations.zip import ZipFileSystem  # type: ignore[import-untyped]
+
+    fs = ZipFileSystem(location.url, skip_instance_cache=True)
+    return Location(location.url, "", fs, None), zarr.storage.ZipStore(location.url, mode="r")
+
+
+def is_zarr(path: Any) -> bool:
+    """Return whether a place is to be opened as Zarr.
+
+    So is a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file that is one.
+    """
+    if not isinstance(path, str | os.PathLike):
+        return not isinstance(path, Sequence) and place_of(path)[0] is None
+    text = os.fsdecode(path)
+    if "://" in text or text.rstrip("/").endswith(".zarr"):
+        return True
+    if any(os.path.lexists(os.path.join(text, name)) for name in METADATA_FILES[:3]):
+        return True
+    if not os.path.isfile(text) or not zipfile.is_zipfile(text):
+        return False
+    with zipfile.ZipFile(text) as file:
+        return not {*METADATA_FILES[:3]}.isdisjoint(file.namelist())
+
+
+def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
+    """Return a store object of a group of ours that dask names by its content, not by its path and time."""
+    content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
+    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of others change without a word
+    if content is None or added or not isinstance(source, str):
+        return source
+    from .named_stores import NamedFsspecStore, NamedLocalStore
+
+    remote = "://" in source
+    store: Any = (NamedFsspecStore.from_url if remote else NamedLocalStore)(source, read_only=True)
+    store.content = f"{source} {content} {seal}"
+    return store
+
+
+def check_metadata(location: Location | None, group: str) -> None:
+    """Refuse metadata documents of a group and its arrays that would fill the memory when they are parsed.
+
+    Behind a URL only those of the group itself are looked at; of a store object none.
+    """
+    if location is None:
+        return
+    total = values = 0
+    for count, (name, size) in enumerate(_documents(location, group)):
+        if size > 2**20:
+            raw = location.read(name, limit=MAX_METADATA_BYTES) or b""
+            values += sum(map(raw.count, (b"{", b"[", b",")))
+        total += size
+        if total > 2 * MAX_METADATA_BYTES or values > MAX_VALUES or count > 3 * MAX_NODES:
+            raise StoreError(
+                f"{location.url}: metadata of {total} bytes or more, up to {name!r:.80}",
+                expected=f"at most {2 * MAX_METADATA_BYTES} bytes, {MAX_VALUES} values, {MAX_NODES} arrays",
+            )
+
+
+def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
+    """Yield the keys and sizes of the metadata documents of a group and what is in it."""
+    if location.local is not None:
+        folder = location.key(group)
+        names = itertools.chain([""], os.listdir(folder) if os.path.isdir(folder) else ())
+        for key in (joined(group, name, file) for name in names for file in METADATA_FILES):
+            if not os.path.lexists(location.key(key)):
+                continue
+            if not os.path.isfile(location.key(key)):
+                raise StoreError(f"{location.key(key)} is no plain file", expected="metadata")
+            yield key, os.path.getsize(location.key(key))
+    elif hasattr(location.fs, "zip"):
+        for entry in location.fs.zip.infolist():
+            if entry.filename.endswith(METADATA_FILES):
+                yield entry.filename, entry.file_size
+            elif entry.file_size > MAX_CHUNK_BYTES:
+                raise StoreError(f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes")
+    else:
+        for key in (joined(group, file) for file in METADATA_FILES):
+            if location.has(key):
+                yield key, location.fs.size(location.key(key)) or 0
+
+
+def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
+    """Refuse arrays whose codecs run code, or that declare sizes no memory holds; all problems are listed.
+
+    ``arrays``: of zarr, by name; no value of them is read.
+
+    Raises `StoreError`: Arrays must not be read.
+    """
+    import numpy as np
+
+    problems = Problems(f"{where} will not be read", StoreError)
+    chunks = index_bytes = 0
+    for name, array in arrays.items():
+        metadata = array.metadata
+        # codecs: of format 3 in a list, of format 2 a compressor and filters
+        named = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
+        if bad := [word for word in CODE_CODECS if word in named.lower()]:
+            problems.add(f"{name}: codec {bad[0]!r}, which runs code that the file brings along")
+        dtype = np.dtype(array.dtype)
+        is_text = dtype.kind in "OT"
+        if is_text and not any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String")):
+            problems.add(f"{name}: data type {metadata.dtype!s:.80}", expected="numbers, times or text")
+        # sizes; of shards those of the inner chunks, which are read one by one
+        item = TEXT_BYTES if is_text else dtype.itemsize
+        limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
+        if math.prod(array.chunks) * item > limit:
+            problems.add(f"{name}: chunks of {array.chunks} {dtype}", expected=f"at most {limit} bytes")
+        sizes = zip(array.shape, array.chunks, strict=True)
+        chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
+        if array.ndim > 32:
+            problems.add(f"{name}: {array.ndim} dims", expected="at most 32")
+        if array.ndim == 1:
+            index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
+    if chunks > MAX_CHUNKS:
+        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}")
+    if index_bytes > MAX_INDEX_BYTES:
+        problems.add(f"{index_bytes} bytes of an array with one dim", expected=f"at most {MAX_INDEX_BYTES}")
+    problems.raise_if_any()

@@ -1,17 +1,14 @@
-"""Maps are computed some tiles after others, so that what tiles share is held for a while and no longer.
+"""Compute maps in stages, so that the slabs that tiles share leave memory early.
 
-dask's own order takes the variables of a map one after another where one task makes several of them, and then
-holds every slab of the flight line until the last. Here the tiles of one row (or column, of a map that is
-wider than high) are a stage; what a later stage takes from an earlier one is handed on, so that nothing is
-computed twice.
+If one task makes several variables of a map, dask computes the variables one after another, and holds every
+slab of the flight line until the last. Here the tiles of one row (or column, of a map that is wider than
+high) are a stage. Results that a later stage needs are handed on, so that nothing is computed twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
-
-__all__ = ["in_stages"]
 
 Key = Any
 
@@ -39,7 +36,15 @@ def in_stages(
     from dask.core import get_deps
 
     dependencies, dependents = get_deps(dict(graph))
-    first = _first_stages(dependencies, stage_of)
+    # the first and the last stage that needs a task
+    first: dict[Key, int] = {}
+    for target, stage in sorted(stage_of.items(), key=lambda item: item[1]):
+        pending = [target]
+        while pending:
+            key = pending.pop()
+            if key not in first:
+                first[key] = stage
+                pending.extend(dependencies[key])
     last = {key: max((first[each] for each in dependents[key] if each in first), default=0) for key in first}
     by_stage: dict[int, list[Key]] = {}
     for key, stage in first.items():
@@ -54,16 +59,3 @@ def in_stages(
         held = {key: node for key, node in held.items() if last[key] > stage}
         held |= {key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)}
         del values
-
-
-def _first_stages(dependencies: Mapping[Key, set[Key]], stage_of: Mapping[Key, int]) -> dict[Key, int]:
-    """Return the first stage that needs a task, of all that are needed."""
-    first: dict[Key, int] = {}
-    for wanted, stage in sorted(stage_of.items(), key=lambda item: item[1]):
-        pending = [wanted]
-        while pending:
-            key = pending.pop()
-            if key not in first:
-                first[key] = stage
-                pending.extend(dependencies[key])
-    return first

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -11,28 +11,31 @@ from typing import Any
 from hyperpaint.base.errors import StoreError
 
 from .budget import counted
-from .chunks import region
-from .location import METADATA, Location
-from .record import (
-    CHUNKS,
-    ArrayRecord,
-    GroupRecord,
-    attributes_checksum,
-    checksum,
-    has_sealed_attributes,
-    metadata_checksum,
-    read_record,
-    recorded_form,
+from .chunks import whole_chunk
+from .groups import listed_documents
+from .location import MANIFEST_NODE, METADATA, Location, joined
+from .manifest import (
+    MAX_MESSAGES,
+    OLD_RECORD,
+    GroupEntry,
+    Manifest,
+    attributes_replaced,
+    changed_attributes,
+    chunk_digest,
+    chunk_keys,
+    content_of,
+    document_checksum,
+    entry_of,
+    store_state,
 )
-from .root_record import set_stamp, set_state
-
-#: Most names without a node, and most strays of a folder, that are listed one by one.
-_MOST_LISTED = 20
-
-_NO_RECORDS = (
-    "icechunk keeps no checksums of chunks to compare with, so read a group whole instead: where it was "
-    "written with hyperpaint.io.encoding, a damaged chunk raises"
-)
+from .reader import (
+    MAX_CHUNK_BYTES,
+    check_arrays,
+    check_metadata,
+    is_format_3,
+    list_groups,
+    place_of,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,11 +49,11 @@ class StoreReport:
     groups
         Groups that hold arrays.
     chunks
-        Number of chunks that were read and compared.
+        Number of chunks that were read.
     problems
         One line each; empty where all is well.
     notes
-        What could not be checked.
+        What could not be checked, and what others added.
     resume
         What finishes an unfinished store on the command line, where that is known.
     """
@@ -75,19 +78,17 @@ class StoreReport:
 
 
 def verify(path: str | os.PathLike[str]) -> StoreReport:
-    """Read every chunk of a store and compare it with the completion records.
+    """Read every chunk of a store and compare it with the store's manifest.
 
-    Finds what the store lacks of the groups that it is to hold, or has in their place (unfinished, deleted,
-    swapped, foreign, mixed settings); groups that were never finished, chunks that are missing, damaged,
-    exchanged, stale or not of the store, metadata that were changed, and groups that are listed but gone.
-    Safe on a store from any source: what may not be read (foreign codecs and data types, chunks that would
-    not decode to what is declared, links) is reported and not touched; plain `xarray.open_zarr` has no such
-    guard.
+    Finds groups that are unfinished, deleted, exchanged or changed; chunks that are missing, damaged,
+    exchanged or stale; and metadata that were changed. Groups and variables that others added are read too,
+    and noted. Of a Zarr store without a manifest all chunks are read, which finds damaged ones where they
+    have checksums.
 
     Parameters
     ----------
     path
-        Folder or URL of the store.
+        Folder, zip file or URL of the store.
 
     Returns
     -------
@@ -107,145 +108,180 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     >>> print(verify(path))
     memory://small.zarr: 1 group, 1 chunk, whole
     """
-    location = _location(path)
-    begin = set_stamp(location)
-    groups = location.groups()
-    state = set_state(location, groups)
-    problems = [*state.problems, *_until_error(_root_problems(location, groups))]
+    import zarr
+
+    found, source = place_of(path)
+    location = found or Location.of(path)
+    check_metadata(location, "")
+    if location.has("snapshots") and location.has("manifests"):
+        raise StoreError(
+            f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
+            expected="a Zarr store",
+        )
+    begin = _stamp(location)
+    if is_format_3(location):
+        nodes = location.nodes()
+    else:
+        nodes = {
+            joined(group, name): "array"
+            for group in list_groups(path)
+            for name in zarr.open_group(source, path=group, mode="r", use_consolidated=False).array_keys()
+        }
+    groups = sorted({name.rpartition("/")[0] for name, kind in nodes.items() if kind == "array"})
+    state = store_state(location, groups)
+    problems, notes = list(state.problems), list(state.notes)
+    try:
+        manifest = Manifest.read(location) or Manifest()
+    except StoreError:
+        manifest = Manifest()  # its state says so
+    problems += [f"/{name}: its metadata cannot be read" for name in nodes if nodes[name] == "unreadable"]
+    problems += _metadata_problems(location, "", manifest.groups.get(""))
+    if manifest.groups:
+        problems += _listing_problems(location, nodes, manifest)
+        for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
+            strays = [name for name in location.strays(group) if joined(group, name) not in manifest.groups]
+            places = [joined(group, name) for name in strays[:MAX_MESSAGES]]
+            notes += [f"/{place}: neither a group nor an array" for place in places]
     chunks = 0
-    for group in groups:
-        try:
-            record = read_record(location, group)
-        except StoreError as error:
-            problems.append(str(error))
-            continue
-        if record is None:
-            problems.append(f"/{group}: no completion record; it was never finished, write it again")
-            continue
-        chunks += sum(len(array.chunks) for array in record.arrays.values())
-        problems.extend(_until_error(_group_problems(location, group, record)))
-    if set_stamp(location) != begin:
+    for group in dict.fromkeys((*manifest.groups, *groups)):
+        entry = manifest.groups.get(group)
+        # of a group that another write put there the state tells
+        replaced = entry is not None and attributes_replaced(location, group, entry)
+        content = content_of(location, group, manifest)
+        current = entry is not None and entry.content == content
+        if not current and content in manifest.allowed(group):  # in place, its writer has not come to an end
+            try:
+                entry, current = entry_of(location, group), True
+            except StoreError as error:
+                problems.append(f"/{group}: {error!s:.400}")
+        recorded: Mapping[str, Any] = entry.arrays if entry is not None and current else {}
+        if replaced:
+            notes.append(f"/{group}: another program replaced its attributes; open_store knows them")
+        elif entry is not None and current and group:
+            problems += _metadata_problems(location, group, entry)
+        there = [name for name in location.folders(group) if nodes.get(joined(group, name)) == "array"]
+        for name in dict.fromkeys((*recorded, *there)):
+            where = joined(group, name)
+            if recorded and name not in recorded:
+                notes.append(f"/{where}: added by another program, not in the manifest")
+            try:
+                if name in recorded:
+                    count, wrong = _recorded_chunks(location, group, name, recorded[name])
+                else:
+                    count, wrong = _other_chunks(location, source, where)
+                chunks += count
+                problems += wrong
+            except StoreError as error:
+                problems.append(f"/{where}: {error!s:.400}")
+    if _stamp(location) != begin:
         problems.insert(0, "/: was written to meanwhile, what else is said may hold no longer; verify again")
     return StoreReport(
-        location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)), state.notes, state.resume
+        location.url,
+        tuple(groups),
+        chunks,
+        tuple(dict.fromkeys(problems)),
+        tuple(dict.fromkeys(notes)),
+        state.resume,
     )
 
 
-def _location(path: str | os.PathLike[str]) -> Location:
+def _stamp(location: Location) -> bytes | None:
+    """Return what changes whenever a writer begins or ends."""
     try:
-        location = Location.of(os.fspath(path))
-    except TypeError:
-        kind = type(path).__name__
-        raise StoreError(
-            f"a store to verify is named by its folder or URL, not by {kind}; {_NO_RECORDS}"
-        ) from None
-    if not location.has("", METADATA):
-        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a {METADATA}"
-        if location.has("", "snapshots") and location.has("", "manifests"):
-            msg = f"{location.url} is an icechunk repository, not a store of hyperpaint; {_NO_RECORDS}"
-        raise StoreError(msg)
-    return location
+        return location.read(MANIFEST_NODE, METADATA)
+    except StoreError:
+        return None
 
 
-def _until_error(lines: Iterator[str]) -> Iterator[str]:
-    """Yield what a check finds; where it cannot go on, the error is the last line."""
+_NONE_BELOW = {"kind": "inline", "must_understand": False, "metadata": {}}
+
+
+def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
+    """Yield how the root's list of all metadata differs from the manifest."""
+    root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
+    head = root.get("consolidated_metadata")
+    if not isinstance(head, dict) or (head.get("kind"), head.get("must_understand")) != ("inline", False):
+        yield "/: the root has no list of all metadata; run the writer again"
+        return
+    gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
+    yield from (f"/{name[:200]}: listed in the root's metadata but not there" for name in gone[:MAX_MESSAGES])
+    wanted = {
+        group: entry.metadata
+        for group, entry in manifest.groups.items()
+        if group and not attributes_replaced(location, group, entry)
+    }
+    for group, entry in manifest.groups.items():
+        wanted |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
+    for name in filter(nodes.get, wanted):
+        document = listed.get(name)
+        plain = dict(document) if isinstance(document, dict) else {}
+        below = plain.pop("consolidated_metadata", _NONE_BELOW)
+        if document_checksum(plain) != wanted[name] or below != _NONE_BELOW:
+            yield f"/{name}: the root's list of all metadata has others; run the writer again"
+
+
+def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
+    """Yield whether the metadata of a group cannot be read, or are not those of the manifest."""
     try:
-        yield from lines
+        document = location.metadata(group)
+        if entry is not None and document is None and not entry.content:  # of others the state tells
+            yield f"/{group}: its metadata are missing"
+        changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
+        if changed:
+            yield f"/{group}: attributes are not those that were written: {', '.join(changed)[:200]}"
     except StoreError as error:
-        yield str(error)
+        yield f"/{group}: {error!s:.200}"
 
 
-def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
-    root = location.read_json("", METADATA) or {}
-    consolidated = root.get("consolidated_metadata")
-    listed = consolidated.get("metadata") if isinstance(consolidated, dict) else None
-    if not isinstance(listed, dict):
-        yield "/: no consolidated metadata; run the writer again"
-        return
-    nodes = location.nodes()
-    yield from (
-        f"/{name}: its metadata cannot be read" for name, kind in nodes.items() if kind == "unreadable"
-    )
-    for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
-        yield from _until_error(_folder_problems(location, group))
-    # what is in a group that is gone is gone with it
-    gone = [name for name in listed if name not in nodes and (_above(name) in nodes or not _above(name))]
-    for name in gone[:_MOST_LISTED]:
-        yield f"/{name[:200]}: listed in the root's metadata but not there"
-    if len(gone) > _MOST_LISTED:
-        yield f"/: {len(gone) - _MOST_LISTED} more nodes listed in the root's metadata but not there"
-    for name, document in listed.items():
-        if name in nodes:
-            yield from _until_error(_listed_problems(location, name, document))
-    for group in groups:
-        if group and group not in listed:
-            yield f"/{group}: not listed in the root's consolidated metadata; run the writer again"
+def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
+    """Return how many chunks of an array were read, and how they differ from its entry in the manifest."""
+    where = joined(group, name)
+    document = location.metadata(where)
+    if document is None or document_checksum(document) != array.metadata:
+        state = "the array is missing" if document is None else "metadata are not those that were written"
+        return 0, [f"/{where}: {state}"]
+    keys = chunk_keys(document, where)
+    problems = [
+        f"/{where}/{stray}: not a chunk of this array"
+        for stray in sorted(location.files(where) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
+    ]
+
+    def end(key: str) -> bytes | str:
+        encoded = location.read(where, key, limit=MAX_CHUNK_BYTES)
+        if encoded is None:
+            return "the chunk is missing"
+        return "the chunk is damaged" if whole_chunk(encoded) is None else encoded[-4:]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        ends = dict(zip(keys, pool.map(end, keys), strict=True))
+    wrong = [f"/{where}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
+    if not wrong and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
+        wrong = [f"/{where}: chunks are not those that were written: exchanged, stale or altered"]
+    return len(keys), problems + wrong
 
 
-def _above(name: str) -> str:
-    return name.rpartition("/")[0]
-
-
-def _folder_problems(location: Location, group: str) -> Iterator[str]:
-    """Yield what is in a group's folder and not of the store, and whether its attributes are others."""
-    node, strays = location.metadata(group), location.strays(group)
-    for name in strays[:_MOST_LISTED]:
-        yield f"/{group}/{name}".replace("//", "/") + ": neither a group nor an array of the store"
-    if len(strays) > _MOST_LISTED:
-        yield f"/{group}: {len(strays) - _MOST_LISTED} more that are neither groups nor arrays"
-    if node is not None and not has_sealed_attributes(node):
-        yield f"/{group}: attributes are not those that were written; run the writer again"
-
-
-def _listed_problems(location: Location, name: str, document: Any) -> Iterator[str]:
-    """Yield whether the root describes a node as it is."""
-    actual = location.metadata(name)
-    if actual is None:
-        yield f"/{name}: listed in the root's metadata but not there"
-        return
-    listed = {**document, "consolidated_metadata": None} if isinstance(document, dict) else {}
-    if metadata_checksum(listed) != metadata_checksum({**actual, "consolidated_metadata": None}):
-        yield f"/{name}: the root's consolidated metadata are not those of the node"
-
-
-def _group_problems(location: Location, group: str, record: GroupRecord) -> Iterator[str]:
-    if attributes_checksum(location.metadata(group) or {}) != record.attributes:
-        yield f"/{group}: attributes are not those recorded"
-    for name, array in record.arrays.items():
-        yield from _until_error(_array_problems(location, group, name, array))
-
-
-def _array_problems(location: Location, group: str, name: str, record: ArrayRecord) -> Iterator[str]:
+def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
+    """Return how many chunks of an array that no manifest names were read, and which cannot be read."""
     import numpy as np
     import zarr
 
-    from .guard import guarded
-
-    where = f"{group}/{name}" if group else name
-    recorded_form(location, group, name, record)
     try:
-        array = zarr.open_array(guarded(location), path=where, mode="r", zarr_format=3)
-    except StoreError:
-        raise
+        array: Any = zarr.open_array(source, path=where, mode="r")
     except Exception as error:  # zarr's own checks have classes of their own
-        yield f"/{where}: {type(error).__name__}: {error}"
-        return
-    present = location.files(where)
-    positions = list(np.ndindex(record.grid))
-    keys = [array.metadata.encode_chunk_key(position) for position in positions]
-    for stray in sorted(present - {*keys, METADATA, CHUNKS}):
-        yield f"/{where}/{stray}: not a chunk of this array"
+        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200}"]
+    check_arrays(location.url, {where: array})
 
-    def problem(position: tuple[int, ...], key: str, expected: int) -> str | None:
-        if key not in present:
-            return f"/{where}/{key}: the chunk is missing"
+    def state(index: tuple[int, ...]) -> str:
+        place = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, array.chunks, strict=True))
         try:
-            values = array[region(position, array.chunks, array.shape)] if array.ndim else array[...]
-            computed = checksum(np.asarray(values))
+            np.asarray(array[place])
         except Exception as error:  # a damaged chunk may raise anything that a codec raises
-            return f"/{where}/{key}: cannot be read: {type(error).__name__}: {error}"
-        return None if computed == expected else f"/{where}/{key}: not what was written (checksum differs)"
+            return f"/{where}: chunk {index} cannot be read: {type(error).__name__}: {error!s:.200}"
+        return ""
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        problems = pool.map(problem, positions, keys, record.chunks)
-        yield from (line for line in problems if line)
+    positions = list(
+        np.ndindex(*(-(-size // max(step, 1)) for size, step in zip(array.shape, array.chunks, strict=True)))
+    )
+    large = array.nbytes > MAX_CHUNK_BYTES // 8 * len(positions)  # one by one
+    with ThreadPoolExecutor(1 if large else os.cpu_count()) as pool:
+        return len(positions), [text for text in pool.map(state, positions) if text]

@@ -1,54 +1,79 @@
-"""`to_store`: the one writer of Zarr stores."""
+"""`to_store` and `whole_run`: the one writer of Zarr stores.
+
+A group is built beside its store, flushed, and put in its place; the manifest comes last. `whole_run` writes
+the groups of a run, which is unfinished until all of them are there.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import sys
 import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
 from hyperpaint.base.units import takes_quantities
 
-from . import computing, layout
-from .budget import check_memory, limited_threads
-from .chunks import is_mendable
-from .disk import check_disk, disk_needed, errors_of_the_system
-from .group_writing import Job, seal_group, write_arrays
+from . import chunks, computing, layout
+from .budget import check_memory, limited_threads, thread_space
+from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
 from .groups import (
-    INPUTS,
     VOLATILE_ATTRS,
-    announce,
-    damaged_groups,
-    finish_root,
+    ensure_groups,
+    group_document,
     groups_above,
-    is_listed,
+    has_attributes,
     is_named_by_content,
-    make_groups_above,
+    listed_documents,
     occupant,
     problems_above,
     reads_from,
-    rebuild_groups,
+    set_attributes,
+    stamped,
+    version_of_program,
+    with_listed,
 )
 from .layout import Layout
-from .location import METADATA, Location, clean_group
-from .record import OWN_ATTRS
-from .root_record import Intention, Member, intention, read_set
+from .location import METADATA, Location, clean_group, joined
+from .manifest import (
+    CONTENT,
+    INPUTS,
+    OWN_ATTRS,
+    SEAL,
+    SETTINGS,
+    ArrayEntry,
+    GroupEntry,
+    Manifest,
+    Write,
+    check_state,
+    chunk_digest,
+    content_of,
+    content_text,
+    document_checksum,
+    entry_of,
+    seal_of,
+    store_state,
+)
 from .stage import Staging, clear_up, discard, flight_content, staging
 
 if TYPE_CHECKING:
     import xarray as xr
 
-PathT = TypeVar("PathT", str, Path)
+TakeUp = Callable[[Staging, "Job"], None]
+"""Called before a group is written: hands over blocks of it that were written elsewhere."""
 
 
 @takes_quantities()
 def to_store(
     data: xr.Dataset | xr.DataTree,
-    path: PathT,
+    path: Any,
     group: str | None = None,
     *,
     overwrite: bool = False,
@@ -56,26 +81,28 @@ def to_store(
     source_token: str | None = None,
     codec: layout.Codec = "compact",
     layout: Layout = "cube",
-) -> PathT:
+) -> Any:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
     Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + shuffle, then
     crc32c). `xarray.open_zarr(path, group=...)` opens the result as it went in: counts as uint16, reflectance
     as float32, times to the nanosecond.
 
-    A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole and its
-    completion record is written; it changes places with the one it replaces in one step where the system has
-    such a step (Linux, most local disks), else by two renames. Other groups are never touched. A run that is
-    killed, or ends on a full disk, leaves the store as it was. The next run with the same content takes up
-    its finished blocks, once they have been read and found whole, and computes only the others. Every file
-    and folder is flushed to the disk before the record is written, and before the group gets its place: after
-    a power cut a group that has a record is whole, as far as the disk keeps what it has confirmed.
+    A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole; it
+    changes places with the one it replaces in one step where the system has such a step (Linux, most local
+    disks), else by two renames. Other groups are never touched. The store's manifest, which names every group
+    with checksums of its metadata and chunks, is written last. A run that is killed, or ends on a full disk,
+    leaves the store as it was. The next run with the same content takes up its finished blocks whose
+    checksums are right, and computes only the others. Every file and folder is flushed to the disk before the
+    group gets its place: after a power cut a group in its place is whole, as far as the disk keeps what it
+    has confirmed.
 
     Whether disk and memory will do is looked at before anything is written; no value is read for it.
 
     Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: there the group is written
-    in place and always from the start, its record still comes last, and the caller sees to it that there is
-    one writer.
+    in place and always from the start, its metadata and the manifest still come last, and the caller sees to
+    it that there is one writer. A store object of zarr, such as that of an icechunk session, gets the group
+    through xarray, in the same encoding but without a manifest: such stores have transactions of their own.
 
     Parameters
     ----------
@@ -83,7 +110,7 @@ def to_store(
         A Dataset becomes one group; every node of a DataTree that holds variables becomes one. Lazy arrays
         are computed block by block, with the scheduler in force; a cluster must see the same file system.
     path
-        Folder, or a URL of fsspec.
+        Folder, a URL of fsspec, or a writable store object of zarr.
     group
         Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
     overwrite
@@ -130,149 +157,287 @@ def to_store(
     (32, 3, 2)
     """
     check_codec(codec)
-    location = Location.of(path)
     jobs, attrs = _plan(data, clean_group(group), source_token, (codec, layout))
-    with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
+    if not isinstance(path, str | os.PathLike):
+        _write_to_store_object(path, jobs, attrs, overwrite=overwrite)
+        return path
+    location = Location.of(path)
+    contents = {job.group: job.content for job in jobs}
+    datasets = {job.group: job.dataset for job in jobs}
+    with errors_of_the_system(location, datasets):
         _refuse_own_source(jobs, location)
-        above = _groups_without_arrays(jobs, attrs)
-        pending = refused_jobs(jobs, above, location, overwrite=overwrite)
-        damaged = damaged_groups(above, location)
-        wanted = {job.group: job.member for job in jobs}
-        done = not pending and not damaged and is_sealed(wanted, location)
-        if done and is_listed(wanted, attrs, location):
+        pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
+        if not pending and _is_done(location, contents, attrs):
             if location.local is not None:
                 clear_up(real_folder(location.local))
             return path
-        _check_room(pending, location)
-        with Turn.at(location, wanted, [job.group for job in pending], above, overwrite=overwrite) as turn:
-            # what another writer finished while we waited counts
-            for job in refused_jobs(jobs, above, location, overwrite=overwrite):
-                turn.write(job, progress=progress)
-            turn.finish(attrs)
+        _check_room([job for job in jobs if job.group in pending], location)
+        with _writer(location, contents, pending, attrs, overwrite=overwrite) as writer:
+            for job in jobs:
+                writer.begin(job, progress=progress)()
+            writer.finish()
     return path
 
 
-def is_sealed(wanted: Mapping[str, Member], location: Location, *, overwrite: bool = False) -> bool:
-    """Tell whether a store's record names these groups, and nothing is under way.
+@dataclass(frozen=True)
+class Job:
+    """One group to write."""
 
-    ``overwrite``: nor may it name groups that are gone, which are then forgotten.
-    """
-    try:
-        record = read_set(location)
-    except IncompleteStoreError:
-        return False
-    if record is None:
-        return not any(wanted)
-    if overwrite and not all(location.has(group, METADATA) for group in record.groups):
-        return False
-    return record.finished and all(record.groups.get(group) == each for group, each in wanted.items())
+    group: str
+    dataset: xr.Dataset  # As `layout.prepare` returns it
+    token: str  # Names all that is stored: equal tokens, equal content
+    settings: str = ""  # Of the run that writes it
+    codec: layout.Codec = "compact"
+
+    @property
+    def content(self) -> str:
+        """What the manifest names: the group's path, its inputs or values, and the settings of its run."""
+        return content_text(self.group, str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
+
+    @property
+    def build(self) -> str:
+        """Names what is built: by one version of the program, with one codec, in one layout."""
+        from dask.base import tokenize
+
+        layouts = sorted(set(layout.layouts_of(self.dataset).values()))
+        return str(tokenize(self.token, version_of_program(), self.codec, *layouts))
 
 
-class Turn:
-    """One writer's turn at a store: groups get their places one by one, then the root record is sealed.
+# --- one writer at work ------------------------------------------------------------------------------------
 
-    Made by `Turn.at`. Other writers are refused meanwhile.
-    """
+
+class _StoreWriter:
+    """Puts groups in their places one by one, then writes the manifest; made by `_writer`."""
 
     def __init__(
-        self, location: Location, stage: Staging | None, intended: Intention, pending: Collection[str]
+        self,
+        location: Location,
+        stage: Staging | None,
+        manifest: Manifest,
+        write: Write,
+        attrs: Mapping[str, Any],
+        pending: Collection[str],
     ) -> None:
-        self._location, self._stage, self._intended, self._pending = location, stage, intended, pending
+        self._location, self.stage, self._manifest, self._write = location, stage, manifest, write
+        self._attrs, self._pending = attrs, pending
+        self._documents: dict[str, Any] = {}  # Metadata of what was written, by path
+        self._entries: dict[str, GroupEntry] = {}
+        self._ensured: set[str] = set()
         self._announced = False
 
-    @classmethod
-    @contextlib.contextmanager
-    def at(
-        cls,
-        location: Location,
-        wanted: Mapping[str, Member],
-        pending: Collection[str],
-        above: Collection[str],
-        *,
-        command: str | None = None,
-        overwrite: bool = False,
-    ) -> Iterator[Turn]:
-        """Hold a store to write the groups ``pending``, after which it is to hold those ``wanted``.
-
-        ``above``: groups without arrays around them; ``command``: see `intention`.
-        """
-        with _held(location, pending) as stage:
-            rebuild_groups(damaged_groups(above, location), location)
-            intended = intention(location, wanted, pending, command=command, overwrite=overwrite)
-            turn = cls(location, stage, intended, pending)
-            if not location.has("", METADATA) and len(pending) > 1 and "" not in pending:
-                turn.announce()
-            yield turn
-
-    @property
-    def stage(self) -> Staging | None:
-        """Where groups are built; None behind a URL."""
-        return self._stage
-
-    @property
-    def _record(self) -> str:
-        """The root record's text; empty where the root is the only group."""
-        return self._intended.record.text if any(self._intended.record.groups) else ""
-
-    def announce(self) -> None:
-        """Write into the root what the store is to hold, unless that has been done."""
-        if self._record and not self._announced:
-            announce(self._record, self._pending, self._location)
-        self._announced = True
-
-    def write(self, job: Job, *, progress: bool = False) -> None:
-        """Write a group, and put it in its place."""
-        self.begin(job, progress=progress)()
-
     def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
-        """Write a group's arrays; return what seals it and puts it in its place.
+        """Write a group's arrays; return what puts it in its place.
 
-        Another thread may do that while the next group begins, for one group at a time.
+        Another thread may do that while the next group begins, for one group at a time. Nothing is done where
+        the group is there.
         """
+        if job.group not in self._pending:
+            return lambda: None
         with limited_threads(_check_room([job], self._location)):
-            if self._stage is None:
-                self._write_in_place(job, progress=progress)
+            if self.stage is None:  # behind a URL: in place, the group's own metadata last
+                self._announce(job.group)
+                old = (
+                    [job.group]
+                    if job.group
+                    else [name for name in self._location.folders("") if self._location.kind(name) == "array"]
+                )
+                for path in filter(self._location.has, old):
+                    self._location.fs.rm(self._location.key(path), recursive=True)
+                place = Location.of(self._location.group_url(job.group))
+                files, sums = _write_arrays(job, place, [], progress=progress)
+                place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
                 return lambda: None
-            return self._write_beside(job, self._stage, progress=progress)
+            stage = self.stage
+            stage.discard_others(job.group, job.build)
+            leftovers = stage.leftovers(job.group, job.build)
+            folder = stage.build(job.group, job.build)
+            with _discarded_unless_mendable(folder, *leftovers):
+                files, sums = _write_arrays(job, Location.of(folder), leftovers, progress=progress)
 
-    def _write_in_place(self, job: Job, *, progress: bool) -> None:
-        location = self._location
-        if job.group:
-            self.announce()
-        # without its seal the group is incomplete from here on
-        if location.has(job.group):
-            location.fs.rm(location.key(job.group), recursive=True)
-        place = Location.of(location.group_url(job.group))
-        seal_group(job, place, write_arrays(job, place, [], progress=progress), self._record)
-        make_groups_above(job.group, location)
-
-    def _write_beside(self, job: Job, stage: Staging, *, progress: bool) -> Callable[[], None]:
-        stage.discard_others(job.group, job.content)
-        leftovers = stage.leftovers(job.group, job.content)
-        folder = stage.build(job.group, job.content)
-        with _discarded_unless_mendable(folder, *leftovers):
-            sums = write_arrays(job, Location.of(folder), leftovers, progress=progress)
-
-        def place() -> None:
+        def put_in_place() -> None:
             with _discarded_unless_mendable(folder):
-                closed = stage.close(folder, job.group, job.content)
+                # from here on a task that a cluster repeats finds no folder to write to
+                closed = stage.close(folder, job.group, job.build)
             with _discarded_unless_mendable(closed):
-                seal_group(job, Location.of(closed), sums, self._record)
+                for hidden in closed.rglob(".*"):  # of tasks that died while they wrote
+                    hidden.unlink(missing_ok=True)
+                root = self._note(job, files, sums)
+                place = Location.of(closed)
+                if not job.group:  # with its manifest, so that it is whole in one step
+                    own = {name: doc for name, doc in self._documents.items() if name}
+                    root = with_listed(root, own)
+                    writes = (self._write,) if len(self._write.contents) > 1 else ()
+                    replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
+                place.write_files({METADATA: json.dumps(root).encode()})
+                expected = [
+                    closed.joinpath(name, *key.split("/")) for name, keys in sums.items() for key in keys
+                ]
+                flush_group(closed, expected)
                 if job.group:
-                    self.announce()
-                make_groups_above(job.group, self._location)
+                    self._announce(job.group)
                 stage.publish(closed, job.group)
 
-        return place
+        return put_in_place
 
-    def finish(self, attrs: Mapping[str, dict[str, Any]]) -> bool:
-        """Set the attributes of groups without arrays (by group), seal the root record unless groups lack.
+    def _note(
+        self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
+    ) -> dict[str, Any]:
+        """Keep a group's metadata and its entry of the manifest; return the group's own metadata."""
+        documents = {
+            key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
+            for key, raw in files.items()
+            if key.rpartition("/")[2] == METADATA
+        }
+        own = documents.pop("")
+        arrays = {
+            name: ArrayEntry(
+                document_checksum(document),
+                len(sums[name]),
+                chunk_digest(job.group, name, sums[name].items()),
+            )
+            for name, document in documents.items()
+        }
+        own["attributes"][SEAL] = seal_of(arrays)
+        self._entries[job.group] = GroupEntry(
+            job.content, document_checksum(own), arrays, own["attributes"] if arrays else {}
+        )
+        self._documents |= {joined(job.group, name): document for name, document in documents.items()}
+        self._documents[job.group] = own
+        return dict(own)
 
-        Return whether it is sealed.
+    def _announce(self, group: str) -> None:
+        """Make the groups above, and before the first group gets its place note all that is to be written."""
+        if not self._announced:
+            replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
+            self._announced = True
+        missing = [name for name in groups_above(group) if name not in self._ensured]
+        ensure_groups(missing, self._location)
+        self._ensured.update(missing)
+
+    def finish(self) -> None:
+        """List all metadata in the root, and write the manifest.
+
+        Raises `IncompleteStoreError`: a group is lacking, of this run or of another that was begun.
         """
-        record = self._intended.sealed(self._location)
-        finish_root(attrs, record.text if any(record.groups) else "", self._location)
-        return record.finished
+        location, manifest = self._location, self._manifest
+        listed = listed_documents(location)
+        there = [name for name in self._write.contents if location.has(name, METADATA)]
+        present = [name for name in manifest.groups if location.has(name, METADATA)]
+        around = dict.fromkeys(
+            each for name in (*self._write.contents, *self._attrs, *present) for each in groups_above(name)
+        )
+        ensure_groups(around, location)
+        for group, wanted in self._attrs.items():
+            set_attributes(group, wanted, location)
+        # entries: of what was written, of what was there, and of groups around others
+        entries = dict(self._entries)
+        for name in there:
+            old = manifest.groups.get(name)
+            if name not in entries:
+                content = self._write.contents[name]
+                entries[name] = (
+                    old if old is not None and old.content == content else entry_of(location, name)
+                )
+        for name in dict.fromkeys((*around, *self._attrs)):
+            if name not in entries:
+                document = self._documents[name] = location.metadata(name) or {}
+                kept = manifest.groups.get(name, GroupEntry("", 0, {}))
+                entries[name] = kept._replace(metadata=document_checksum(document))
+        groups = {**manifest.groups, **entries}
+        # the list of all metadata: of other groups as they were listed, where these are still there
+        documents = dict(self._documents)
+        recorded = {name: entry.metadata for name, entry in groups.items()} | {
+            joined(name, array): each.metadata
+            for name, entry in groups.items()
+            for array, each in entry.arrays.items()
+        }
+        for name, document in listed.items():
+            plain = {key: value for key, value in document.items() if key != "consolidated_metadata"}
+            known = name not in recorded or recorded[name] == document_checksum(plain)
+            if name not in documents and known and location.has(name, METADATA):
+                documents[name] = plain
+        for name in recorded:
+            if name not in documents:
+                with contextlib.suppress(IncompleteStoreError):  # damaged: verify says so
+                    documents |= {name: node} if (node := location.metadata(name)) is not None else {}
+        root = documents.pop("", None) or group_document(stamped({}, "created"))
+        location.write_json(with_listed(root, documents), METADATA)
+        lacking = len(there) < len(self._write.contents)
+        writes = (*manifest.writes, self._write) if lacking else manifest.writes
+        replace(manifest, groups=groups, writes=writes).write(location)
+        if lacking or (self._write.command and writes):
+            check_state(location)
+        if lacking:
+            gone = sorted(set(self._write.contents) - set(there))
+            raise IncompleteStoreError(f"{location.url}: somebody removed /{gone[0]} while it was written")
+
+
+@contextlib.contextmanager
+def _writer(
+    location: Location, contents: Mapping[str, str], pending: list[str], attrs: Mapping[str, Any], *,
+    command: str = "", overwrite: bool = False,
+) -> Iterator[_StoreWriter]:  # fmt: skip
+    """Be the only writer of a store, which is to hold the groups ``contents`` then.
+
+    ``pending``: those that will be written, whose finished blocks are kept; ``attrs``: attributes of groups
+    without arrays; ``command``: of a run, which forgets what an interrupted run of it was to write, and with
+    ``overwrite`` groups that are gone.
+    """
+    with contextlib.ExitStack() as stack:
+        stage = None
+        if location.local is not None:
+            location.local.parent.mkdir(parents=True, exist_ok=True)
+            stage = stack.enter_context(staging(real_folder(location.local), pending))
+        # what another writer finished while we waited counts
+        pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
+        try:
+            manifest = Manifest.read(location)
+        except IncompleteStoreError:
+            if not overwrite:
+                raise
+            manifest = None
+        if (
+            manifest is None
+        ):  # a new store; or it was lost: groups that say that they belong here are taken up
+            groups = {}
+            for name in location.groups() if location.has("") else ():
+                if content_of(location, name).startswith(f"/{name} "):
+                    with contextlib.suppress(IncompleteStoreError):  # it is written again
+                        groups[name] = entry_of(location, name)
+            manifest = Manifest(groups)
+        manifest = manifest.settled(location)
+        write = Write(contents, command)
+        writes = tuple(
+            each
+            for each in manifest.writes
+            if not (command and each.source == write.source) and not each.contents.keys() <= contents.keys()
+        )
+        groups = dict(manifest.groups)
+        if command and overwrite and (Write({}, manifest.command).source == write.source):
+            groups = {name: entry for name, entry in groups.items() if location.has(name, METADATA)}
+        manifest = Manifest(groups, writes, command or manifest.command)
+        yield _StoreWriter(location, stage, manifest, write, attrs, pending)
+
+
+def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
+    """Return whether a store holds groups whose files are all there, and nothing is left to do."""
+    try:
+        manifest = Manifest.read(location)
+    except IncompleteStoreError:
+        return False
+    if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
+        return False
+    named = all(
+        name in manifest.groups and manifest.groups[name].content == c for name, c in contents.items()
+    )
+    if not (named and all(has_attributes(group, wanted, location) for group, wanted in attrs.items())):
+        return False
+    listed = listed_documents(location)
+    return all(
+        joined(name, array) in listed
+        for name in contents
+        for array in manifest.groups[name].arrays
+    )  # fmt: skip
 
 
 @contextlib.contextmanager
@@ -281,16 +446,223 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if not is_mendable(error):
+        if not chunks.is_mendable(error):
             for built in folders:
                 discard(built)
         raise
 
 
-def _groups_without_arrays(jobs: list[Job], attrs: Iterable[str]) -> list[str]:
-    """Return the groups that a call makes around those it writes."""
-    above = (each for job in jobs for each in groups_above(job.group))
-    return list(dict.fromkeys((*above, *(each for group in attrs for each in (*groups_above(group), group)))))
+# --- a run of several groups -------------------------------------------------------------------------------
+
+
+class WholeRun:
+    """Writes the groups of a run, each of which was named when it began; made by `whole_run`.
+
+    A group gets its place while the next is written: in one thread, one at a time. Each goes the same way as
+    alone, and groups share no file: a killed run leaves at most two that are begun.
+    """
+
+    def __init__(
+        self, writer: _StoreWriter | None, location: Location, codec: layout.Codec, take_up: TakeUp | None
+    ) -> None:
+        self._writer, self._location, self._codec, self._take_up = writer, location, codec, take_up
+        self._pool = ThreadPoolExecutor(1, "hyperpaint-place")
+        self._placing: Future[None] | None = None
+        self._placed: dict[str, xr.Dataset] = {}
+
+    def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
+        """Write a group; it gets its place while the next is written, see `settle`.
+
+        Bars go to stderr, so that stdout holds results only.
+        """
+        assert self._writer is not None  # a run without pending groups writes none
+        if self._placing is None or self._placing.done():  # an error is raised before this one takes its time
+            self.settle()
+        settings = str(dataset.attrs.get(SETTINGS, ""))
+        token = _token(dataset, str(dataset.attrs.get(INPUTS)))
+        job = Job(group, layout.prepare(dataset, group), token, settings, self._codec)
+        shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
+        with shown, errors_of_the_system(self._location, {group: dataset}):
+            if self._take_up is not None and self._writer.stage is not None:
+                self._take_up(self._writer.stage, job)
+            place = self._writer.begin(job, progress=progress)
+        self.settle()
+        self._placed = {group: dataset}
+        if thread_space():  # a thread would take the room of one that computes
+            with errors_of_the_system(self._location, self._placed):
+                place()
+        else:
+            self._placing = self._pool.submit(place)
+
+    def settle(self) -> None:
+        """Wait until every group is in its place; what went wrong with one is raised."""
+        with errors_of_the_system(self._location, self._placed):
+            if self._placing is not None:
+                self._placing.result()
+                self._placing = None
+
+    def close(self) -> None:
+        """Let nothing go on that still writes, whatever ended the run."""
+        ending, interruption = sys.exc_info()[1], None
+        while self._placing is not None and not self._placing.done():
+            try:
+                wait([self._placing])
+            except BaseException as error:  # Ctrl-C: the lock must not be released under it
+                interruption = error
+        self._pool.shutdown()
+        failure = None if self._placing is None else self._placing.exception()
+        if failure is not None and ending is not None and failure is not ending:
+            ending.add_note(f"before that, a group could not be put in its place: {failure}")
+        if interruption is not None:
+            raise interruption
+
+
+@contextlib.contextmanager
+def whole_run(
+    path: Path, contents: Mapping[str, str], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any], *,
+    command: str, overwrite: bool, codec: layout.Codec = "compact", take_up: TakeUp | None = None,
+) -> Iterator[WholeRun]:  # fmt: skip
+    """Hold a store for a run, and write its manifest when that ends well; nothing is done where all is there.
+
+    ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
+    ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
+    ``codec``: of `to_store`; ``take_up``: see `TakeUp`.
+
+    Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
+    groups are lacking at the end, of this run or of another that was begun.
+    """
+    location = Location.of(path)
+    root = {"": dict(attrs)}
+    with contextlib.ExitStack() as stack:
+        writer = None
+        with errors_of_the_system(location, pending):
+            if not pending and _is_done(location, contents, root):
+                clear_up(real_folder(path))
+            else:
+                writer = stack.enter_context(
+                    _writer(location, contents, list(pending), root, command=command, overwrite=overwrite)
+                )
+        run = WholeRun(writer, location, codec, take_up)
+        with contextlib.closing(run):
+            yield run
+            run.settle()
+        if writer is not None:
+            with errors_of_the_system(location, pending):
+                writer.finish()
+
+
+def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    """Return the contents of the groups of a run, each with its `INPUTS` and perhaps its `SETTINGS`."""
+    return {
+        name: content_text(name, str(group.attrs[INPUTS]), str(group.attrs.get(SETTINGS, "")))
+        for name, group in groups.items()
+    }
+
+
+# --- the arrays of a group ---------------------------------------------------------------------------------
+
+
+def _write_arrays(
+    job: Job, place: Location, leftovers: list[Path], *, progress: bool
+) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
+    """Write the arrays of a group, but for chunks that a leftover has.
+
+    Return the files that xarray made, of which the group's own metadata are not yet written, and of each
+    array the crc32c that ends each chunk, by key.
+    """
+    import numpy as np
+
+    dataset = job.dataset.copy(deep=False)
+    dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
+    variables = {str(name): variable for name, variable in dataset.variables.items()}
+    streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
+    with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
+        files = _written_by_xarray(dataset, list(streamed), job.codec)
+        if place.local is not None:
+            place.local.mkdir(parents=True, exist_ok=True)
+        place.write_files({key: raw for key, raw in files.items() if key != METADATA})
+        targets = {name: chunks.Target.of(name, v, place, job.codec) for name, v in streamed.items()}
+        # blocks that an earlier attempt finished
+        finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
+        for leftover in leftovers:
+            for name, target in targets.items():
+                chunks.adopt(leftover / name, target, finished[name])
+            discard(leftover)
+        lazy = {
+            name: chunks.lazy_checksums(variable, targets[name], finished[name])
+            for name, variable in streamed.items()
+        }
+        computed = computing.compute(lazy, targets, group=job.group, progress=progress)
+    sums = {}
+    for name in variables:
+        if name in computed:
+            found = computed[name]
+            sums[name] = {
+                targets[name].key(index): int(found[index]).to_bytes(4, "little")
+                for index in np.ndindex(found.shape)
+            }
+        else:
+            prefix = f"{name}/"
+            keys = [key for key in files if key.startswith(prefix) and not key.endswith(METADATA)]
+            sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in sorted(keys, key=_in_order)}
+    return files, sums
+
+
+def _in_order(key: str) -> list[int]:
+    return [int(part) for part in key.split("/") if part.isdigit()]
+
+
+def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
+    """Return the files of a group as zarr keeps them in memory: metadata, and values not streamed.
+
+    On a disk each of some hundred small files would wait for zarr's threads.
+    """
+    from zarr.storage import MemoryStore
+
+    files: dict[str, Any] = {}
+    holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
+    template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
+    template, encoding = template[list(dataset.variables)], layout.encoding(dataset, codec)
+    options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
+    template.to_zarr(MemoryStore(files), encoding=encoding, **options)
+    return {key: content.to_bytes() for key, content in files.items()}
+
+
+def _write_to_store_object(
+    store: Any, jobs: list[Job], attrs: Mapping[str, Mapping[str, Any]], *, overwrite: bool
+) -> None:
+    """Write groups through xarray into a store object of zarr."""
+    import zarr
+
+    try:
+        held = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
+    except Exception:  # a new store; each kind has its own
+        held = []
+    problems = Problems(f"cannot write {store}", StoreError)
+    for job in jobs:
+        if names := reads_from(job.dataset, store, job.group):
+            problems.add(f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read")
+        if not job.group and held and overwrite:
+            problems.add(f"its root holds groups, which would be lost: {', '.join(held[:5])}")
+    problems.raise_if_any()
+    try:
+        for group, wanted in attrs.items():
+            zarr.open_group(store, path=group, mode="a").attrs.update(stamped(wanted, "to_store"))
+        for job in jobs:
+            encoding = layout.encoding(job.dataset, job.codec)
+            dataset = job.dataset.assign_attrs(stamped(job.dataset.attrs, "to_store"))
+            options: Any = {"consolidated": False, "mode": "w" if overwrite else "w-"}
+            dataset.to_zarr(store, group=job.group or None, encoding=encoding, zarr_format=3, **options)
+    except FileExistsError as error:  # zarr's ContainsGroupError is one
+        raise StoreError(f"{store}: {error}", mend="pass overwrite=True to replace it") from error
+    except Exception as error:  # zarr and each kind of store have their own
+        raise StoreError(
+            f"{store} cannot be written: {type(error).__name__}: {error!s:.200}",
+            expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
+        ) from error
+
+
+# --- what is to be written ---------------------------------------------------------------------------------
 
 
 def real_folder(local: Path) -> Path:
@@ -318,18 +690,12 @@ def _plan(
         if "coarse_reflectance" in node.variables and not has_own_means(node):
             node = node.drop_vars("coarse_reflectance")  # of reflectance as it was before
         dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
-        prepared = layout.prepare(dataset, name)
+        prepared = layout.prepare(dataset, clean_group(name))
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
         else:
             jobs.append(Job(name, prepared, _token(dataset, source_token), codec=form[0]))
     return jobs, attrs
-
-
-def job_of(group: str, dataset: xr.Dataset, member: Member, codec: layout.Codec) -> Job:
-    """Return what is to be written of a group of a run, which says itself what it is made from."""
-    token = _token(dataset, member.identity)
-    return Job(group, layout.prepare(dataset, group), token, member.settings, codec)
 
 
 def check_codec(codec: str) -> None:
@@ -365,7 +731,9 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 def _content(variable: xr.Variable) -> Any:
     """Return what stands for a variable's values."""
     if layout.is_at_hand(variable) and is_named_by_content(variable):
-        return variable.data
+        # dask names texts by what joins them
+        is_text = variable.dtype.kind in "OT" and variable._in_memory
+        return json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
     if variable.size == 1:
         return variable.values
     # a lazy array does not say what its file holds, and would be read whole to find out; what dask calls it
@@ -374,54 +742,61 @@ def _content(variable: xr.Variable) -> Any:
 
 
 def _refuse_own_source(jobs: list[Job], location: Location) -> None:
+    """Refuse groups that are read from what this call replaces: they would be read when it is gone."""
     problems = Problems(f"cannot write {location.url}", StoreError)
     for job in jobs:
-        if names := reads_from(job.dataset, location, job.group):
-            problems.add(
-                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} "
-                f"{'is' if len(names) == 1 else 'are'} read from it; "
-                "write to another group or path, or .load() the dataset first"
-            )
+        for other in jobs:
+            if names := reads_from(job.dataset, location, other.group):
+                problems.add(
+                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
+                    f"{'is' if len(names) == 1 else 'are'} read from it; "
+                    "write to another group or path, or .load() the dataset first"
+                )
     problems.raise_if_any()
 
 
-def refused_jobs(jobs: list[Job], above: list[str], location: Location, *, overwrite: bool) -> list[Job]:
-    """Return the jobs that are not done yet; refuse those that would touch what must stay."""
+def pending_groups(
+    contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
+) -> list[str]:
+    """Return the groups that are not there yet, of those ``contents``; refuse what would touch others.
+
+    ``around``: groups without arrays that are written too.
+    """
     problems = Problems(f"cannot write {location.url}", StoreError)
+    above = dict.fromkeys(each for name in (*contents, *around) for each in groups_above(name))
     for text in problems_above(above, location, overwrite=overwrite):
         problems.add(text)
+    manifest = None
+    try:
+        manifest = Manifest.read(location)
+    except IncompleteStoreError as error:
+        if not overwrite:
+            problems.add_error(location.url, error)
     pending = []
-    for job in jobs:
-        state = occupant(job.group, job.token, location)
+    there = location.has("")
+    lost = store_state(location).problems if manifest is None and there and not len(problems) else ()
+    if lost and not overwrite:
+        problems.add(lost[0], mend="pass overwrite=True to make it again", option="pass --overwrite")
+    for group, content in contents.items():
+        state = occupant(group, content, location, manifest) if there else ""
         if state == "same":
             continue
         if state == "parent":
             problems.add(
-                f"group {'/' + job.group!r} holds other groups, or files and folders that are none of its "
+                f"group {'/' + group!r} holds other groups, or files and folders that are none of its "
                 "arrays, which would be lost; choose another group, or move them away first"
             )
         elif state == "array":
-            problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")
+            problems.add(f"{'/' + group!r} or a group above it is an array; choose another group")
         elif state not in ("", "lacks chunks") and not overwrite:
             problems.add(
-                f"group {'/' + job.group!r} exists, {state}",
+                f"group {'/' + group!r} exists, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
             )
-        pending.append(job)
+        pending.append(group)
     problems.raise_if_any()
     return pending
-
-
-@contextlib.contextmanager
-def _held(location: Location, groups: Collection[str]) -> Iterator[Staging | None]:
-    """Be the only writer of a store; where that is a folder, what was built of ``groups`` before is kept."""
-    if location.local is None:
-        yield None
-        return
-    location.local.parent.mkdir(parents=True, exist_ok=True)
-    with staging(real_folder(location.local), groups) as stage:
-        yield stage
 
 
 def check_room(
@@ -447,7 +822,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
     begun = [
         folder
         for job in jobs
-        for content in (job.content, flight_content(job.codec))
+        for content in (job.build, flight_content(job.codec))
         for folder in stage.leftovers(job.group, content)
     ]
     check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)

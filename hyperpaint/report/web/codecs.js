@@ -2,7 +2,7 @@
 // is WebAssembly, 600 kB, which a page that may run no evaluated code would have to allow.
 
 const HEADER = 16;
-const MOST_BYTES = 2 ** 30; // of a chunk, as hyperpaint.io.store.documents
+const MOST_BYTES = 2 ** 30; // of a chunk, as hyperpaint.io.store.reader
 
 class DamagedError extends Error {}
 

@@ -128,10 +128,10 @@ def _calibration(path: Path) -> None:
     open_calibration(path)
 
 
-def _foreign(path: Path) -> None:
-    from .bomb_making import unsealed
+def _library(path: Path) -> None:
+    from hyperpaint.io.library import open_library
 
-    _calibration(unsealed(path))
+    open_library(path).load()
 
 
 DOORS: Mapping[str, Door] = {
@@ -148,23 +148,17 @@ DOORS: Mapping[str, Door] = {
     # writes beside what is there
     "writer": Door(_writer, (StoreError,)),
     "calibration": Door(_calibration, (FormatError,)),
-    # a calibration that somebody else's program wrote
-    "foreign": Door(_foreign, (FormatError,)),
+    "library": Door(_library, (FormatError, StoreError)),
 }
 
 
 def all_bombs() -> list[tuple[str, str, Callable[[Path], Path]]]:
     """Return every try: name of a bomb, name of the door it is put through, and what makes it in a folder."""
-    from . import bomb_chunks, bomb_stores  # noqa: F401 - they register theirs
     from .bomb_files import BOMBS as FILES
-    from .bomb_making import BOMBS as STORES
+    from .bomb_stores import BOMBS as STORES
 
-    return [
-        (made.__name__.strip("_"), door, made)
-        for bombs in (FILES, STORES)
-        for made, doors in bombs
-        for door in doors
-    ]
+    files = [(made.__name__, door, made) for made, doors in FILES for door in doors]
+    return files + [(name, door, made) for name, (doors, made) in STORES.items() for door in doors]
 
 
 # --- one child ---------------------------------------------------------------------------------------------
@@ -278,7 +272,11 @@ def warm_up() -> None:
         "hyperpaint.io.navigation.navigation_opening",
         "hyperpaint.io.spectrometers.asd",
         "hyperpaint.io.spectrometers.irradiance",
-        "hyperpaint.io.store.guard",
+        "hyperpaint.io.library",
+        "hyperpaint.io.store.verification",
+        "fsspec.implementations.zip",
+        "xarray",
+        "zarr.storage",
         "hyperpaint.cli.info_command",
         "google_crc32c",
         "dask.array",

@@ -147,10 +147,11 @@ def _write_inputs(folder: Path, number: int, names: Sequence[str]) -> None:
     regions = [hp.Region(f"paint {at}", corners, flightline="raw_0") for at in range(1 + number)]
     hp.write_regions(regions, folder / "regions.geojson")
     if "export" in names:
-        rho = ("paint", "band"), rng.random((4, 30)).astype(np.float32), {"units": "1"}
+        rho = ("signature", "band"), rng.random((4, 30)).astype(np.float32), {"units": "1"}
         nm = "band", np.linspace(400.0, 900.0, 30), {"units": "nm"}
         labels = [f"paint {at} of {number}" for at in range(4)]
-        paints = xr.Dataset({"reflectance": rho, "standard_error": rho}, {"paint": labels, "wavelength": nm})
+        coords = {"signature": labels, "wavelength": nm}
+        paints = xr.Dataset({"reflectance": rho, "standard_error": rho}, coords)
         hp.write_library(paints, folder / "paints.zarr")
 
 

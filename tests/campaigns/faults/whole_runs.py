@@ -44,7 +44,7 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 PRELOAD = [
     "xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.workflows.pipeline", "hyperpaint.alignment",
     "hyperpaint.workflows.laboratory", "hyperpaint.accessor", "hyperpaint.pictures.plot",
-    "hyperpaint.io.store.store_runs", "hyperpaint.radiometry", __name__,
+    "hyperpaint.io.store.writer", "hyperpaint.radiometry", __name__,
 ]  # fmt: skip
 _CONTEXT.set_forkserver_preload(PRELOAD)
 

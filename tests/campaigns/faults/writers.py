@@ -31,7 +31,7 @@ GROUP = "flightlines/raw_0"
 _SLABS, _SHAPE = 12, (32, 4, 50)
 _DELAY = 0.02
 _REFUSED = 3
-UNLISTED = "/: no consolidated metadata"
+UNLISTED = "/: the root has no list of all metadata"
 #: Children are forked by a server that has imported everything: they write within milliseconds.
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["xarray", "dask.array", "zarr", "hyperpaint", __name__])

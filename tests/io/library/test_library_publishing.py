@@ -15,6 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.library import envi_library
+from hyperpaint.io.store.stage import _MARK_TEXT
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr", "ecostress": "paints"}
 
@@ -129,6 +130,7 @@ def test_leftovers_of_a_killed_writer__are_cleared(library: xr.Dataset, tmp_path
     build = stage / "build-%root-product-0123456789ab"
     build.mkdir(parents=True)
     (build / "paints.sli").write_bytes(b"half")
+    (stage / "hyperpaint").write_bytes(_MARK_TEXT)
     hp.write_library(library, tmp_path / "paints.sli")
     assert not stage.exists()
 

@@ -410,10 +410,9 @@ def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
     again = open_irradiance(tmp_path / "lot.zarr")
     np.testing.assert_array_equal(again["irradiance"].values, series["irradiance"].values)
     np.testing.assert_array_equal(again["irradiance_time"].values, series["irradiance_time"].values)
-    # what hyperpaint marks as its own, and no completion record
-    series.assign_attrs(hyperpaint_format=1).to_zarr(tmp_path / "half.zarr", consolidated=False)
-    with pytest.raises(IncompleteStoreError, match="never finished"):
-        open_irradiance(tmp_path / "half.zarr")
+    (tmp_path / "lot.zarr/irradiance/irradiance/c/0/0").unlink()
+    with pytest.raises(IncompleteStoreError, match="irradiance: 1 of 1 chunks are missing"):
+        open_irradiance(tmp_path / "lot.zarr")
 
 
 def test_a_damaged_store_is_named(tmp_path):

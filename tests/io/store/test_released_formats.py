@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import warnings
 import zipfile
 from pathlib import Path
 
@@ -13,16 +12,9 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.constants import KEPT_BITS
-from hyperpaint.base.errors import IncompleteStoreError, PaintWarning
 from hyperpaint.base.schema import FORMAT_VERSION
 
 RELEASED = Path(__file__).with_name("released")
-
-
-def _problems(path: Path) -> str:
-    with pytest.raises(IncompleteStoreError):
-        hp.open_store(path)
-    return "\n".join(hp.verify(path).problems)
 
 
 def test_a_store_of_every_format_is_kept() -> None:
@@ -43,48 +35,41 @@ def _has_its_counts(tree: xr.DataTree) -> None:
         np.testing.assert_array_equal(tree[f"flightlines/raw_{number}"]["counts"].values, expected)
 
 
-@pytest.fixture
-def released(tmp_path: Path) -> Path:
-    """Unpack a store of format 1: two lines written by `to_store` of 0.1, before root records."""
-    return _unpacked(1, tmp_path)
-
-
-def test_a_store_of_format_1_opens_with_a_note(released: Path) -> None:
-    report = hp.verify(released)
-    assert report.ok
-    assert "written by hyperpaint 0.1" in report.notes[0]
-    assert "note: " in str(report)
-    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
-        tree = hp.open_store(released)
-    _has_its_counts(tree)
-    with pytest.warns(PaintWarning, match=r"hyperpaint 0\.1"):
-        hp.open_store(released, "flightlines/raw_1")
-
-
-def test_a_store_of_format_1_takes_more_groups(released: Path) -> None:
-    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), released, "signatures")
-    report = hp.verify(released)
-    assert report.ok
-    assert "held groups before the record" in report.notes[0]
-    with pytest.warns(PaintWarning, match="held groups before the record"):
-        hp.open_store(released)
-    assert hp.open_store(released, "flightlines/raw_1").sizes["band"] == 3
-    shutil.rmtree(released / "flightlines/raw_1")
-    assert "/flightlines/raw_1: deleted" in _problems(released)
-
-
-def test_a_store_of_format_2_is_whole(tmp_path: Path) -> None:
-    """Two lines of a run of numerics 1, and a group that a user added; as format 2 began."""
-    path = _unpacked(2, tmp_path)
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_of_an_older_format_opens_and_is_noted(number: int, tmp_path: Path) -> None:
+    """Two lines as 0.1 and 0.2 began to write them; that of format 2 has a group of a user."""
+    path = _unpacked(number, tmp_path)
     report = hp.verify(path)
     assert report.ok, str(report)
-    assert all("made by numerics 1" in note for note in report.notes)
-    assert set(report.groups) == {"flightlines/raw_1", "flightlines/raw_2", "signatures"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)
-        _has_its_counts(hp.open_store(path))
+    assert "hyperpaint 0.2 or older" in report.notes[0]
+    assert {"flightlines/raw_1", "flightlines/raw_2"} <= set(report.groups)
+    tree = hp.open_store(path)
+    _has_its_counts(tree)
+    assert not [key for key in tree["flightlines/raw_1"].attrs if key.startswith("hyperpaint_complete")]
+    chunk = path / "flightlines/raw_1/counts/c/0/0/0"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    assert "/flightlines/raw_1/counts: chunk (0, 0, 0) cannot be read" in str(hp.verify(path))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_of_an_older_format_takes_more_groups(number: int, tmp_path: Path) -> None:
+    path = _unpacked(number, tmp_path)
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), path, "more")
+    report = hp.verify(path)
+    assert report.ok, str(report)
+    assert len(report.notes) >= 2  # the groups of before are not in the manifest
+    _has_its_counts(hp.open_store(path))
+    shutil.rmtree(path / "more")
+    assert "/more: deleted" in str(hp.verify(path))
+
+
+def test_a_store_of_format_3_is_whole(tmp_path: Path) -> None:
+    path = _unpacked(3, tmp_path)
+    report = hp.verify(path)
+    assert (report.ok, report.notes) == (True, ()), str(report)
+    _has_its_counts(hp.open_store(path))
     shutil.rmtree(path / "flightlines/raw_1")
-    assert "/flightlines/raw_1: deleted" in _problems(path)
+    assert "/flightlines/raw_1: deleted" in str(hp.verify(path))
 
 
 @pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")  # of later numerics

@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import budget, chunks, disk, group_writing, is_complete, to_store, verify, writer
+from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
 from hyperpaint.io.store.disk import check_disk, disk_needed
 
 CUBE = ("along_track", "band", "cross_track")
@@ -66,15 +66,17 @@ def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.
     whole = {"one": line()}
     needed = disk_needed(whole["one"])
     path = tmp_path / "lot.zarr"
-    content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).content
+    content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
     with pytest.raises(StoreError, match="of disk are needed"):
         writer.check_room(whole, path, {"one": "token"})
-    for build in (f"build-one-{content}-1", f"build-two-{content}-1", "build-one-other-1", "replaced-one"):
+    attempt = "0" * 12
+    ours = f"build-one-{content}-{attempt}"
+    for build in (ours, f"build-two-{content}-{attempt}", f"build-one-other-{attempt}", "replaced-one"):
         folder = tmp_path / ".partial-lot.zarr" / build
         folder.mkdir(parents=True)
         (folder / "chunk").write_bytes(bytes(600))
-        if build == f"build-one-{content}-1":
+        if build == ours:
             writer.check_room(whole, path, {"one": "token"})
             shutil.rmtree(folder)
     with pytest.raises(StoreError, match="of disk are needed"):
@@ -177,9 +179,7 @@ class Flushed:
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are named in Linux's /proc")
-def test_everything_is_flushed_before_the_seal_and_before_the_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_everything_is_flushed_before_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flushed, states = Flushed(monkeypatch), []
     plain = writer.Staging.publish
 
@@ -190,12 +190,9 @@ def test_everything_is_flushed_before_the_seal_and_before_the_place(
     monkeypatch.setattr(writer.Staging, "publish", publish)
     path = tmp_path / "lot.zarr"
     to_store(line().assign_coords(frame=("along_track", np.arange(128))), path, GROUP)
-    ((build, count, present),) = states
+    ((_, count, present),) = states
     before = flushed.order[:count]
-    # the seal is in the group's own metadata, which replaces a file that was flushed under another name
-    seal = next(i for i in reversed(range(count)) if before[i].startswith(f"{build}/.zarr.json."))
-    assert set(present) <= set(before[:seal])
-    assert before[seal + 1] == str(build)
+    assert set(present) <= set(before)
     after = flushed.order[count:]
     for folder in (path / "flightlines", path, tmp_path):
         assert str(folder) in after
@@ -205,17 +202,17 @@ def test_everything_is_flushed_before_the_seal_and_before_the_place(
 
 
 def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain, path = group_writing._remove_hidden, tmp_path / "lot.zarr"
+    plain, path = writer.flush_group, tmp_path / "lot.zarr"
 
-    def clear_up(place: Any) -> None:
-        plain(place)
-        (place.local / "counts/c/1/0/0").unlink()
+    def clear_up(folder: Path, expected: list[Path]) -> None:
+        (folder / "counts/c/1/0/0").unlink()
+        plain(folder, expected)
 
-    monkeypatch.setattr(group_writing, "_remove_hidden", clear_up)
+    monkeypatch.setattr(writer, "flush_group", clear_up)
     with pytest.raises(StoreError, match=r"a finished chunk has been removed \(.*counts/c/1/0/0\)"):
         to_store(line(), path, GROUP, source_token="a")
     assert not path.exists()
-    monkeypatch.setattr(group_writing, "_remove_hidden", plain)
+    monkeypatch.setattr(writer, "flush_group", plain)
     to_store(line(), path, GROUP, source_token="a")
     assert verify(path).ok
 

@@ -16,11 +16,10 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
-from hyperpaint.io.store import list_groups, store_runs
-from hyperpaint.io.store.groups import INPUTS
-from hyperpaint.io.store.root_record import Member
+from hyperpaint.io.store import list_groups, writer
+from hyperpaint.io.store.manifest import INPUTS
 from hyperpaint.io.store.stage import Staging
-from hyperpaint.io.store.store_runs import whole_run
+from hyperpaint.io.store.writer import run_contents, whole_run
 
 LINES = tuple(f"flightlines/raw_{number}" for number in range(3))
 WAIT_S = 30.0
@@ -39,8 +38,9 @@ def line(name: str, at_compute: Any = None) -> xr.Dataset:
 def run(path: Path, at_compute: Any = None) -> None:
     """Write lines as `process` does; ``at_compute`` is called as the second one is computed."""
     groups = {name: line(name, at_compute if name == LINES[1] else None) for name in LINES}
-    members = {name: Member(name, "") for name in LINES}
-    with whole_run(path, members, groups, {}, command="hyperpaint process lot.toml", overwrite=False) as turn:
+    with whole_run(
+        path, run_contents(groups), groups, {}, command="hyperpaint process lot.toml", overwrite=False
+    ) as turn:
         for name, dataset in groups.items():
             turn.write(name, dataset)
 
@@ -101,7 +101,7 @@ def test_the_store_is_held_until_the_last_group_has_its_place(
     tmp_path: Path, publish: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "lot.zarr"
-    begun, waits, plain = threading.Event(), [], store_runs.wait
+    begun, waits, plain = threading.Event(), [], writer.wait
 
     def slow(group: str) -> None:
         begun.set()
@@ -119,7 +119,7 @@ def test_the_store_is_held_until_the_last_group_has_its_place(
         raise KeyboardInterrupt
 
     publish.append(slow)
-    monkeypatch.setattr(store_runs, "wait", interrupted)
+    monkeypatch.setattr(writer, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(path, stop)
     assert len(waits) == 3
@@ -136,7 +136,7 @@ def test_groups_follow_one_another_where_a_thread_would_take_room(
 ) -> None:
     threads: set[str] = set()
     publish.append(lambda _: threads.add(threading.current_thread().name))
-    monkeypatch.setattr(store_runs, "thread_space", lambda: 1)
+    monkeypatch.setattr(writer, "thread_space", lambda: 1)
     run(tmp_path / "lot.zarr")
     assert threads == {threading.current_thread().name}
     assert hp.verify(tmp_path / "lot.zarr").ok

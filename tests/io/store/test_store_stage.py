@@ -36,6 +36,13 @@ def path(tmp_path: Path) -> Path:
 def partial(path: Path) -> Path:
     folder = path.parent / f".partial-{path.name}"
     folder.mkdir(exist_ok=True)
+    (folder / "hyperpaint").write_bytes(stage._MARK_TEXT)
+    return folder
+
+
+def unmarked(path: Path) -> Path:
+    folder = path.parent / f".partial-{path.name}"
+    folder.mkdir(exist_ok=True)
     return folder
 
 
@@ -47,10 +54,17 @@ def write(path: Path, value: int = 2, group: str = "other", **options: Any) -> N
 
 
 @pytest.mark.parametrize(
-    "name", ["..%2Fescaped", "flightlines%2F..%2F..%2Fescaped", "%2e%2e", ".x", "", "a%2F"]
+    "name",
+    [
+        *(
+            f"replaced-{name}"
+            for name in ("..%2Fescaped", "lines%2F..%2F..%2Fescaped", "%2e%2e", ".x", "", "a%2F")
+        ),
+        f"build-..%2Fescaped-x-{'0' * 12}",
+    ],
 )
 def test_names_that_lead_out_are_refused(name: str, path: Path) -> None:
-    hostile = partial(path) / f"replaced-{name}"
+    hostile = partial(path) / name
     hostile.mkdir()
     (hostile / "zarr.json").write_text("{}")
     with pytest.raises(StoreError, match="names no group"):
@@ -124,7 +138,7 @@ def test_only_our_half_written_files_are_removed(path: Path, tmp_path: Path) -> 
     ours = [
         path / ".zarr.json.4711",
         path / "flightlines/.zarr.json.12",
-        path / f"flightlines/raw_0/zarr.{'0f' * 16}.partial",
+        path / f"flightlines/zarr.{'0f' * 16}.partial",
     ]
     foreign = [
         path / "thesis.partial",
@@ -137,7 +151,7 @@ def test_only_our_half_written_files_are_removed(path: Path, tmp_path: Path) -> 
     (path / "linked").symlink_to(outside)
     for file in (*ours, *foreign):
         file.write_text("x")
-    with staging(path):
+    with staging(path, ["flightlines/raw_1"]):
         pass
     assert not any(file.exists() for file in ours)
     assert all(file.exists() for file in foreign)
@@ -292,18 +306,18 @@ def test_another_writers_lock_is_left_alone(lock: Path) -> None:
 )
 def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
-    theirs = partial(path) / name
+    theirs = unmarked(path) / name
     theirs.parent.mkdir(parents=True, exist_ok=True)
     theirs.write_text("precious")
     for overwrite in (False, True):
         with pytest.raises(StoreError, match=r"is not of hyperpaint.*move it away"):
             to_store(small(), path, overwrite=overwrite)
     assert theirs.read_text() == "precious"
-    assert [each.name for each in partial(path).iterdir()] == [name.partition("/")[0]]
+    assert [each.name for each in unmarked(path).iterdir()] == [name.partition("/")[0]]
 
 
 def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
-    theirs = partial(tmp_path / "lot.zarr") / "hyperpaint"
+    theirs = unmarked(tmp_path / "lot.zarr") / "hyperpaint"
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_text("precious")
     with pytest.raises(StoreError, match="is not of hyperpaint"):
@@ -312,7 +326,7 @@ def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
 
 
 def test_what_a_power_failure_leaves_empty_is_ours(tmp_path: Path) -> None:
-    folder = partial(tmp_path / "lot.zarr")
+    folder = unmarked(tmp_path / "lot.zarr")
     for name in ("lock", "hyperpaint"):
         (folder / name).touch()
         os.utime(folder / name, (0, 0))
@@ -332,11 +346,11 @@ def test_lock_and_mark_are_on_the_disk_before_anything_is_built(
 def test_what_lies_in_our_folder_and_is_not_ours_stays(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     with staging(path):
-        (partial(path) / "build-house-plan").write_text("precious")
-        (partial(path) / f"build-old-{'0' * 32}-{'0' * 12}").mkdir()
+        (unmarked(path) / "build-house-plan").write_text("precious")
+        (unmarked(path) / f"build-old-{'0' * 32}-{'0' * 12}").mkdir()
     to_store(small(), path)
-    assert sorted(os.listdir(partial(path))) == ["build-house-plan", "hyperpaint"]
-    (partial(path) / "build-house-plan").unlink()
+    assert sorted(os.listdir(unmarked(path))) == ["build-house-plan", "hyperpaint"]
+    (unmarked(path) / "build-house-plan").unlink()
     with staging(path):
         pass
     assert os.listdir(tmp_path) == ["lot.zarr"]

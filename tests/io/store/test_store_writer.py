@@ -110,14 +110,14 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
 def test_attributes(tmp_path: Path) -> None:
     to_store(flightline().assign_attrs(history="2026-01-01 flown"), tmp_path / "lot.zarr", GROUP)
     attrs = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP).attrs
-    assert attrs["hyperpaint_format"] == 2
+    assert attrs["hyperpaint_format"] == 3
     assert attrs["Conventions"] == "CF-1.11"
     assert attrs["srf_shape"] == "gaussian"
     assert attrs["gain"] == 2
     assert attrs["bands"] == [0, 1, 2]
     assert attrs["history"].startswith("2026-01-01 flown\n20")
     assert attrs["created"] > "2024-01-01T00:00:00+00:00"
-    assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 2
+    assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 3
 
 
 def test_counts_have_a_sentinel_but_no_mask(tmp_path: Path) -> None:

@@ -27,6 +27,8 @@ SYSTEMATIC = {
 
 # ---------------------------------------------------------------------------------------------- coverage
 
+pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+
 
 def test_random_part_covers_one_collect() -> None:
     line = simulate_line(

@@ -1,4 +1,4 @@
-"""The root record: what a store is to hold is what it holds, or the difference is named."""
+"""The manifest: what a store is to hold is what it holds, or the difference is named."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,20 @@ import zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import list_groups, open_group, reader, stage, verification
-from hyperpaint.io.store.groups import INPUTS
+from hyperpaint.io.store import list_groups, open_group, stage, verification, writer
+from hyperpaint.io.store.groups import listed_documents
 from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.root_record import Member, SetRecord, read_set
-from hyperpaint.io.store.store_runs import whole_run
+from hyperpaint.io.store.manifest import (
+    INPUTS,
+    SETTINGS,
+    ArrayEntry,
+    GroupEntry,
+    Manifest,
+    Write,
+    content_of,
+    entry_of,
+)
+from hyperpaint.io.store.writer import run_contents, whole_run
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1", "flightlines/raw_2")
 COMMAND = "hyperpaint process lot.toml --out {store}"
@@ -40,9 +48,9 @@ def run(
 ) -> None:  # fmt: skip
     """Write lines as `process` does; stop before one of them, or call ``last`` after them."""
     value = 1 + ord(settings[0])
-    groups = {name: line(value).assign_attrs({INPUTS: f"{name}-{settings}"}) for name in lines}
-    members = {name: Member(f"{name}-{settings}", settings) for name in lines}
-    turns = whole_run(path, members, groups, {"name": "lot"}, command=command, overwrite=True)
+    named = {SETTINGS: settings}
+    groups = {name: line(value).assign_attrs({INPUTS: f"{name}-{settings}", **named}) for name in lines}
+    turns = whole_run(path, run_contents(groups), groups, {"name": "lot"}, command=command, overwrite=True)
     with contextlib.suppress(KeyboardInterrupt), turns as turn:
         for number, (name, dataset) in enumerate(groups.items()):
             if number == stop:
@@ -71,8 +79,10 @@ def consolidate(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-def root(path: Path) -> dict[str, Any]:
-    return dict(json.loads((path / "zarr.json").read_text())["attributes"])
+def manifest(path: Path) -> Manifest:
+    found = Manifest.read(Location.of(path))
+    assert found is not None
+    return found
 
 
 def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> None:
@@ -84,7 +94,22 @@ def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> N
     assert hp.open_store(moved, LINES[0]).counts.values[0, 0, 0] == 98
     consolidate(moved)
     assert hp.verify(moved).ok
-    assert "hyperpaint_set" not in hp.open_store(moved, LINES[0]).attrs
+    assert not {"hyperpaint_content", SETTINGS} & set(hp.open_store(moved, LINES[0]).attrs)
+
+
+def test_the_manifest_names_what_lies_on_the_disk(store: Path) -> None:
+    """What the writer noted as it went along is what its files say."""
+    location = Location.of(store)
+    entries = manifest(store).groups
+    assert set(entries) == {"", "flightlines", *LINES}
+    for name, entry in entries.items():
+        assert entry == entry_of(location, name) or not entry.arrays
+    assert manifest(store).writes == ()
+    ours = listed_documents(location)
+    consolidate(store)
+    theirs = listed_documents(location)
+    assert {name: node for name, node in theirs.items() if name != "hyperpaint"} == ours
+    assert list(ours) == [name for name in theirs if name != "hyperpaint"]
 
 
 @pytest.mark.parametrize("stop", [1, 2])
@@ -119,7 +144,7 @@ def test_a_deleted_group_is_missed(store: Path) -> None:
     shutil.rmtree(store / LINES[1])
     consolidate(store)
     said = problems(store)
-    assert said.startswith(f"/{LINES[1]}: deleted: the store's record names it, but it is not there")
+    assert said.startswith(f"/{LINES[1]}: deleted")
     assert "\n" not in said
     # of the other lines each is what it was
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
@@ -132,8 +157,8 @@ def test_swapped_groups_are_told(store: Path) -> None:
         os.rename(store / old, store / new)
     consolidate(store)
     said = problems(store)
-    assert f"/{LINES[0]}: swapped or copied: by its own record it is /{LINES[1]}" in said
-    with pytest.raises(IncompleteStoreError, match="by its own record it is"):
+    assert f"/{LINES[0]}: changed" in said
+    with pytest.raises(IncompleteStoreError, match="not what the manifest names"):
         open_group(store, LINES[0])
     run(store)
     assert hp.verify(store).ok
@@ -147,17 +172,19 @@ def test_a_group_of_another_store_is_foreign(store: Path, tmp_path: Path) -> Non
     shutil.copytree(other / LINES[0], store / LINES[0])
     consolidate(store)
     said = problems(store)
-    assert "/flightlines/raw_3: foreign" in said
-    assert f"/{LINES[0]}: mixed settings" in said
-    for group in (LINES[0], "flightlines/raw_3"):
-        with pytest.raises(IncompleteStoreError):
-            hp.open_store(store, group)
+    assert f"/{LINES[0]}: changed" in said
+    assert "raw_3" not in said
+    assert any("/flightlines/raw_3: added by another program" in note for note in hp.verify(store).notes)
+    with pytest.raises(IncompleteStoreError):
+        hp.open_store(store, LINES[0])
+    # what others add is opened
+    assert hp.open_store(store, "flightlines/raw_3").counts.values[0, 0, 0] == 99
 
 
 def test_what_a_user_adds_is_of_the_store(store: Path) -> None:
     hp.to_store(line(7), store, "signatures")
     assert hp.verify(store).ok
-    assert set(read_set(Location.of(store)).groups) == {*LINES, "signatures"}  # type: ignore[union-attr]
+    assert set(manifest(store).groups) == {"", "flightlines", *LINES, "signatures"}
     run(store, "b")
     assert hp.verify(store).ok
     shutil.rmtree(store / "signatures")
@@ -174,7 +201,7 @@ def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
     run(store, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
     said = problems(store)
     assert f"/{LINES[1]}: deleted" in said
-    assert "run its command with --overwrite, which forgets what is gone, or say that it is empty" in said
+    assert "run its command with --overwrite" in said
     hp.to_store(xr.Dataset(), store, LINES[1])
     assert hp.verify(store).ok
 
@@ -185,7 +212,7 @@ def test_groups_without_variables_are_of_the_store(store: Path) -> None:
     assert hp.verify(store).ok
     hp.open_store(store)
     shutil.rmtree(store / LINES[1] / "counts")
-    assert f"/{LINES[1]}: deleted" in problems(store)
+    assert "counts: the array is missing" in problems(store)
 
 
 def _publish_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +237,7 @@ def test_a_half_written_tree_is_finished_by_itself_alone(
     hp.to_store(line(9), store, "other")
     for _ in range(2):
         said = problems(store)
-        assert "unfinished: 5 of 6 groups are there; lacking, or of other settings: /sig/b; to finish" in said
+        assert "unfinished: 1 of 2 groups are there, not yet: /sig/b; write it again" in said
         assert "lot.toml" not in said
         # other groups are what they were
         for group in (LINES[0], "other"):
@@ -226,7 +253,7 @@ def test_a_half_written_tree_is_finished_by_itself_alone(
 def test_a_run_does_not_finish_another(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     run(path, stop=1)
-    with pytest.raises(IncompleteStoreError, match="unfinished: 2 of 4"):
+    with pytest.raises(IncompleteStoreError, match="unfinished: 1 of 3"):
         run(path, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
     assert "to finish it: hyperpaint process lot.toml" in problems(path)
     run(path)
@@ -241,15 +268,14 @@ def test_a_run_that_could_not_be_sealed_says_so(tmp_path: Path) -> None:
     assert hp.verify(path).ok
 
 
-def test_texts_of_a_record_do_no_harm(store: Path) -> None:
-    groups = {f"\x1b[2J{number}": Member("x") for number in range(30)}
+def test_texts_of_a_manifest_do_no_harm(store: Path) -> None:
+    contents = {f"\x1b[2J{number}": f"/\x1b[2J{number} x" for number in range(30)}
+    entries = {name: GroupEntry(content, 0, {}) for name, content in contents.items()}
     for command in ("rm -rf {store}", "hyperpaint process \x1b[2J", "hyperpaint run " + "x" * 3000):
-        record = SetRecord(groups, command=command, run=tuple(groups))
-        document = json.loads((store / "zarr.json").read_text())
-        for each in (record, replace(record, finished=True)):
-            document["attributes"]["hyperpaint_set"] = each.text
-            (store / "zarr.json").write_text(json.dumps(document))
+        for found in (Manifest(entries, (), command), Manifest({}, (Write(contents, command),))):
+            found.write(Location.of(store))
             report = hp.verify(store)
+            assert not report.ok
             assert not report.resume
             assert len(report.problems) < 30
             assert "".join(report.problems).isprintable()
@@ -270,7 +296,7 @@ def test_what_a_user_adds_does_not_finish_a_run(tmp_path: Path) -> None:
     run(path, stop=1)
     hp.to_store(line(7), path, "signatures")
     hp.to_store(line(8), path, "signatures", overwrite=True)
-    assert "unfinished: 2 of 4" in problems(path)
+    assert "unfinished: 1 of 3" in problems(path)
     run(path)
     assert hp.verify(path).ok
     assert set(list_groups(path)) == {*LINES, "signatures"}
@@ -281,14 +307,14 @@ def test_what_a_user_adds_does_not_finish_a_run(tmp_path: Path) -> None:
 def test_one_group_more_leaves_the_store_whole_at_every_instant(
     group: str, point: str, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    target = {"publish": "stage.Staging.publish", "finish": "writer.finish_root"}[point]
+    target = {"publish": "stage.Staging.publish", "finish": "writer._StoreWriter.finish"}[point]
     with monkeypatch.context() as patch:
         patch.setattr(f"hyperpaint.io.store.{target}", _interrupt)
         with pytest.raises(KeyboardInterrupt):
             hp.to_store(line(7), store, group, overwrite=True)
     assert hp.open_store(store, LINES[1]).counts.values[0, 0, 0] == 98
     hp.open_store(store)
-    assert [text for text in hp.verify(store).problems if "consolidated" not in text] == []
+    assert [text for text in hp.verify(store).problems if "list of all metadata" not in text] == []
     hp.to_store(line(9), store, "other")
     assert hp.verify(store).ok
     hp.to_store(line(7), store, group, overwrite=True)
@@ -296,26 +322,15 @@ def test_one_group_more_leaves_the_store_whole_at_every_instant(
 
 
 def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    root_problems = verification._root_problems
+    state = verification.store_state
 
-    def root_problems_and_run(*arguments: Any) -> Any:
-        yield from root_problems(*arguments)
+    def state_and_run(*arguments: Any) -> Any:
+        found = state(*arguments)
         run(store, "b", stop=2)
+        return found
 
-    with monkeypatch.context() as patch:
-        patch.setattr(verification, "_root_problems", root_problems_and_run)
-        assert "was written to meanwhile" in hp.verify(store).problems[0]
-    run(store)
-    check = reader.check_set
-
-    def check_and_add(*arguments: Any) -> Any:
-        notes = check(*arguments)
-        if not (store / "signatures").exists():
-            hp.to_store(line(7), store, "signatures")
-        return notes
-
-    monkeypatch.setattr(reader, "check_set", check_and_add)
-    assert "signatures" in hp.open_store(store).children  # it was opened once more
+    monkeypatch.setattr(verification, "store_state", state_and_run)
+    assert "was written to meanwhile" in hp.verify(store).problems[0]
 
 
 def _interrupt(*_: object) -> None:
@@ -326,10 +341,10 @@ def test_a_tree_is_whole_when_all_of_it_is_there(tmp_path: Path, monkeypatch: py
     path = tmp_path / "lot.zarr"
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"name": "lot"}), "/a": line(1), "/b/c": line(2)})
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.finish_root", _interrupt)
+        patch.setattr(writer._StoreWriter, "finish", _interrupt)
         with pytest.raises(KeyboardInterrupt):
             hp.to_store(tree, path)
-    assert "unfinished: 2 of 2 groups are there, but it was not sealed" in problems(path)
+    assert hp.open_store(path, "a").counts.values[0, 0, 0] == 1  # each is there; the list in the root is not
     hp.to_store(tree, path)
     assert hp.verify(path).ok
     stored = hp.open_store(path)
@@ -343,7 +358,7 @@ def test_a_root_with_arrays_names_the_groups_below(tmp_path: Path) -> None:
     assert hp.verify(path).ok
     alone = tmp_path / "alone.zarr"
     hp.to_store(line(1), alone)
-    assert "hyperpaint_set" not in root(alone)
+    assert hp.verify(alone).ok
     hp.to_store(line(2), alone, "a")
     assert hp.verify(alone).ok
     for each in (path, alone):
@@ -352,7 +367,7 @@ def test_a_root_with_arrays_names_the_groups_below(tmp_path: Path) -> None:
         assert not hp.verify(each).ok
 
 
-def test_however_long_the_list_in_the_root_groups_are_opened(store: Path) -> None:
+def test_a_huge_list_in_the_root_is_not_read(store: Path) -> None:
     document = json.loads((store / "zarr.json").read_text())
     turned = {key: document[key] for key in reversed(document)}
     (store / "zarr.json").write_text(json.dumps(turned))
@@ -360,82 +375,79 @@ def test_however_long_the_list_in_the_root_groups_are_opened(store: Path) -> Non
     document["consolidated_metadata"]["metadata"]["long"] = "x" * 33 * 2**20
     (store / "zarr.json").write_text(json.dumps(document))
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
-    assert len(hp.open_store(store)["flightlines"].children) == 3
-    assert "larger than" in hp.verify(store).problems[0]
+    with pytest.raises(IncompleteStoreError, match="at most"):
+        hp.verify(store)
 
 
-def _without_record(path: Path) -> None:
-    document = json.loads((path / "zarr.json").read_text())
-    del document["attributes"]["hyperpaint_set"]
-    (path / "zarr.json").write_text(json.dumps(document))
+def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
+    before = manifest(store)
+    shutil.rmtree(store / "hyperpaint")
+    assert "lost its manifest" in hp.verify(store).problems[0]
+    assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
+    with pytest.raises(StoreError, match="lost its manifest"):
+        hp.to_store(line(7), store, "signatures")
+    hp.to_store(line(7), store, "signatures", overwrite=True)
+    assert hp.verify(store).ok
+    made = manifest(store)
+    assert {name: made.groups[name] for name in LINES} == {name: before.groups[name] for name in LINES}
 
 
-def _with_other_record(path: Path) -> None:
-    document = json.loads((path / "zarr.json").read_text())
-    document["attributes"]["hyperpaint_set"] = root(path)["hyperpaint_set"].replace("raw_2", "raw_9")
-    (path / "zarr.json").write_text(json.dumps(document))
-
-
-@pytest.mark.parametrize("damage", [_without_record, _with_other_record])
-def test_a_record_that_is_gone_or_damaged_is_told(damage: Any, store: Path) -> None:
-    damage(store)
-    said = problems(store)
-    assert "lost the record" in said or "is damaged" in said
-    with pytest.raises(IncompleteStoreError):
-        hp.open_store(store, LINES[0])
-    with pytest.raises(StoreError, match="record of the groups"):
-        hp.to_store(line(7), store, "signatures", overwrite=True)
+@pytest.mark.parametrize("change", [("raw_2", "raw_9"), ('"crc32c": ', '"crc32c": 1'), ("{", "[")])
+def test_a_damaged_manifest_is_told(change: tuple[str, str], store: Path) -> None:
+    place = store / "hyperpaint/zarr.json"
+    place.write_text(place.read_text().replace(*change))
+    assert "is damaged" in problems(store)
+    for act in (lambda: hp.open_store(store, LINES[0]), lambda: hp.to_store(line(7), store, "signatures")):
+        with pytest.raises(IncompleteStoreError if act is None else hp.PaintError, match="damaged"):
+            act()
     run(store)
     assert hp.verify(store).ok
 
 
-def test_records_survive_their_text() -> None:
-    groups = {"a": Member("x", "y"), "b": Member("u")}
-    record = SetRecord(groups, before={"a": None, "b": Member("z")}, command="c", run=("a",))
-    assert SetRecord.from_text(record.text, "here") == record
-    for wrong in (
-        "",
-        record.text[:-1],
-        record.text.replace("x", "q"),
-        "crc32c=00000000 {}",
-        replace(record, groups={}).text,
-    ):
+def test_manifests_survive_their_document() -> None:
+    entry = GroupEntry("/a x y", 1, {"counts": ArrayEntry(2, 3, "0f")})
+    found = Manifest({"a": entry}, (Write({"b": "/b z"}, "c"),), "hyperpaint process")
+    document = json.loads(json.dumps(found.document()))
+    assert Manifest.from_document(document, "here") == found
+    for wrong in ({}, {**document, "zarr_format": 2}, {**document, "attributes": {"hyperpaint_format": 99}}):
         with pytest.raises(IncompleteStoreError, match="here is damaged"):
-            SetRecord.from_text(wrong, "here")
+            Manifest.from_document(wrong, "here")
 
 
-def test_a_group_is_opened_by_its_own_folder(store: Path) -> None:
-    assert hp.open_store(store / LINES[0]).counts.values[0, 0, 0] == 98
-    assert hp.open_store(store / "flightlines", "raw_0").counts.values[0, 0, 0] == 98
-    link = store.with_name("link")
-    os.symlink(store / "flightlines", link)
-    for path in (store / "flightlines", link):
-        assert hp.open_store(path, "raw_0").counts.values[0, 0, 0] == 98
-        assert set(hp.open_store(path).children) == {"raw_0", "raw_1", "raw_2"}
+def test_a_part_of_a_store_opens_and_says_so(store: Path, tmp_path: Path) -> None:
+    for path, group in ((store / LINES[0], ""), (store / "flightlines", "raw_0")):
+        assert hp.open_store(path, group).counts.values[0, 0, 0] == 98
+    shutil.copytree(store / "flightlines", tmp_path / "flightlines")
+    report = hp.verify(tmp_path / "flightlines")
+    assert report.ok
+    assert "a part of a store of hyperpaint" in report.notes[0]
+    assert report.chunks == 3
 
 
-def test_a_part_is_as_whole_as_its_store(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
-    run(path, stop=2)
-    for part, group in (
-        (path / "flightlines", None),
-        (path / "flightlines", "raw_0"),
-        (path / LINES[0], None),
-    ):
-        with pytest.raises(IncompleteStoreError, match=r"unfinished: 2 of 3.*lot\.toml"):
-            hp.open_store(part, group)
-    assert f"of {path}: unfinished: 2 of 3" in hp.verify(path / "flightlines").problems[0]
-    shutil.copytree(path / "flightlines", tmp_path / "flightlines")
-    with pytest.warns(PaintWarning, match="is a part of a store, without its root"):
-        hp.open_store(tmp_path / "flightlines")
-    shutil.copytree(path / LINES[0], tmp_path / "one.zarr")
-    assert hp.open_store(tmp_path / "one.zarr").counts.values[0, 0, 0] == 98
+def test_an_array_that_others_add_is_a_note(store: Path) -> None:
+    index = xr.Dataset({"ndvi": (("along_track", "cross_track"), np.ones((8, 3)))})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        index.to_zarr(store, group=LINES[0], mode="a")
+    assert INPUTS not in xr.open_zarr(store, group=LINES[0]).attrs  # xarray replaces them
+    with pytest.warns(PaintWarning, match="replaced its attributes"):
+        opened = hp.open_store(store, LINES[0])
+    assert "ndvi" in opened
+    assert opened.attrs[INPUTS] == f"{LINES[0]}-a"
+    report = hp.verify(store)
+    assert report.ok, str(report)
+    assert [note.partition(":")[0] for note in report.notes] == [f"/{LINES[0]}", f"/{LINES[0]}/ndvi"]
+    assert "added by another program" in report.notes[1]
+    with whole_run(store, run_contents({}), {}, {}, command="hyperpaint render x", overwrite=False):
+        pass
+    with pytest.warns(PaintWarning, match="replaced its attributes"):
+        assert "ndvi" in hp.open_store(store, LINES[0])
 
 
-def test_a_copied_part_with_swapped_groups_is_not_whole(store: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "c.zarr"
-    shutil.copytree(store / "flightlines", copy)
-    for old, new in (("raw_0", "moved"), ("raw_1", "raw_0"), ("moved", "raw_1")):
-        os.rename(copy / old, copy / new)
-    consolidate(copy)
-    assert f"/raw_0: swapped or copied: by its own record it is /{LINES[1]}" in problems(copy)
+def test_nothing_is_written_where_all_is_there(store: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in store.rglob("*")}
+    contents = {name: content_of(Location.of(store), name) for name in LINES}
+    with whole_run(store, contents, {}, {"name": "lot"}, command=COMMAND, overwrite=True):
+        pass
+    assert {path: path.stat().st_mtime_ns for path in store.rglob("*")} == before
+    assert content_of(Location.of(store), LINES[0]) == f"/{LINES[0]} {LINES[0]}-a a"

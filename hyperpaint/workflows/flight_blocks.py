@@ -15,10 +15,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .chunks import Target, forget, recorded
-from .group_writing import Job, targets_of
-from .layout import Codec
-from .stage import Staging, flight_content
+from hyperpaint.io.store.chunks import Target, whole_chunk
+from hyperpaint.io.store.layout import Codec
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.stage import Staging, flight_content
+from hyperpaint.io.store.writer import Job
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +37,10 @@ class FlightBlocks:
     def __init__(self, folder: Path, form: xr.Dataset, codec: Codec) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._targets: Mapping[str, Target] = targets_of(form, folder, codec)
+        place = Location.of(folder)
+        self._targets = {
+            str(name): Target.of(str(name), v, place, codec) for name, v in form.variables.items()
+        }
         for name in self._targets:
             (folder / name).mkdir(exist_ok=True)
         self._lock = threading.Lock()
@@ -73,8 +77,11 @@ class FlightBlocks:
         return self.checksum(name, slab) is not None
 
     def checksum(self, name: str, slab: int) -> int | None:
-        """Return the checksum of the samples of a slab, None where it was not written whole."""
-        return recorded(self.folder / name, self._key(name, slab))
+        """Return the crc32c of a slab as it is stored, None where it was not written whole."""
+        try:
+            return whole_chunk((self.folder / name / self._key(name, slab)).read_bytes())
+        except OSError:
+            return None
 
     def write(self, slab: int, arrays: Mapping[str, np.ndarray], digest: str | None = None) -> None:
         """Write a slab of whole lines of some arrays; ``digest`` names what products were made with."""
@@ -89,14 +96,14 @@ class FlightBlocks:
         """Drop slabs of arrays, which are then made anew."""
         for slab in slabs:
             for name in names:
-                forget(self.folder / name, self._key(name, slab))
+                (self.folder / name / self._key(name, slab)).unlink(missing_ok=True)
 
     def hand_over(self, stage: Staging, job: Job) -> None:
         """Let the writer of a group find these blocks."""
-        os.rename(self.folder, stage.build(job.group, job.content))
+        os.rename(self.folder, stage.build(job.group, job.build))
 
     def _position(self, name: str, slab: int) -> tuple[int, ...]:
         return (slab, *(0 for _ in self._targets[name].chunk[1:]))
 
     def _key(self, name: str, slab: int) -> str:
-        return str(self._targets[name].array.metadata.encode_chunk_key(self._position(name, slab)))
+        return self._targets[name].key(self._position(name, slab))

@@ -1,0 +1,422 @@
+"""The manifest of a store: which groups belong together, what each is made from, and what their files hold.
+
+It stands in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and is
+written last. For every group it names
+
+* ``content``: its path, its inputs and settings, as the group's own attribute `CONTENT` repeats them;
+* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and that of each of its arrays;
+* for each array the number of its chunks, and a digest over their keys and the crc32c that ends each chunk.
+
+A writer first notes which groups it is about to put in their places (`Write`), so that a store whose writer
+was killed is known to be unfinished. Everything can be made again from the files: nothing but the order of
+events needs the manifest. Groups and arrays that others add are not in it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from shlex import join, split
+from typing import Any, NamedTuple
+
+from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.schema import FORMAT_VERSION
+
+from .budget import counted
+from .location import MANIFEST_NODE, METADATA, Location, clean_group, joined
+
+CONTENT = "hyperpaint_content"
+"""Attribute of a group: its path and what it is made from."""
+
+SEAL = "hyperpaint_seal"
+"""Attribute of a group: a digest over the entries of its arrays, until and beside the manifest."""
+
+INPUTS = "inputs_digest"
+"""Attribute of what `process` writes: names the inputs and parameters. What a user makes of that has other
+inputs, and is stored without it."""
+
+SETTINGS = "hyperpaint_settings"
+"""Attribute of a dataset that a run is about to store: names the settings of the run."""
+
+OWN_ATTRS = (
+    CONTENT, SEAL, SETTINGS,
+    "hyperpaint_complete", "hyperpaint_attributes", "hyperpaint_set", "hyperpaint_group",  # format 2 and 1
+)  # fmt: skip
+"""Attributes of a stored group that say nothing of a dataset made from it."""
+
+OLD_RECORD = "hyperpaint-chunks.json"
+"""File in an array's folder that formats 1 and 2 kept checksums in."""
+
+MAX_WRITES = 100
+"""Writes that have not ended: each is of a writer that was killed."""
+
+MAX_CHUNKS = 1_000_000
+"""Chunks of an array: 32 million lines."""
+
+MAX_MESSAGES = 20
+MAX_MESSAGE_CHARS = 2000
+
+_COMMAND = re.compile(r"hyperpaint (process|render|run) ")
+_NUMERICS = re.compile(r"\bnumerics=(\d{1,9})\b")
+
+
+class ArrayEntry(NamedTuple):
+    """One array of a group."""
+
+    metadata: int  # crc32c of its ``zarr.json``
+    chunks: int
+    digest: str  # See `chunk_digest`
+
+
+class GroupEntry(NamedTuple):
+    """One group; a group around others has no content and no arrays."""
+
+    content: str
+    metadata: int
+    arrays: Mapping[str, ArrayEntry]
+    attributes: Mapping[str, Any] = {}  # Of a group with arrays: xarray replaces them when it adds an array
+
+
+class Write(NamedTuple):
+    """What a writer that has not finished is about to put in place."""
+
+    contents: Mapping[str, str]  # By group
+    command: str = ""  # On the command line, with ``{store}`` for the store's path
+
+    @property
+    def source(self) -> list[str]:
+        """The words of the command that say what the store is made of, without its options."""
+        try:
+            return split(self.command)[:3]
+        except ValueError:  # unbalanced quotes: not of hyperpaint
+            return [self.command]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The groups of a store, by path, and the writes that have not ended."""
+
+    groups: Mapping[str, GroupEntry] = field(default_factory=dict)
+    writes: tuple[Write, ...] = ()
+    command: str = ""  # Of the last run, which made the store
+
+    def document(self) -> dict[str, Any]:
+        """Return the ``zarr.json`` of the manifest's group."""
+        content = json.loads(
+            json.dumps({"groups": self.groups, "writes": self.writes, "command": self.command})
+        )
+        attributes = {
+            "hyperpaint_format": FORMAT_VERSION, "crc32c": document_checksum(content), "manifest": content
+        }  # fmt: skip
+        return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any], where: str) -> Manifest:
+        """Return the manifest of a ``zarr.json``; `IncompleteStoreError` where it is damaged or newer."""
+        try:
+            attributes = document["attributes"]
+            version, content = attributes["hyperpaint_format"], attributes["manifest"]
+            if version != FORMAT_VERSION:
+                raise ValueError(f"format {version!r:.20}, expected {FORMAT_VERSION}; update hyperpaint")
+            if document_checksum(content) != attributes["crc32c"] or document.get("zarr_format") != 3:
+                raise ValueError("its checksum differs")
+            groups = {
+                path: GroupEntry(str(text), crc, {n: ArrayEntry(*a) for n, a in arrays.items()}, dict(attrs))
+                for path, (text, crc, arrays, attrs) in content["groups"].items()
+            }
+            writes = tuple(
+                Write({name: str(each) for name, each in names.items()}, str(command))
+                for names, command in content["writes"]
+            )
+            # names lead to no place outside the store
+            named = {*groups, *(name for write in writes for name in write.contents)}
+            arrays = {name for entry in groups.values() for name in entry.arrays}
+            wrong = [name for name in named if clean_group(name) != name]
+            wrong += [name for name in arrays if "/" in name or clean_group(f"g/{name}") != f"g/{name}"]
+            wrong += [name for name in (*named, *arrays) if "\0" in name or len(name.encode()) > 1000]
+            if wrong:
+                raise ValueError(f"it names {wrong[0]!r:.40}, as no store does")
+            if len(writes) > MAX_WRITES:
+                raise ValueError(f"{len(writes)} writes have not ended")
+            return cls(groups, writes, str(content["command"]))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError, StoreError) as error:
+            raise IncompleteStoreError(
+                f"the manifest {where} is damaged ({error!s:.100})",
+                mend="write all groups of the store with overwrite=True",
+                option="run its command again with --overwrite; groups that are whole stay",
+            ) from None
+
+    @classmethod
+    def read(cls, location: Location) -> Manifest | None:
+        """Return the manifest of a store, None where it has none."""
+        document = location.read_json(MANIFEST_NODE, METADATA)
+        where = location.key(MANIFEST_NODE, METADATA)
+        return None if document is None else cls.from_document(document, where)
+
+    def write(self, location: Location) -> None:
+        """Write the manifest, whole or not at all."""
+        location.write_json(self.document(), MANIFEST_NODE, METADATA)
+
+    def allowed(self, group: str) -> set[str]:
+        """Return the contents that a group may have: of before, and of writes that have not ended."""
+        contents = {write.contents[group] for write in self.writes if group in write.contents}
+        return (contents | ({self.groups[group].content} if group in self.groups else set())) - {""}
+
+    def lacking(self, write: Write, contents: Callable[[str], str]) -> list[str]:
+        """Return the groups that an unfinished write has still to put in place; ``contents`` of a group.
+
+        None where all are there, where all are still what they were before, and of a write of one group.
+        """
+        lacking = [name for name, content in write.contents.items() if contents(name) != content]
+        untouched = all(
+            name in self.groups and contents(name) == self.groups[name].content for name in write.contents
+        )
+        return [] if untouched or len(write.contents) == 1 else lacking
+
+    def settled(self, location: Location) -> Manifest:
+        """Return the manifest without the writes that are done or changed nothing.
+
+        The groups that such a write has put in place are taken up as they lie on the disk.
+        """
+        contents = functools.cache(lambda name: content_of(location, name, self))
+        groups, writes = dict(self.groups), []
+        for write in self.writes:
+            if self.lacking(write, contents):
+                writes.append(write)
+                continue
+            for name, content in write.contents.items():
+                if contents(name) == content:
+                    with contextlib.suppress(IncompleteStoreError):  # it is written again
+                        groups[name] = entry_of(location, name)
+        return replace(self, groups=groups, writes=tuple(writes))
+
+
+@dataclass(frozen=True)
+class StoreState:
+    """How the groups of a store agree with its manifest."""
+
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    resume: str = ""  # What finishes it on the command line, where that is known
+
+
+def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
+    """Compare the manifest of a store with its groups: those with arrays are ``groups``, where listed."""
+    present = list(location.groups() if groups is None else groups)
+    try:
+        manifest = Manifest.read(location)
+    except IncompleteStoreError as error:
+        return StoreState((str(error),))
+    contents = functools.cache(lambda name: content_of(location, name, manifest))
+    if manifest is None:
+        return _state_without_manifest(location, {name: contents(name) for name in present})
+    problems, notes, resume = [], [], ""
+    # writes that were cut short
+    for write in manifest.writes:
+        if not (lacking := manifest.lacking(write, contents)):
+            continue
+        plain = _COMMAND.match(write.command) and write.command.isprintable()
+        if plain and len(write.command) <= MAX_MESSAGE_CHARS // 2:
+            with contextlib.suppress(ValueError):  # unbalanced quotes
+                words = split(write.command)
+                resume = join(location.url if word == "{store}" else word for word in words)
+        there = f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are there"
+        named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
+        mend = f"to finish it: {resume}" if resume else "write it again as it was begun"
+        problems.append(f"unfinished: {there}, not yet: {named}; {mend}")
+    # groups that are not what was written
+    mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
+    for name, entry in manifest.groups.items():
+        if (
+            entry.content
+            and contents(name) not in manifest.allowed(name)
+            and not any(
+                name in write.contents and (len(write.contents) > 1 or location.has(name, METADATA))
+                for write in manifest.writes
+            )
+        ):
+            changed = "changed: it is not the group that the manifest names"
+            state = changed if location.has(name, METADATA) else "deleted"
+            problems.append(f"/{name}: {state}; {mend}")
+    notes += [
+        f"/{name}: added by another program, not in the manifest"
+        for name in present
+        if not manifest.allowed(name)
+    ]
+    versions = {numerics_of(entry.content) for entry in manifest.groups.values()} - {None, NUMERICS_VERSION}
+    notes += [
+        f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
+        for version in sorted(filter(None, versions))
+    ]
+    return StoreState(_bounded(problems), tuple(notes), resume)
+
+
+def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
+    """Return what is known of a Zarr store without a manifest."""
+    if any(content.startswith(f"/{name} ") for name, content in contents.items()):
+        return StoreState((
+            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root; write it again "
+            "by the command that made it, groups that are whole stay",
+        ))  # fmt: skip
+    if any(contents.values()):
+        note = "a part of a store of hyperpaint, without its manifest"
+    elif any("hyperpaint_complete" in location.attributes(name) for name in contents):
+        note = "a store of hyperpaint 0.2 or older, or a part of one, without a manifest"
+    else:
+        note = "not written by hyperpaint"
+    return StoreState(
+        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; what is there was read",)
+    )
+
+
+def check_state(location: Location) -> None:
+    """Refuse a store that is unfinished, or whose groups are not those of its manifest."""
+    problems = Problems(
+        f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens what is finished",
+        IncompleteStoreError,
+    )
+    for text in store_state(location).problems:
+        problems.add(text)
+    problems.raise_if_any()
+
+
+def _bounded(problems: list[str]) -> tuple[str, ...]:
+    """Return problems so that a terminal shows them: names of groups may be anything."""
+    shown = [
+        "".join(sign if sign.isprintable() else "\ufffd" for sign in text[:MAX_MESSAGE_CHARS])
+        for text in problems[:MAX_MESSAGES]
+    ]
+    more = len(problems) - MAX_MESSAGES
+    return (*shown, *([f"{counted(more, 'more problem')}"] if more > 0 else []))
+
+
+# --- what lies on the disk ---------------------------------------------------------------------------------
+
+
+def content_text(group: str, identity: str, settings: str = "") -> str:
+    """Return the attribute `CONTENT` of a group."""
+    return " ".join(part for part in (f"/{group}", identity, settings) if part)
+
+
+def content_of(location: Location, group: str, manifest: Manifest | None = None) -> str:
+    """Return what a group is made from; empty where that is unknown, or the group is not there.
+
+    With a ``manifest``, a group whose attributes another program replaced is what the manifest names.
+    """
+    entry = manifest.groups.get(group) if manifest is not None else None
+    if entry is not None and attributes_replaced(location, group, entry):
+        return entry.content
+    return str(location.attributes(group).get(CONTENT, ""))
+
+
+def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bool:
+    """Return whether another program replaced all attributes of a group, as ``to_zarr(mode="a")`` does.
+
+    Damage does not remove the attribute `CONTENT` with its value.
+    """
+    try:
+        attributes = (location.metadata(group) or {}).get("attributes")
+        if attributes is None or CONTENT in attributes or entry.content in attributes.values():
+            return False
+        documents = {name: location.metadata(joined(group, name)) for name in entry.arrays}
+    except StoreError:
+        return False
+    # a group that was written anew by others has other arrays
+    return bool(documents) and all(
+        document_checksum(documents[name]) == array.metadata for name, array in entry.arrays.items()
+    )
+
+
+def changed_attributes(location: Location, group: str, entry: GroupEntry) -> list[str]:
+    """Return the attributes of a group that are not those written; what others added does not count."""
+    document = location.metadata(group) or {}
+    attributes = document.get("attributes", {})
+    changed = [key for key, value in entry.attributes.items() if attributes.get(key) != value]
+    recorded = document if not entry.arrays else {**document, "attributes": dict(entry.attributes)}
+    return changed or ([] if document_checksum(recorded) == entry.metadata else ["its metadata"])
+
+
+def numerics_of(content: str) -> int | None:
+    """Return the version of the numerics that a content or settings name."""
+    match = _NUMERICS.search(content)
+    return None if match is None else int(match[1])
+
+
+def document_checksum(document: Any) -> int:
+    """Return the crc32c of a JSON value, whatever its spacing and the order of its keys."""
+    import google_crc32c
+
+    return int(google_crc32c.value(json.dumps(document, sort_keys=True).encode()))
+
+
+def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> str:
+    """Return the digest over the keys of an array's chunks and the 4 bytes that end each, its crc32c."""
+    digest = hashlib.blake2b(f"/{group}/{name}".encode(), digest_size=16)
+    for key, checksum in chunks:
+        digest.update(key.encode() + b"\0" + checksum)
+    return digest.hexdigest()
+
+
+def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
+    """Return the keys of an array's chunks, in C order, from its ``zarr.json`` as `layout` writes it.
+
+    Raises `IncompleteStoreError`: There is no grid, or one of more chunks than any array has.
+    """
+    try:
+        chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
+        grid = [-(-int(size) // int(step)) for size, step in zip(document["shape"], chunk, strict=True)]
+        if 0 <= math.prod(grid) <= MAX_CHUNKS:
+            return ["/".join(("c", *map(str, place))) for place in product(*map(range, grid))]
+    except (LookupError, TypeError, ValueError, ArithmeticError):
+        pass
+    raise IncompleteStoreError(f"{name}: no grid of at most {MAX_CHUNKS} chunks")
+
+
+def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
+    """Return the number of a group's arrays, and the digest over their entries."""
+    text = json.dumps(sorted(arrays.items()))
+    return f"{len(arrays)} {hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
+
+
+def entry_of(location: Location, group: str) -> GroupEntry:
+    """Return the entry of a group from its files, without arrays whose chunks do not end in a crc32c.
+
+    Raises `IncompleteStoreError`: Chunks are missing, or are not those that the group's seal is of.
+    """
+    entries = {}
+    for name in location.folders(group):
+        document = location.metadata(joined(group, name)) or {}
+        # arrays of other programs have no crc32c at the end of each chunk
+        if document.get("node_type") == "array" and "crc32c" in str(document.get("codecs"))[-40:]:
+            keys = chunk_keys(document, joined(group, name))
+            ends = [(key, _last_bytes(location, group, name, key)) for key in keys]
+            digest = chunk_digest(group, name, ends)
+            entries[name] = ArrayEntry(document_checksum(document), len(keys), digest)
+    own = location.metadata(group) or {}
+    attributes = own.get("attributes", {}) if entries else {}
+    if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
+        raise IncompleteStoreError(
+            f"the arrays of {location.group_url(group)} are not those that were written"
+        )
+    return GroupEntry(content_of(location, group), document_checksum(own), entries, attributes)
+
+
+def _last_bytes(location: Location, *parts: str) -> bytes:
+    """Return the crc32c at the end of a chunk."""
+    key = location.key(*parts)
+    try:
+        if location.local is None:
+            return bytes(location.fs.tail(key, 4))
+        with open(key, "rb") as file:
+            file.seek(-4, 2)
+            return file.read()
+    except OSError as error:
+        raise IncompleteStoreError(f"the chunk {key} is missing or empty; write the group again") from error
