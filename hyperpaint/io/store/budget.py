@@ -14,8 +14,8 @@ import contextlib
 import ctypes
 import math
 import os
-import sys
 import re
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
