@@ -80,8 +80,8 @@ __all__ = [
 ]  # fmt: skip
 
 FORMAT_VERSION = 3
-"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``. 2 keeps a record of the
-groups that a store is to hold; 1, of hyperpaint 0.1, does not."""
+"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``: 3 has one manifest; 2 (of
+0.2) had a record in every array's folder and one in the root; 1 (of 0.1) had none in the root."""
 
 CHUNK_LINES = 32
 """Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md)."""
@@ -241,7 +241,7 @@ def _as_in_table(dataset: xr.Dataset) -> xr.Dataset:
     """
     changed: dict[Hashable, xr.Variable] = {}
     dropped = []
-    # `where` made counts floats: their calibration is as large as they are, and sel or isel is told of
+    # after where() on counts, darks and gain have the dims of the cube: require refuses them, naming isel
     is_masked = "counts" in dataset.variables and dataset.variables["counts"].dtype.kind == "f"
     for name, variable in dataset.variables.items():
         row = VARIABLES.get(str(name))
@@ -310,10 +310,10 @@ def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
 
 
 def with_whole_numbers(dataset: xr.Dataset, table: Mapping[str, Variable] = VARIABLES) -> xr.Dataset:
-    """Return flags, numbers and classes as integers where `where` made them floats; lazy where they are.
+    """Return flags, indices and classes as integers where `where` made them floats; lazy arrays stay lazy.
 
-    A gap becomes `Quality.NO_DATA` of flags, -1 of what is -1 where there is none, else 0. Counts stay, whose
-    gaps are gaps; and numbers of lines and columns, which may lie between those of a line.
+    Missing flags become `Quality.NO_DATA`, missing indices -1 or 0 as the table says. Counts stay floats, and
+    so do index coordinates: both may be fractions.
     """
     changed = {}
     for name, row in table.items():

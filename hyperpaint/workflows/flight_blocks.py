@@ -72,12 +72,8 @@ class FlightBlocks:
         with open(self.folder / _LOG, "a", encoding="ascii") as file:
             file.write(text)
 
-    def has(self, name: str, slab: int) -> bool:
-        """Tell whether a slab of an array has been written whole."""
-        return self.checksum(name, slab) is not None
-
     def checksum(self, name: str, slab: int) -> int | None:
-        """Return the crc32c of a slab as it is stored, None where it was not written whole."""
+        """Return the crc32c of a stored slab; None where the slab is missing or damaged."""
         try:
             return whole_chunk((self.folder / name / self._key(name, slab)).read_bytes())
         except OSError:

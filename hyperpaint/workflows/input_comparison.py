@@ -1,4 +1,4 @@
-"""Whether the files that a store was made from are still those: every byte of them, or their absence."""
+"""Compare every input file of a store with the data that the store was made from."""
 
 from __future__ import annotations
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
     CollectError,
-    IncompleteStoreError,
     PaintError,
     Problems,
     SchemaError,
@@ -102,12 +101,7 @@ def kept_groups(
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)
-    try:
-        manifest = Manifest.read(location)
-    except IncompleteStoreError:
-        if not overwrite:
-            raise
-        manifest = None
+    manifest = Manifest.read(location, ignore_damage=overwrite)
     for name in location.groups():
         content = content_of(location, name, manifest)
         of_run = len(content.split(" ", 2)) == 3  # a run names path, inputs and settings

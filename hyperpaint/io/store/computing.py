@@ -99,7 +99,7 @@ def compute(
 
 
 def client_in_force() -> Client | None:
-    """Return the client with which dask computes, None where it is none."""
+    """Return the client of dask.distributed in force; None without a cluster."""
     client = getattr(scheduler_in_force(), "__self__", None)
     return client if hasattr(client, "scheduler_info") else None
 

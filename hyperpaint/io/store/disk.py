@@ -35,7 +35,7 @@ the compressor cannot pack. White noise of 12 bits in uint16 took 0.76, of 16 bi
 _SIGN_AND_EXPONENT = 9
 
 _BLOCK = 4096
-"""Least room of a file or folder; a chunk is a file in two folders, with a record beside it for a while."""
+"""Least room of a file or folder [byte]; a chunk takes a file and two folders."""
 
 RUN_AGAIN = "run again: the chunks that are finished will be taken up"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
 """Attributes that say when, not what: they do not make another content."""
 
-_LISTED = {"kind": "inline", "must_understand": False}
+LISTED = {"kind": "inline", "must_understand": False}
 
 
 def groups_above(group: str) -> list[str]:
@@ -107,9 +107,9 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
     for path in sorted(documents, key=lambda path: (path.count("/"), path)):
         document = {key: value for key, value in documents[path].items() if key != "consolidated_metadata"}
         if document["node_type"] == "group":
-            document["consolidated_metadata"] = {**_LISTED, "metadata": {}}
+            document["consolidated_metadata"] = {**LISTED, "metadata": {}}
         listed[path] = document
-    return {**root, "consolidated_metadata": {**_LISTED, "metadata": listed}}
+    return {**root, "consolidated_metadata": {**LISTED, "metadata": listed}}
 
 
 # --- what writing a group would lose -----------------------------------------------------------------------
@@ -143,10 +143,11 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return what is in a group's place; ``content`` names what is to be written.
+    """Return the state of a group's place; ``content`` names what will be written there.
 
-    Nothing (""), the "same" content, which perhaps "lacks chunks", a "parent" of what is not part of it, an
-    "array", or in words that go into a sentence what else.
+    ``""``: empty. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
+    ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
+    other text describes a group that only ``overwrite`` replaces.
     """
     from .reader import check_entry
 

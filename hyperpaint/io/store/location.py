@@ -29,7 +29,7 @@ MAX_DEPTH = 16
 """Groups within groups; `process` nests two."""
 
 MAX_NODES = 50_000
-"""Groups and arrays of a store, and entries of a group: some 1,600 flight lines."""
+"""Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many."""
 
 
 def clean_group(group: str | None) -> str:

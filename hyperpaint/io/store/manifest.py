@@ -155,11 +155,16 @@ class Manifest:
             ) from None
 
     @classmethod
-    def read(cls, location: Location) -> Manifest | None:
-        """Return the manifest of a store, None where it has none."""
-        document = location.read_json(MANIFEST_NODE, METADATA)
+    def read(cls, location: Location, *, ignore_damage: bool = False) -> Manifest | None:
+        """Return the manifest of a store; None without one, or with ``ignore_damage`` where it is damaged."""
         where = location.key(MANIFEST_NODE, METADATA)
-        return None if document is None else cls.from_document(document, where)
+        try:
+            document = location.read_json(MANIFEST_NODE, METADATA)
+            return None if document is None else cls.from_document(document, where)
+        except IncompleteStoreError:
+            if ignore_damage:
+                return None
+            raise
 
     def write(self, location: Location) -> None:
         """Write the manifest, whole or not at all."""
@@ -243,7 +248,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
                 for write in manifest.writes
             )
         ):
-            changed = "changed: it is not the group that the manifest names"
+            changed = "changed: its content differs from the manifest"
             state = changed if location.has(name, METADATA) else "deleted"
             problems.append(f"/{name}: {state}; {mend}")
     notes += [
@@ -320,7 +325,7 @@ def content_of(location: Location, group: str, manifest: Manifest | None = None)
 def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bool:
     """Return whether another program replaced all attributes of a group, as ``to_zarr(mode="a")`` does.
 
-    Damage does not remove the attribute `CONTENT` with its value.
+    A damaged file would still hold `CONTENT` or its value.
     """
     try:
         attributes = (location.metadata(group) or {}).get("attributes")
@@ -377,7 +382,11 @@ def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
             return ["/".join(("c", *map(str, place))) for place in product(*map(range, grid))]
     except (LookupError, TypeError, ValueError, ArithmeticError):
         pass
-    raise IncompleteStoreError(f"{name}: no grid of at most {MAX_CHUNKS} chunks")
+    raise IncompleteStoreError(
+        f"{name}: chunk grid missing or too large",
+        expected=f"at most {MAX_CHUNKS} chunks",
+        mend="write the group again",
+    )
 
 
 def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
@@ -389,7 +398,7 @@ def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
 def entry_of(location: Location, group: str) -> GroupEntry:
     """Return the entry of a group from its files, without arrays whose chunks do not end in a crc32c.
 
-    Raises `IncompleteStoreError`: Chunks are missing, or are not those that the group's seal is of.
+    Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
     """
     entries = {}
     for name in location.folders(group):

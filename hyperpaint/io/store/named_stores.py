@@ -5,19 +5,16 @@ from __future__ import annotations
 from zarr.storage import FsspecStore, LocalStore
 
 
-class NamedLocalStore(LocalStore):  # type: ignore[misc]
+class _NamedByContent:
+    content = ""
+
+    def __dask_tokenize__(self) -> tuple[str, str]:
+        return (type(self).__name__, self.content)
+
+
+class NamedLocalStore(_NamedByContent, LocalStore):  # type: ignore[misc]
     """A folder."""
 
-    content = ""
 
-    def __dask_tokenize__(self) -> tuple[str, str]:
-        return (type(self).__name__, self.content)
-
-
-class NamedFsspecStore(FsspecStore):  # type: ignore[misc]
+class NamedFsspecStore(_NamedByContent, FsspecStore):  # type: ignore[misc]
     """A place behind a URL."""
-
-    content = ""
-
-    def __dask_tokenize__(self) -> tuple[str, str]:
-        return (type(self).__name__, self.content)

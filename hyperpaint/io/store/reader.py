@@ -257,12 +257,14 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
         text = f"{where}: another program replaced its attributes; those of the manifest are taken"
         warnings.warn(text, PaintWarning, stacklevel=4)
     elif others := changed_attributes(location, group, entry):
-        problems.add(f"its attributes are others: {', '.join(others)}")
+        problems.add(f"attributes differ from the manifest: {', '.join(others)}")
     files = location.files(group)
     for name, array in entry.arrays.items():
         document = location.metadata(joined(group, name))
         if document is None or document_checksum(document) != array.metadata:
-            problems.add(f"{name}: metadata are {'missing' if document is None else 'others'}")
+            problems.add(
+                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}"
+            )
             continue
         missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
         if missing and METADATA in files:  # not all servers list what they have

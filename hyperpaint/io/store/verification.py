@@ -12,7 +12,7 @@ from hyperpaint.base.errors import StoreError
 
 from .budget import counted
 from .chunks import whole_chunk
-from .groups import listed_documents
+from .groups import LISTED, listed_documents
 from .location import MANIFEST_NODE, METADATA, Location, joined
 from .manifest import (
     MAX_MESSAGES,
@@ -55,7 +55,7 @@ class StoreReport:
     notes
         What could not be checked, and what others added.
     resume
-        What finishes an unfinished store on the command line, where that is known.
+        Command that finishes an unfinished store; empty if unknown.
     """
 
     path: str
@@ -98,7 +98,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     Raises
     ------
     StoreError
-        There is no Zarr store, or it has no place of its own, as a session of icechunk.
+        There is no Zarr store; or it is a store object or a repository of icechunk, which icechunk checks.
 
     Examples
     --------
@@ -174,7 +174,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             except StoreError as error:
                 problems.append(f"/{where}: {error!s:.400}")
     if _stamp(location) != begin:
-        problems.insert(0, "/: was written to meanwhile, what else is said may hold no longer; verify again")
+        problems.insert(0, "/: was written to meanwhile; run verify again")
     return StoreReport(
         location.url,
         tuple(groups),
@@ -193,14 +193,11 @@ def _stamp(location: Location) -> bytes | None:
         return None
 
 
-_NONE_BELOW = {"kind": "inline", "must_understand": False, "metadata": {}}
-
-
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
     """Yield how the root's list of all metadata differs from the manifest."""
     root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     head = root.get("consolidated_metadata")
-    if not isinstance(head, dict) or (head.get("kind"), head.get("must_understand")) != ("inline", False):
+    if not isinstance(head, dict) or not head.items() >= LISTED.items():
         yield "/: the root has no list of all metadata; run the writer again"
         return
     gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
@@ -215,9 +212,9 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
     for name in filter(nodes.get, wanted):
         document = listed.get(name)
         plain = dict(document) if isinstance(document, dict) else {}
-        below = plain.pop("consolidated_metadata", _NONE_BELOW)
-        if document_checksum(plain) != wanted[name] or below != _NONE_BELOW:
-            yield f"/{name}: the root's list of all metadata has others; run the writer again"
+        below = plain.pop("consolidated_metadata", {**LISTED, "metadata": {}})
+        if document_checksum(plain) != wanted[name] or below != {**LISTED, "metadata": {}}:
+            yield f"/{name}: metadata in the root's list of all metadata differ; run the writer again"
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:

@@ -97,7 +97,7 @@ def to_store(
     group gets its place: after a power cut a group in its place is whole, as far as the disk keeps what it
     has confirmed.
 
-    Whether disk and memory will do is looked at before anything is written; no value is read for it.
+    Free disk and memory are checked before anything is written, without reading a value.
 
     Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: there the group is written
     in place and always from the start, its metadata and the manifest still come last, and the caller sees to
@@ -377,11 +377,11 @@ def _writer(
     location: Location, contents: Mapping[str, str], pending: list[str], attrs: Mapping[str, Any], *,
     command: str = "", overwrite: bool = False,
 ) -> Iterator[_StoreWriter]:  # fmt: skip
-    """Be the only writer of a store, which is to hold the groups ``contents`` then.
+    """Open a store as its only writer.
 
-    ``pending``: those that will be written, whose finished blocks are kept; ``attrs``: attributes of groups
-    without arrays; ``command``: of a run, which forgets what an interrupted run of it was to write, and with
-    ``overwrite`` groups that are gone.
+    ``contents``: all groups of this write; ``pending``: those still to be written, whose finished blocks are
+    kept; ``attrs``: attributes of groups without arrays; ``command``: of a run. A run drops earlier
+    unfinished writes of the same command, and with ``overwrite`` manifest entries of deleted groups.
     """
     with contextlib.ExitStack() as stack:
         stage = None
@@ -390,15 +390,9 @@ def _writer(
             stage = stack.enter_context(staging(real_folder(location.local), pending))
         # what another writer finished while we waited counts
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
-        try:
-            manifest = Manifest.read(location)
-        except IncompleteStoreError:
-            if not overwrite:
-                raise
-            manifest = None
-        if (
-            manifest is None
-        ):  # a new store; or it was lost: groups that say that they belong here are taken up
+        manifest = Manifest.read(location, ignore_damage=overwrite)
+        # a new store, or a lost manifest: groups whose content names their own path are kept
+        if manifest is None:
             groups = {}
             for name in location.groups() if location.has("") else ():
                 if content_of(location, name).startswith(f"/{name} "):
@@ -421,10 +415,7 @@ def _writer(
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
     """Return whether a store holds groups whose files are all there, and nothing is left to do."""
-    try:
-        manifest = Manifest.read(location)
-    except IncompleteStoreError:
-        return False
+    manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
     named = all(
@@ -502,7 +493,7 @@ class WholeRun:
                 self._placing = None
 
     def close(self) -> None:
-        """Let nothing go on that still writes, whatever ended the run."""
+        """Wait for the group that is being put in place, then stop the thread; also after Ctrl-C."""
         ending, interruption = sys.exc_info()[1], None
         while self._placing is not None and not self._placing.done():
             try:
@@ -705,7 +696,7 @@ def check_codec(codec: str) -> None:
 
 
 def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
-    """Drop what names the inputs of another group: it came along from what the dataset was made of."""
+    """Return the dataset without an `INPUTS` attribute that it inherited from another group."""
     if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
         return dataset
     unmarked = dataset.copy(deep=False)

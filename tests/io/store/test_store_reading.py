@@ -197,7 +197,7 @@ def change(path: Path, **attributes: str) -> None:
 def test_changed_attributes_are_not_handed_out(store: Path) -> None:
     change(store / GROUP / "zarr.json", srf_shape="slit")
     assert not is_complete(store, GROUP)
-    with pytest.raises(IncompleteStoreError, match="its attributes are others"):
+    with pytest.raises(IncompleteStoreError, match="attributes differ from the manifest"):
         open_store(store, GROUP)
 
 
