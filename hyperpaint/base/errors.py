@@ -191,7 +191,7 @@ class StoreError(PaintError, OSError):
     >>> import hyperpaint as hp
     >>> hp.open_store("memory://nowhere.zarr")
     Traceback (most recent call last):
-    hyperpaint.base.errors.StoreError: there is no group '/' of memory://nowhere.zarr; ...
+    hyperpaint.base.errors.StoreError: memory://nowhere.zarr is not a Zarr store ...
     """
 
 
@@ -205,7 +205,7 @@ class IncompleteStoreError(StoreError):
     >>> fsspec.filesystem("memory").rm("/damaged.zarr/wavelength", recursive=True)
     >>> hp.open_store(path)
     Traceback (most recent call last):
-    hyperpaint.base.errors.IncompleteStoreError: the arrays in group '/' of memory://damaged.zarr are not ...
+    hyperpaint.base.errors.IncompleteStoreError: group '/' of memory://damaged.zarr is not ...
     """
 
 
