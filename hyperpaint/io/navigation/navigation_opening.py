@@ -83,7 +83,8 @@ def open_navigation(
     Parameters
     ----------
     paths
-        One file, or several of one format that follow one another in time.
+        One file, or several of one format that follow one another in time; or any Zarr that holds a record
+        as this function returns it, which keeps its times and, without ``convention``, what it declares.
     convention
         What the numbers mean, in place of what the format declares; or a mapping that replaces some of its
         choices, such as ``{"column_order": "left_to_right"}``.
@@ -147,6 +148,10 @@ def open_navigation(
     """  # noqa: E501
     import xarray as xr
 
+    from hyperpaint.io.store.reader import is_zarr
+
+    if is_zarr(paths):
+        return _stored(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
         raise FormatError("no navigation file given, expected one or more")
@@ -218,6 +223,32 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
     what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
     raise FormatError(f"{path}: {what}, no known kind of navigation; give format=, one of {formats}")
+
+
+def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
+    """Return a record that somebody stored as `open_navigation` had returned it."""
+    from hyperpaint.io.store import load_unverified
+
+    record = load_unverified(path)
+    problems = Problems(f"{path} holds no navigation record", FormatError)
+    for name in (NAVIGATION_TIME, *POSE):
+        if name not in record.variables:
+            problems.add(f"{name!r} is missing; there are {', '.join(map(str, record.variables))[:200]}")
+        elif record[name].dims != (NAVIGATION_TIME,):
+            problems.add(f"{name!r} has dims {record[name].dims}", expected=f"({NAVIGATION_TIME!r},)")
+        elif name != NAVIGATION_TIME and "units" not in record[name].attrs:
+            problems.add(f"{name!r} has no units", expected="those that open_navigation gives it")
+    problems.raise_if_any()
+    time = record[NAVIGATION_TIME].values
+    if time.dtype.kind != "M" or not time.size or np.isnat(time).any():
+        raise TimeError(f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]")
+    utc = time.astype("datetime64[ns]").astype(np.int64)
+    refuse_backwards(str(path), utc, row="sample")
+    declared = Convention.from_attrs(record.attrs) or Convention()
+    if convention is not None:
+        declared = convention if isinstance(convention, Convention) else declared.replace(**convention)
+    values = {name: record[name].astype(np.float64) for name in POSE}
+    return record.assign(values).assign_attrs(declared.to_attrs())
 
 
 # --- one file ----------------------------------------------------------------------------------------------

@@ -79,6 +79,17 @@ def library() -> xr.Dataset:
     )
 
 
+def navigation() -> xr.Dataset:
+    rng = np.random.default_rng(5)
+    time = np.datetime64("2026-06-01T12:00", "ns") + np.arange(40) * np.timedelta64(1, "s")
+    names = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+    values = {
+        name: ("navigation_time", rng.random(40), {"units": "m" if name == "altitude" else "degree"})
+        for name in names
+    }
+    return xr.Dataset(values, {"navigation_time": time}, {"convention_column_order": "left_to_right"})
+
+
 def _only(opened: list[xr.Dataset]) -> xr.Dataset:
     (dataset,) = opened
     return dataset
@@ -90,6 +101,7 @@ USES: dict[str, tuple[Callable[[], xr.Dataset], Callable[[Any], xr.Dataset]]] = 
     "sweep": (sweep, open_sweep),
     "record": (record, lambda store: hp.open_irradiance(store, fwhm_nm=3.0, max_gap_s=5.0)),
     "library": (library, hp.open_library),
+    "navigation": (navigation, hp.open_navigation),
     "references": (library, lambda store: _only(open_references([store]))),
 }
 
