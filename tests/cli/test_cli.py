@@ -301,7 +301,7 @@ def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_p
     damaged = hyperpaint("verify", out)
     assert damaged.exit_code == 1
     assert "the chunk is missing" in damaged.stdout
-    assert "not a Zarr v3 store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
+    assert "not a Zarr store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
 
 
 @pytest.mark.real_data

@@ -22,6 +22,7 @@ SLAB, GROUP = 32, "flightlines/raw_0"
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("icechunk")
     folder = tmp_path_factory.mktemp("engines")
     collect = hp.simulate_collect(folder / "day", scene="plan", lines=80, bands=8, columns=12)
     hp.process(collect, folder / "lot.zarr", reflectance="none")

@@ -114,7 +114,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
             "5000",
             "--no-flags",
         ): "'hood': 99 of 99 pixels are left",
-        (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr v3 store",
+        (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr store",
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
         (store, "--out", out): "no region can be proposed",
     }.items():

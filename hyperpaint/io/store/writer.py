@@ -235,7 +235,7 @@ class _StoreWriter:
             return lambda: None
         with limited_threads(_check_room([job], self._location)):
             if self.stage is None:  # behind a URL: in place, the group's own metadata last
-                self._announce(job.group)
+                self.announce(job.group)
                 old = (
                     [job.group]
                     if job.group
@@ -274,7 +274,7 @@ class _StoreWriter:
                 ]
                 flush_group(closed, expected)
                 if job.group:
-                    self._announce(job.group)
+                    self.announce(job.group)
                 stage.publish(closed, job.group)
 
         return put_in_place
@@ -305,7 +305,7 @@ class _StoreWriter:
         self._documents[job.group] = own
         return dict(own)
 
-    def _announce(self, group: str) -> None:
+    def announce(self, group: str) -> None:
         """Make the groups above, and before the first group gets its place note all that is to be written."""
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
@@ -533,6 +533,8 @@ def whole_run(
                 writer = stack.enter_context(
                     _writer(location, contents, list(pending), root, command=command, overwrite=overwrite)
                 )
+                if len(pending) > 1 and not location.has(METADATA):  # verify then says how to go on
+                    writer.announce(next(iter(contents)))
         run = WholeRun(writer, location, codec, take_up)
         with contextlib.closing(run):
             yield run
