@@ -211,7 +211,7 @@ def chunks(path: Path) -> dict[str, bytes]:
 
 def chunks_begun(path: Path) -> int:
     """Return how many chunks of the counts an unfinished run has finished."""
-    return len(list(path.parent.glob(f".partial-{path.name}/build-*/counts/c/*/0/.0.done")))
+    return len(list(path.parent.glob(f".partial-{path.name}/build-*/counts/c/*/0/0")))
 
 
 def looks_finished(path: Path, group: str = GROUP) -> bool:
