@@ -202,13 +202,13 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
         return
     gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
     yield from (f"/{name[:200]}: listed in the root's metadata but not there" for name in gone[:MAX_MESSAGES])
-    wanted = {
-        group: entry.metadata
-        for group, entry in manifest.groups.items()
-        if group and not attributes_replaced(location, group, entry)
-    }
+    wanted = {}
     for group, entry in manifest.groups.items():
-        wanted |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
+        # a writer that was killed has put another group in the place of this entry's
+        if not entry.content or content_of(location, group, manifest) == entry.content:
+            if group and not attributes_replaced(location, group, entry):
+                wanted[group] = entry.metadata
+            wanted |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
     for name in filter(nodes.get, wanted):
         document = listed.get(name)
         plain = dict(document) if isinstance(document, dict) else {}
