@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import warnings
@@ -16,6 +17,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreErr
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
+from hyperpaint.io.store.stage import Staging, staging
 
 from .collect_check import refuse_findings
 from .pipeline import Outcome, aligned_group, local_folder, opened_groups
@@ -107,6 +109,10 @@ def virtualise(
     if out.exists():
         difference = _difference(out, lines, cubes)
         if not difference:
+            beside = Staging(out.absolute())
+            if beside.folder.exists():  # what a run that was killed at its end left
+                with contextlib.suppress(StoreError), staging(beside.store):
+                    pass
             return Outcome(out, (), tuple(lines))
         if difference != _NOT_WHOLE and not (overwrite and is_virtual(out)):
             raise StoreError(
