@@ -131,7 +131,8 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
     problems = []
     for group in groups:
         try:
-            damaged = location.metadata(group) is None and not group and bool(entries)
+            # a writer that was killed at once leaves its manifest alone
+            damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
         except IncompleteStoreError:
             damaged = True
         if damaged and not overwrite:
