@@ -342,7 +342,8 @@ class _StoreWriter:
             if name not in entries:
                 document = self._documents[name] = location.metadata(name) or {}
                 kept = manifest.groups.get(name, GroupEntry("", 0, {}))
-                entries[name] = kept._replace(metadata=document_checksum(document))
+                # a root with arrays stays what was written, whatever others added to its attributes
+                entries[name] = kept if kept.arrays else kept._replace(metadata=document_checksum(document))
         groups = {**manifest.groups, **entries}
         # the list of all metadata: of other groups as they were listed, where these are still there
         documents = dict(self._documents)

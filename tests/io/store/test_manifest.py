@@ -451,3 +451,12 @@ def test_nothing_is_written_where_all_is_there(store: Path) -> None:
         pass
     assert {path: path.stat().st_mtime_ns for path in store.rglob("*")} == before
     assert content_of(Location.of(store), LINES[0]) == f"/{LINES[0]} {LINES[0]}-a a"
+
+
+def test_attributes_that_others_add_to_a_root_with_arrays_refuse_nothing(tmp_path: Path) -> None:
+    path = hp.to_store(line(1), tmp_path / "lot.zarr")
+    zarr.open_group(path).attrs["note"] = "of a user"
+    hp.to_store(line(2), path, "a")
+    assert hp.open_store(path, "").attrs["note"] == "of a user"
+    report = hp.verify(path)
+    assert report.ok, str(report)
