@@ -195,7 +195,10 @@ def _stamp(location: Location) -> bytes | None:
 
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
     """Yield how the root's list of all metadata differs from the manifest."""
-    root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
+    try:
+        root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
+    except StoreError:
+        return  # that the root's metadata are damaged has been said
     head = root.get("consolidated_metadata")
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
         yield "/: the root has no list of all metadata; run the writer again"

@@ -460,3 +460,13 @@ def test_attributes_that_others_add_to_a_root_with_arrays_refuse_nothing(tmp_pat
     assert hp.open_store(path, "").attrs["note"] == "of a user"
     report = hp.verify(path)
     assert report.ok, str(report)
+
+
+@pytest.mark.parametrize("name", ["zarr.json", "hyperpaint/zarr.json", f"{LINES[0]}/zarr.json"])
+def test_a_document_cut_in_half_is_a_line_of_the_report(name: str, store: Path) -> None:
+    whole = (store / name).read_bytes()
+    (store / name).write_bytes(whole[: len(whole) // 2])
+    report = hp.verify(store)
+    assert any("damaged" in problem or "cannot be read" in problem for problem in report.problems)
+    run(store)
+    assert hp.verify(store).ok
