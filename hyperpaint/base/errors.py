@@ -9,68 +9,107 @@ from enum import Enum
 from typing import Self
 
 __all__ = [
-    "CollectError", "Findings", "FormatError", "IncompleteStoreError", "MissingExtraError", "PaintError",
-    "PaintWarning", "Problem", "Problems", "SchemaError", "StoreError", "TimeError", "Unavailable",
-    "UnitsError", "needs_extra",
-]  # fmt: skip
+    "CollectError",
+    "Findings",
+    "FormatError",
+    "IncompleteStoreError",
+    "MissingExtraError",
+    "PaintError",
+    "PaintWarning",
+    "Problem",
+    "Problems",
+    "SchemaError",
+    "StoreError",
+    "TimeError",
+    "Unavailable",
+    "UnitsError",
+    "needs_extra",
+]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with an input.
+    """One fault of an input.
 
     Attributes
     ----------
     found
-        What was found.
+        Observed value or state.
     expected
-        What was expected instead; empty where ``found`` says it all.
+        Accepted values; empty where ``found`` implies them.
     mend
-        What a caller in Python can do about it.
+        Remedy, for a caller in Python.
     option
-        What a caller of the command line can do, where that is spelled in another way.
+        Remedy, for a caller of the command line, where it is spelled differently.
+    code
+        Stable name of the fault, such as "region-empty"; tests and scripts match it.
+    inner
+        Faults that make up this one.
 
     Examples
     --------
     >>> problem = Problem("lot.zarr exists", mend="pass overwrite=True", option="pass --overwrite")
     >>> str(problem), problem.text(on_command_line=True)
     ('lot.zarr exists; pass overwrite=True', 'lot.zarr exists; pass --overwrite')
+    >>> print(Problem("the line has no pixel", code="line-empty"))
+    the line has no pixel [line-empty]
     """
 
     found: str
     expected: str = ""
     mend: str = ""
     option: str = ""
+    code: str = ""
+    inner: tuple[Problem, ...] = ()
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of this fault and of its parts."""
+        own = (self.code,) if self.code else ()
+        return own + tuple(code for part in self.inner for code in part.codes)
 
     def text(self, *, on_command_line: bool = False) -> str:
-        """Return one sentence for a reader in Python, or on the command line."""
+        """Return the message, spelled for Python or for the command line; the code stands last."""
         found = f"{self.found}, expected {self.expected}" if self.expected else self.found
         mend = self.option if on_command_line and self.option else self.mend
-        return "; ".join(part for part in (found, mend) if part)
+        sentence = "; ".join(part for part in (found, mend) if part)
+        if self.code:
+            sentence += f" [{self.code}]"
+        if not self.inner:
+            return sentence
+        parts = (part.text(on_command_line=on_command_line) for part in self.inner)
+        return f"{sentence}:\n  " + "\n  ".join(part.replace("\n", "\n  ") for part in parts)
 
     def __str__(self) -> str:
         return self.text()
 
 
 class PaintError(Exception):
-    """Base of every error hyperpaint raises on purpose.
+    """Base class of all errors that hyperpaint raises on purpose.
 
     Parameters
     ----------
     found
-        What was found, or the subject of several problems.
-    expected, mend, option
+        Observed value or state, or the subject of several problems.
+    expected, mend, option, code
         See `Problem`.
     problems
-        All that is wrong with the subject.
+        All faults of the subject.
+
+    Attributes
+    ----------
+    problem
+        The fault, its parts included.
 
     Examples
     --------
-    >>> error = PaintError("2 lights", expected="1", mend="pass light=", option="give --light")
+    >>> error = PaintError("2 lights", mend="pass light=", option="give --light", code="light-number")
     >>> print(error)
-    2 lights, expected 1; pass light=
+    2 lights; pass light= [light-number]
     >>> print(error.about("lot.zarr").text(on_command_line=True))
-    lot.zarr: 2 lights, expected 1; give --light
+    lot.zarr: 2 lights; give --light [light-number]
+    >>> error.codes
+    ('light-number',)
     """
 
     def __init__(
@@ -80,40 +119,49 @@ class PaintError(Exception):
         expected: str = "",
         mend: str = "",
         option: str = "",
+        code: str = "",
         problems: Sequence[Problem] = (),
     ) -> None:
-        self._own = Problem(found, expected, mend, option)
-        self.problems = tuple(problems)
+        self.problem = Problem(found, expected, mend, option, code, tuple(problems))
         super().__init__(self.text())
 
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """Faults of the subject, where there are several."""
+        return self.problem.inner
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of all faults."""
+        return self.problem.codes
+
     def note(self, found: str, *, mend: str = "", option: str = "") -> None:
-        """Add what is known where the error passes by; Python prints it below the message."""
+        """Add a remark; Python prints it below the message."""
         self._notes = (*getattr(self, "_notes", ()), Problem(found, mend=mend, option=option))
         self.add_note(str(self._notes[-1]))
 
     def notes(self, *, on_command_line: bool = False) -> list[str]:
-        """Return what was noted, for a reader in Python, or on the command line."""
+        """Return the remarks, spelled for Python or for the command line."""
         texts = {
             str(note): note.text(on_command_line=on_command_line) for note in getattr(self, "_notes", ())
         }
         return [texts.get(note, note) for note in getattr(self, "__notes__", ())]
 
     def about(self, subject: str) -> Self:
-        """Return the same error, opened by what it is about, such as the path of a file."""
-        own = self._own
+        """Return the same error with the subject, such as the path of a file, before its message."""
+        own = self.problem
         return type(self)(
             f"{subject}: {own.found}",
-            expected=own.expected, mend=own.mend, option=own.option, problems=self.problems,
-        )  # fmt: skip
+            expected=own.expected,
+            mend=own.mend,
+            option=own.option,
+            code=own.code,
+            problems=own.inner,
+        )
 
     def text(self, *, on_command_line: bool = False) -> str:
-        """Return the message for a reader in Python, or on the command line."""
-        own = self._own.text(on_command_line=on_command_line)
-        if not self.problems:
-            return own
-        texts = (problem.text(on_command_line=on_command_line) for problem in self.problems)
-        lines = "\n  ".join(text.replace("\n", "\n  ") for text in texts)
-        return f"{own}:\n  {lines}"
+        """Return the message, spelled for Python or for the command line."""
+        return self.problem.text(on_command_line=on_command_line)
 
 
 class UnitsError(PaintError, ValueError):
@@ -215,13 +263,17 @@ class MissingExtraError(PaintError, ImportError):
     Examples
     --------
     >>> print(MissingExtraError.of("pyproj", "geo", "a map"))
-    a map needs pyproj; install it with: python -m pip install 'hyperpaint[geo]'
+    a map needs pyproj; install it with: python -m pip install 'hyperpaint[geo]' [extra-missing]
     """
 
     @classmethod
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
         """Return the error for ``package``, which ``pip install 'hyperpaint[extra]'`` brings."""
-        return cls(f"{purpose} needs {package}; install it with: python -m pip install 'hyperpaint[{extra}]'")
+        return cls(
+            f"{purpose} needs {package}",
+            mend=f"install it with: python -m pip install 'hyperpaint[{extra}]'",
+            code="extra-missing",
+        )
 
 
 @contextlib.contextmanager
@@ -242,17 +294,28 @@ def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
 
 
 class PaintWarning(UserWarning):
-    """Something the user can act on, which does not stop the computation.
+    """A condition that the user can act on and that does not stop the computation.
+
+    Parameters
+    ----------
+    found
+        The condition, and what the user can do.
+    code
+        Stable name of the condition; scripts match it.
 
     Examples
     --------
     >>> import warnings
     >>> with warnings.catch_warnings(record=True) as noted:
     ...     warnings.simplefilter("always", PaintWarning)  # or "error", or "ignore"
-    ...     warnings.warn("3 lines have no light", PaintWarning)
+    ...     warnings.warn(PaintWarning("3 lines have no light", code="light-missing"))
     >>> str(noted[0].message)
-    '3 lines have no light'
+    '3 lines have no light [light-missing]'
     """
+
+    def __init__(self, found: str, *, code: str = "") -> None:
+        self.code = code
+        super().__init__(f"{found} [{code}]" if code else found)
 
 
 class Problems:
@@ -282,14 +345,16 @@ class Problems:
         self._error = error
         self._problems: list[Problem] = []
 
-    def add(self, found: str, *, expected: str = "", mend: str = "", option: str = "") -> None:
-        """Note one problem: what was found, what was expected, how to mend it; see `Problem`."""
-        self._problems.append(Problem(found, expected, mend, option))
+    def add(
+        self, found: str, *, expected: str = "", mend: str = "", option: str = "", code: str = ""
+    ) -> None:
+        """Note one fault; see `Problem`."""
+        self._problems.append(Problem(found, expected, mend, option, code))
 
     def add_error(self, subject: str, error: Exception) -> None:
-        """Note an error on a subject as one problem, with its mend in Python and on the command line."""
-        if isinstance(error, PaintError) and not error.problems:
-            self._problems.append(error.about(subject)._own)
+        """Note an error on a subject, with its parts, mends and codes."""
+        if isinstance(error, PaintError):
+            self._problems.append(error.about(subject).problem)
         else:
             self.add(f"{subject}: {error}")
 
@@ -356,7 +421,10 @@ class Findings:
         if len(self.errors) == 1 and isinstance(self.errors[0], PaintError):
             raise self.errors[0]
         kind = kinds.pop() if len(kinds) == 1 else CollectError
-        problems = Problems(self.subject, kind if issubclass(kind, PaintError) else CollectError)
-        for error in self.errors:
-            problems.add(str(error))
-        problems.raise_if_any()
+        raise (kind if issubclass(kind, PaintError) else CollectError)(
+            self.subject,
+            problems=[
+                error.problem if isinstance(error, PaintError) else Problem(str(error))
+                for error in self.errors
+            ],
+        )

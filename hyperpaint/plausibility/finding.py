@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from hyperpaint.base.errors import Problem
 
-__all__ = ["KINDS", "Finding", "Kind"]
-
 
 @dataclass(frozen=True)
 class Kind:
@@ -161,6 +159,7 @@ class Finding:
     def problem(self, *, acceptable: bool = False) -> Problem:
         """Return it as a problem of an error; one that is ``acceptable`` says how it is accepted."""
         name, mend = self.kind.name, self.kind.mend
-        ways = ("", "") if not acceptable else (f", or pass accept=[{name!r}]", f", or pass --accept {name}")
-        found = f"{self.line}: {name}: {self.found}"
-        return Problem(found, self.expected, *(f"{mend}{way}" for way in ways))
+        option = mend
+        if acceptable:
+            mend, option = f"{mend}, or pass accept=[{name!r}]", f"{mend}, or pass --accept {name}"
+        return Problem(f"{self.line}: {self.found}", self.expected, mend, option, code=name)

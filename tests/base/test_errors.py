@@ -34,7 +34,9 @@ def test_errors_survive_a_process_boundary() -> None:
     for name in errors.__all__:
         error = getattr(errors, name)
         if isinstance(error, type) and issubclass(error, errors.PaintError):
-            assert str(pickle.loads(pickle.dumps(error("what was found")))) == "what was found"
+            copy = pickle.loads(pickle.dumps(error("2 lights", expected="1", code="light-number")))
+            assert str(copy) == "2 lights, expected 1 [light-number]"
+            assert copy.codes == ("light-number",)
 
 
 def test_problems_are_listed_together() -> None:
@@ -51,6 +53,5 @@ def test_problems_are_listed_together() -> None:
 
 def test_a_missing_extra_says_how_to_install_it() -> None:
     error = errors.MissingExtraError.of("matplotlib", "viz", "a picture")
-    assert (
-        str(error) == "a picture needs matplotlib; install it with: python -m pip install 'hyperpaint[viz]'"
-    )
+    assert error.codes == ("extra-missing",)
+    assert "hyperpaint[viz]" in error.problem.mend

@@ -44,15 +44,15 @@ def test_all_findings_are_shown_at_once(collect: Path) -> None:
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     done = CliRunner().invoke(main, ["check", str(collect)])
     assert done.exit_code == 1
-    assert "raw_0: counts-over-range: counts up to" in done.output
+    assert "[counts-over-range]" in done.output
     assert "multiples of 16: left-justified, above 4095" in done.output
-    assert "raw_0: dark-of-zeros: 100 % of the dark" in done.output
+    assert "raw_0: 100 % of the dark" in done.output
 
 
 def test_what_cannot_be_true_is_not_processed_unless_accepted(collect: Path, tmp_path: Path) -> None:
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     assert [finding.kind.name for finding in check_collect(collect)] == ["dark-of-zeros"]
-    with pytest.raises(CollectError, match=r"dark-of-zeros.*accept=\['dark-of-zeros'\]"):
+    with pytest.raises(CollectError, match=r"accept=.*dark-of-zeros"):
         process(collect, tmp_path / "lot.zarr", reflectance="none")
     assert not (tmp_path / "lot.zarr").exists()
     call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
