@@ -15,7 +15,7 @@ import pint
 import xarray as xr
 
 from hyperpaint.alignment.least_squares import Window
-from hyperpaint.alignment.oxygen import Progress
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Quality
 from hyperpaint.geometry.georeference.cameras import PinholeCamera

@@ -110,10 +110,12 @@ def test_no_module_shares_its_name_with_a_public_function() -> None:
         if name != "__main__":
             home = "hyperpaint" if name == "__init__" else f"hyperpaint.{name.removesuffix('.__init__')}"
             module = importlib.import_module(home)
-            names = {
-                each for each in getattr(module, "__all__", ()) if not inspect.ismodule(getattr(module, each))
+            functions = {
+                each
+                for each, value in vars(module).items()
+                if inspect.isfunction(value) and value.__module__ == home and not each.startswith("_")
             }
-            shared[name] = stems & names
+            shared[name] = stems & functions
     assert not {name: both for name, both in shared.items() if both}
 
 

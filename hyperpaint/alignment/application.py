@@ -14,9 +14,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
-__all__ = ["apply_alignment", "restated", "without_products"]
-
-
 _NEEDED = (
     "flag",
     "shift_correction",

@@ -25,8 +25,6 @@ from .lamp import Declared, responses_table, shares_of_samples, variance_of_resp
 from .oxygen import mean_over_lines, radiance_of_bands
 from .sunlines import RecordAgainstSun, record_against_sun
 
-__all__ = ["COMPARISON", "Comparison", "ComparisonRules", "compared"]
-
 
 @dataclass(frozen=True)
 class ComparisonRules:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
@@ -35,10 +35,7 @@ from .least_squares import (
     fit_columns,
     stacked,
 )
-from .oxygen import Progress, mean_over_lines, radiance_of_bands
-
-__all__ = ["align_to_irradiance"]
-
+from .oxygen import mean_over_lines, radiance_of_bands
 
 FEWEST_PIXELS = 8
 """Pixels below which a column is not used."""

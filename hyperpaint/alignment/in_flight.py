@@ -16,8 +16,6 @@ from .application import restated, without_products
 from .comparison import COMPARISON, Comparison, ComparisonRules, compared
 from .sunlines import Instruments, divided
 
-__all__ = ["align"]
-
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
 VNIR_END_NM = 1000.0
 """Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm]."""

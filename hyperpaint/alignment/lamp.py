@@ -25,11 +25,6 @@ from hyperpaint.light.responses import (
 )
 from hyperpaint.light.synchrony import line_light
 
-__all__ = [
-    "FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "responses_table",
-    "shares_of_samples", "table_of_bands", "variance_of_responses",
-]  # fmt: skip
-
 _MOST_SHIFT = 20.0
 """Declared shift beyond which units are wrong [nm]."""
 

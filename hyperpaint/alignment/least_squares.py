@@ -13,22 +13,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 
 from .lamp import FACTORS, Declared, IrradianceTable
 
-__all__ = [
-    "FLAGS",
-    "RESIDUAL_FLOOR",
-    "Estimate",
-    "Fit",
-    "Window",
-    "bands_of",
-    "checked_windows",
-    "combined",
-    "default_windows",
-    "estimate",
-    "fewest_bands",
-    "fit_columns",
-    "stacked",
-]
-
 RESIDUAL_FLOOR = 1e-4
 """Relative departure that numbers of float32 and the matching leave in the best of cases."""
 _ITERATIONS = 12

@@ -15,8 +15,6 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
 
-__all__ = ["Progress", "mean_over_lines", "oxygen_depth", "oxygen_residual", "radiance_of_bands"]
-
 _FIRST_LINES = 64
 """Lines that bad elements are recognised in."""
 

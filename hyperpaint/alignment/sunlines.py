@@ -17,10 +17,6 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.clear_sky import sunlight_table
 
-__all__ = [
-    "SUN_LINES", "Instruments", "RecordAgainstSun", "SunLineRules", "divided", "record_against_sun",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class SunLineRules:

@@ -20,9 +20,6 @@ from .arrays import Floats
 from .errors import Problems, SchemaError
 from .units import takes_quantities
 
-__all__ = ["Convention", "wrapped"]
-
-
 _PREFIX = "convention_"
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "roll_positive": ("right_wing_down", "right_wing_up"),

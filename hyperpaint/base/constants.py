@@ -5,12 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-__all__ = [
-    "ALIGNMENTS", "KEPT_BITS", "MAX_TASK_BYTES", "NUMERICS_VERSION", "QUANTISATION_VARIANCE_COUNT2",
-    "SATURATION_MARGIN_COUNTS", "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED",
-    "WGS84_SEMI_MAJOR_AXIS_M", "Alignment", "lines_a_task",
-]  # fmt: skip
-
 SATURATION_MARGIN_COUNTS = 16
 """Counts below the converter's last from which a sample is taken for saturated (DESIGN.md, `saturated`)."""
 

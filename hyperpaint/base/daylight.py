@@ -8,8 +8,6 @@ import numpy as np
 
 from .arrays import Floats
 
-__all__ = ["DULL_MEDIAN", "HIGHEST_MEDIAN", "LOWEST_MEDIAN", "brightest_median", "unit_slip"]
-
 HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
 """Median irradiance of 400-1000 nm that is believed [W m-2 nm-1]. Above the atmosphere the sun gives 2.2 at
 most and 1.5 in the median, and light off clouds hardly adds more than the air takes; 3e-4 is deep twilight,

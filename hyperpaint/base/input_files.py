@@ -13,8 +13,6 @@ from pathlib import Path
 
 from .errors import FormatError, PaintError
 
-__all__ = ["head_of", "input_path", "is_plain_file", "open_input", "read_limited"]
-
 MOST_NAME_BYTES = 255
 """Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows."""
 

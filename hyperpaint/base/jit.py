@@ -29,8 +29,6 @@ from numba.core.runtime import rtsys
 
 from hyperpaint.base.errors import PaintWarning
 
-__all__ = ["borrowing_kernel", "inlined_kernel", "kernel"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

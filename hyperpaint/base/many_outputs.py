@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from .arrays import Array
 
-__all__ = ["split_outputs"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 

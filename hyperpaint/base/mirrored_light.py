@@ -6,8 +6,6 @@ import xarray as xr
 
 from .errors import SchemaError
 
-__all__ = ["BODY", "EXCLUDED", "INCLUDED", "OUTSIDE", "THROUGH_COAT", "mirror_reflection"]
-
 INCLUDED, EXCLUDED = "included", "excluded"
 """What the attribute ``mirror_reflection`` may say."""
 

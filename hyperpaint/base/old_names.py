@@ -9,8 +9,6 @@ import xarray as xr
 
 from .errors import PaintWarning
 
-__all__ = ["NEW_NAMES", "VERSION_NAME", "warn_of_old_names", "with_new_names"]
-
 NEW_NAMES = {"paint": "signature", "signature": "paint"}
 """Dimension of a paint library: `paint` until 0.2, which the accessor hides. A property of regions that was
 called `signature` then takes the place that is free."""

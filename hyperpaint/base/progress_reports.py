@@ -7,8 +7,6 @@ from typing import overload
 
 from .arrays import Progress
 
-__all__ = ["as_progress", "part_of"]
-
 _BAR_CHARACTERS = 40
 
 

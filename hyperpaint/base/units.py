@@ -24,11 +24,6 @@ from .old_names import with_new_names
 if TYPE_CHECKING:
     import pint
 
-__all__ = [
-    "canonical", "conversion_factor", "convert", "in_units", "is_unit", "plain", "quantify", "registry",
-    "same_dimension", "takes_quantities",
-]  # fmt: skip
-
 _Public = TypeVar("_Public", bound=Callable[..., Any])
 
 _DEFINITIONS = """

@@ -14,11 +14,6 @@ import xarray as xr
 
 from .units import same_dimension
 
-__all__ = [
-    "ALONG_TRACK", "BAND", "CROSS_TRACK", "CUBE", "FLAG", "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH",
-    "LIBRARY_VARIABLES", "PANEL", "SLOT", "STEP", "SUN", "SWEEP_VARIABLES", "VARIABLES", "Variable",
-]  # fmt: skip
-
 ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
 CUBE = (ALONG_TRACK, BAND, CROSS_TRACK)
 """Dims of a cube in sensor geometry, in the instrument's own order: band-interleaved by line."""

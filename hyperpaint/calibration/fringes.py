@@ -15,8 +15,6 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 
-__all__ = ["FRINGES", "Between", "FringeRules", "error_between_lines", "level_scatter"]
-
 
 @dataclass(frozen=True)
 class FringeRules:

@@ -20,8 +20,6 @@ from .lab_sweep import LabSweep
 from .steps import Lines, Read
 from .wavelength_map import WavelengthMap
 
-__all__ = ["SHAPE_RULES", "MeasuredShape", "ShapeRules", "measured_shape"]
-
 
 @dataclass(frozen=True)
 class ShapeRules:

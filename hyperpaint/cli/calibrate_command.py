@@ -10,8 +10,6 @@ import click
 
 from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
 
-__all__ = ["calibrate"]
-
 
 def _uncertainty(name: str, default: float, text: str) -> Callable[[Any], Any]:
     share = click.FloatRange(0.0, 1.0)

@@ -10,8 +10,6 @@ import click
 
 from .console import EXISTING_FILE, FAILED_CHECK
 
-__all__ = ["check"]
-
 
 def _list_kinds(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
     from hyperpaint.plausibility import KINDS

@@ -8,8 +8,6 @@ import click
 
 from .console import FAILED_CHECK, PLACE
 
-__all__ = ["check_library"]
-
 
 @click.command(
     "check-library",

@@ -14,12 +14,6 @@ import click
 if TYPE_CHECKING:
     from hyperpaint.workflows.pipeline import Outcome
 
-__all__ = [
-    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "SIGNALLED", "WRONG_INPUT",
-    "beside", "given_of", "is_watched", "progress_bar", "refuse_in_store", "say_outcome",
-    "takes_memory_limit",
-]  # fmt: skip
-
 PLACE = click.Path(path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)

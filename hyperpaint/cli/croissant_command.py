@@ -8,8 +8,6 @@ import click
 
 from .console import FILE, FOLDER
 
-__all__ = ["croissant"]
-
 
 @click.command(
     short_help="Describe a store to machine-learning tools: Croissant metadata.",

@@ -9,8 +9,6 @@ import click
 
 from .console import FAILED_CHECK, FOLDER, is_watched, progress_bar
 
-__all__ = ["demo"]
-
 
 @click.command(
     short_help="Simulate, process and compare with the truth.",

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from hyperpaint.regions import Regions
 
-__all__ = ["detect_paints"]
-
 _RATE = click.FloatRange(0.0, 1.0, min_open=True)
 
 

@@ -9,8 +9,6 @@ import click
 
 from .console import EXISTING, EXISTING_FILE, PLACE, beside, is_watched, progress_bar
 
-__all__ = ["export"]
-
 _LIBRARIES = ("envi", "csv", "parquet", "ecostress", "zarr")
 _NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 

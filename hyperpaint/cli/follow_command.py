@@ -16,8 +16,6 @@ from .console import EXISTING_FILE, FOLDER, PLACE, given_of, is_watched, say_out
 if TYPE_CHECKING:
     from hyperpaint.workflows.following import FlightState
 
-__all__ = ["follow"]
-
 
 @click.command(
     short_help="Process a flight while it is being recorded.",

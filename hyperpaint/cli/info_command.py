@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-__all__ = ["describe_path", "facts_of_path", "info"]
-
 _EXPECTED = (
     "expected an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
     "a text or csv export of spectra, "
@@ -357,7 +355,7 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from hyperpaint.io.collect.collect_opening import read_collect
+    from hyperpaint.io.collect.collect_toml import read_collect
     from hyperpaint.workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)

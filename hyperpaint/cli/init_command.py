@@ -14,8 +14,6 @@ from .console import EXISTING, FILE
 if TYPE_CHECKING:
     from hyperpaint.workflows.field_folder import FieldFolder
 
-__all__ = ["facts_of_field_folder", "init"]
-
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 

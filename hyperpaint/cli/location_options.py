@@ -10,8 +10,6 @@ import click
 
 from .console import EXISTING
 
-__all__ = ["takes_location"]
-
 _THREE = click.Tuple([float, float, float])
 _OPTIONS = (
     click.option("--ground", type=float, metavar="M", help="Height of level ground."),

@@ -20,8 +20,6 @@ from .console import (
 )
 from .location_options import takes_location
 
-__all__ = ["make_mosaic"]
-
 
 @click.command(
     "mosaic",

@@ -19,8 +19,6 @@ from .console import (
 )
 from .location_options import takes_location
 
-__all__ = ["make_map"]
-
 
 @click.command(
     "orthorectify",

@@ -12,8 +12,6 @@ from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["list_paints"]
-
 _ABOUT = ("finish", "colour", "srgb", "make", "model", "year")
 
 

@@ -11,8 +11,6 @@ from hyperpaint.base.constants import ALIGNMENTS
 
 from .console import EXISTING_FILE, PLACE, is_watched, say_outcome
 
-__all__ = ["process"]
-
 
 @click.command(
     short_help="Process a collect into one Zarr store.",

@@ -24,8 +24,6 @@ from hyperpaint.base.errors import PaintError, PaintWarning
 
 from .console import SIGNALLED, WRONG_INPUT, is_watched
 
-__all__ = ["main"]
-
 COMMANDS = {
     **{name: name for name in ("calibrate", "check", "croissant", "demo", "export", "follow", "info")},
     **{name: name for name in ("init", "process", "render", "run", "simulate", "site", "validate", "verify")},

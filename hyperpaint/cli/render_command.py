@@ -9,8 +9,6 @@ import click
 
 from .console import EXISTING_FILE, FILE, PLACE, is_watched, say_outcome, takes_memory_limit
 
-__all__ = ["render"]
-
 
 def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not ctx.resilient_parsing:

@@ -9,8 +9,6 @@ import click
 
 from .console import EXISTING, FAILED_CHECK, PLACE, beside, is_watched, progress_bar, takes_memory_limit
 
-__all__ = ["make_report"]
-
 
 @click.command(
     "report",

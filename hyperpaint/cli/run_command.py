@@ -12,8 +12,6 @@ from hyperpaint.base.constants import ALIGNMENTS
 
 from .console import EXISTING, EXISTING_FILE, FAILED_CHECK, FOLDER, WRONG_INPUT, is_watched, progress_bar
 
-__all__ = ["run"]
-
 
 @click.command(
     short_help="Do all that a field day asks for: store, paints, validation, maps, report.",

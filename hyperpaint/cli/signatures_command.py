@@ -10,8 +10,6 @@ import click
 from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar, takes_memory_limit
 from .location_options import takes_location
 
-__all__ = ["make_signatures"]
-
 
 @click.command(
     "signatures",

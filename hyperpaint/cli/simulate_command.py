@@ -9,8 +9,6 @@ import click
 
 from .console import FOLDER, given_of, is_watched, progress_bar
 
-__all__ = ["simulate"]
-
 
 @click.command(
     short_help="Write a simulated collect with known truth.",

@@ -9,8 +9,6 @@ import click
 
 from .console import EXISTING, FAILED_CHECK, FOLDER, is_watched, takes_memory_limit
 
-__all__ = ["site"]
-
 
 @click.command(
     "site",

@@ -10,9 +10,6 @@ import click
 
 from .console import EXISTING, EXISTING_FILE, FAILED_CHECK, FILE, given_of
 
-__all__ = ["validate"]
-
-
 _PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]+(\.[0-9]*)?)", re.ASCII)
 
 

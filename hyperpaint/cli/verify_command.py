@@ -8,8 +8,6 @@ import click
 
 from .console import EXISTING_FILE, FAILED_CHECK, PLACE
 
-__all__ = ["verify"]
-
 
 @click.command(
     short_help="Check every chunk of a store against its record.",

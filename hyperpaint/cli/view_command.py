@@ -9,8 +9,6 @@ import click
 
 from .console import EXISTING, PLACE
 
-__all__ = ["view"]
-
 
 @click.command(
     short_help="Look at a store in a browser.",

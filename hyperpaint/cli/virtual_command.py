@@ -13,8 +13,6 @@ from hyperpaint.report.summaries import Facts, counted, facts_of_line, size_of
 
 from .console import EXISTING_FILE, PLACE, say_outcome
 
-__all__ = ["facts_of_virtual", "virtual"]
-
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
     """Yield what a virtual store holds, and whether its raw files are what they were.

@@ -6,8 +6,6 @@ import click
 
 from .console import is_watched, progress_bar
 
-__all__ = ["warm"]
-
 
 @click.command(
     short_help="Compile now what the first use would wait for.",

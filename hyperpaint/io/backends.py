@@ -16,8 +16,6 @@ from xarray.backends import BackendEntrypoint
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["AsdBackendEntrypoint", "EnviBackendEntrypoint", "SvcBackendEntrypoint"]
-
 # a file with another suffix is taken for ENVI data only if "name.suffix.hdr" lies beside it
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 

@@ -15,39 +15,6 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array
 
-__all__ = [
-    "BLOCK",
-    "AmountPrior",
-    "Bodies",
-    "Calibration",
-    "ChannelErrors",
-    "CountLimits",
-    "DetectorModel",
-    "ErrorTerms",
-    "FixedFlags",
-    "Glinting",
-    "InverseTile",
-    "LightCells",
-    "LightParts",
-    "LineCounts",
-    "LineFits",
-    "LineFrames",
-    "LinePositions",
-    "LineRays",
-    "LineSamples",
-    "MapCells",
-    "Places",
-    "Raster",
-    "Rounding",
-    "SlabOutputs",
-    "StrayLight",
-    "Unmixed",
-    "count_limits",
-    "given",
-    "light_cells",
-    "rounding",
-]  # fmt: skip
-
 Group = TypeVar("Group", bound=tuple[Any, ...])
 
 

@@ -11,8 +11,6 @@ from hyperpaint.base.jit import inlined_kernel
 
 from .arguments import Rounding
 
-__all__ = ["round_row", "rounded"]
-
 
 @inlined_kernel
 def rounded(value: Any, rounding: Rounding | None) -> Any:

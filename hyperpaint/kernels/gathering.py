@@ -11,9 +11,6 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import Places
 
-__all__ = ["gather_bilinear", "gather_nearest"]
-
-
 _COLUMNS = 16
 """Columns that are turned together: a line of the cache in single precision."""
 

@@ -15,9 +15,6 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import InverseTile, LinePositions, MapCells
 
-__all__ = ["FIRST", "LAST", "NADIR", "fill_between", "invert_lines", "look_at_lines"]
-
-
 NADIR, FIRST, LAST = 0, 1, 2
 """Which of several patches over one cell counts: that nearest to the middle column, of the first line, or of
 the last."""

@@ -11,12 +11,6 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import LineFits, LineSamples
 
-__all__ = [
-    "AREA", "CENTRE", "GAUSSIAN", "OFFSET", "SLIT", "WIDTH", "fit_lines", "full_widths", "line_profile",
-    "profiles",
-]  # fmt: skip
-
-
 #: Places of the parameters of a line: centre [samples], full width at half maximum of the instrument's own
 #: response [samples], area [value x samples], offset [value].
 CENTRE, WIDTH, AREA, OFFSET = 0, 1, 2, 3

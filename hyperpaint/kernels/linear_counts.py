@@ -11,10 +11,6 @@ from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
 
 from .arguments import DetectorModel
 
-__all__ = [
-    "LinearMemory", "linear_memory", "signal_of", "signal_row", "slope_row", "straighten_dark",
-]  # fmt: skip
-
 _ONE = np.uint32(1)
 _ONE_F32 = np.float32(1.0)
 _NOTHING = np.float32(0.0)

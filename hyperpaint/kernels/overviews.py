@@ -7,8 +7,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
-__all__ = ["average_blocks", "mix_bands"]
-
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 

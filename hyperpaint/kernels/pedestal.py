@@ -9,8 +9,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-__all__ = ["pedestal_of", "raise_dark"]
-
 _FAR_SD = 5.0
 """Standard deviations from the mean beyond which a masked element is left out: a cosmic ray, not noise."""
 

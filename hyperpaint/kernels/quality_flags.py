@@ -11,8 +11,6 @@ from hyperpaint.base.jit import borrowing_kernel, inlined_kernel
 
 from .arguments import CountLimits, FixedFlags
 
-__all__ = ["Tally", "count_levels", "flag_line", "gather_row"]
-
 _ZERO = np.float32(0.0)
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)

@@ -31,9 +31,6 @@ from .pedestal import pedestal_of, raise_dark
 from .quality_flags import Tally, count_levels, flag_line, gather_row
 from .sample_errors import ErrorMemory, propagate_band
 
-__all__ = ["calibrate_slab", "dark_of_line"]
-
-
 _NAN = np.float32(np.nan)
 
 

@@ -20,9 +20,6 @@ from .arguments import BLOCK, LineFrames, LineRays, Raster
 Vector = tuple[float, float, float]
 Parabola = tuple[float, float, float]
 
-__all__ = ["PLACES", "level_places", "raster_places"]
-
-
 PLACES = 5
 """What is known of a pixel: x and y on the map, height [m], zenith and azimuth of the camera [degree]."""
 

@@ -13,8 +13,6 @@ from .arguments import DetectorModel, ErrorTerms, LightCells, LineCounts, Roundi
 from .bit_rounding import round_row, rounded
 from .linear_counts import LinearMemory, slope_row
 
-__all__ = ["ErrorMemory", "light_row", "propagate_band"]
-
 _NAN = np.float32(np.nan)
 _ONE_F32 = np.float32(1.0)
 _NOTHING = np.float32(0.0)

@@ -9,12 +9,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
-__all__ = [
-    "absorb", "boundary_distance", "count_pixels", "count_steps", "join_segments", "mark_large",
-    "nearest_sources", "number_segments", "pick_steps", "sample_places", "sort_steps", "step_sizes",
-    "to_pixels",
-]  # fmt: skip
-
 
 @kernel
 def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:

@@ -12,9 +12,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
 
-__all__ = ["average_slab", "filter_slab", "resample_slab"]
-
-
 _NAN = np.float32(np.nan)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)

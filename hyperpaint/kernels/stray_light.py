@@ -18,8 +18,6 @@ from .linear_counts import LinearMemory, linear_memory, signal_row, straighten_d
 from .radiometry import dark_of_line
 from .sample_errors import light_row
 
-__all__ = ["subtract_stray_light"]
-
 _BLOCK = 128
 """Columns whose sums are made side by side, so that they stay in the nearest cache."""
 _NOTHING = np.float32(0.0)

@@ -11,9 +11,6 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import AmountPrior, Bodies, ChannelErrors, Glinting, LightParts, Unmixed
 
-__all__ = ["PARTS", "average_bands", "minimise", "unmix_lines"]
-
-
 PARTS = 9
 """Direct, diffuse, mirror images of the sun, of the sky above and of that around the sun, and two neighbours:
 reflected twice, mirrored."""

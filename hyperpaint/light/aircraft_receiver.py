@@ -27,8 +27,6 @@ from .synchrony import check_irradiance_times
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["level_irradiance"]
-
 _ANGLES = ("roll", "pitch", "heading")
 _PLACE = ("latitude", "longitude")
 _TIMES = ("time", "navigation_time", IRRADIANCE_TIME)

@@ -23,9 +23,6 @@ from hyperpaint.base.errors import SchemaError
 
 from .sun import Scatterers, air_mass, scattered_light
 
-__all__ = ["ClearSky", "SunlightTable", "ozone_mass", "sunlight_table"]
-
-
 TABLE_AIR_MASS = 1.5
 """Relative air mass at which the table's cells of 1 nm have their depths [1]."""
 

@@ -24,8 +24,6 @@ from hyperpaint.base.arrays import Floats
 
 from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
 
-__all__ = ["COAT_INDEX", "COAT_INDEX_U", "interface_reflectance", "sky_reflectance", "transmitted_share"]
-
 COAT_INDEX, COAT_INDEX_U = 1.5, 0.03
 """Refractive index of automotive clear coats, 1.48 to 1.55, and its standard uncertainty [1]."""
 

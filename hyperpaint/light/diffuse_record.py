@@ -25,9 +25,6 @@ from .synchrony import check_irradiance_times
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SKY_STATES", "SPLIT", "diffuse_from_record", "split_of_lines"]
-
-
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
 """Words of ``sky_state``, in the order of its numbers."""
 

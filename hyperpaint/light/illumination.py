@@ -24,11 +24,6 @@ from .responses import Matching, Responses, log_slope, matching_operator, mean_r
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
-__all__ = [
-    "ALIGNED_AT_NM", "ALIGNED_PER_NM", "RecordDeparture", "Smile", "Tilt", "departure_of_record",
-    "imager_of", "match_irradiance", "matched_series", "smile_cells",
-]  # fmt: skip
-
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
 """Where the shift between camera and record is stated, and over what its change is [nm]."""
 

@@ -19,12 +19,6 @@ from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
-__all__ = [
-    "Matching", "Responses", "band_spacing", "log_slope", "matching_operator", "mean_responsivity",
-    "misfit_through",
-]  # fmt: skip
-
-
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
 """Standard deviation of a Gaussian per unit of full width at half maximum."""
 

@@ -14,8 +14,6 @@ from .sky_functions import function_shapes, relative_radiance, scattering_cosine
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FUNCTIONS", "fit_sky"]
-
 FUNCTIONS = ("uniform", "molecular", "aureole")
 _FEWEST = 6  # directions
 

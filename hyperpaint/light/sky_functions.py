@@ -25,12 +25,6 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-__all__ = [
-    "HORIZON_SHIFT", "Dome", "clear_sky_shares", "dome", "facing_gain", "function_shapes",
-    "radiance_towards_sun", "relative_radiance", "scattering_cosine", "sunward_gain", "zenith_radiance",
-]  # fmt: skip
-
-
 HORIZON_SHIFT = 0.05
 """Added to the cosine of the zenith angle in u [1]."""
 

@@ -23,8 +23,6 @@ from hyperpaint.base.arrays import Floats, Ints
 from .clear_sky import ClearSky
 from .sun import Scatterers, scattered_light
 
-__all__ = ["KINDS", "RULES", "Evidence", "Explained", "SkyRules", "Windows", "explain", "windows_in"]
-
 KINDS = ("air", "thin", "broken", "overcast")
 """Kinds of sky that are drawn: no cloud, thin cloud before the sun, broken cloud, overcast."""
 

@@ -10,9 +10,6 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.units import takes_quantities
 
-__all__ = ["Scatterers", "air_mass", "diffuse_fraction", "scattered_light", "solar_position"]
-
-
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 
 

@@ -20,9 +20,6 @@ from hyperpaint.base.schema import Quality
 
 from .sun import solar_position
 
-__all__ = ["LineLight", "check_irradiance_times", "line_light", "replace_record", "timing_sensitivity"]
-
-
 UNSTABLE_CHANGE = 0.02
 """Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
 LOW_SUN_ZENITH = 75.0

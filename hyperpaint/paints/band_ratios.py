@@ -14,8 +14,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.spectral_axis import at
 from hyperpaint.radiometry.uncertainty.error_sources import FORMS
 
-__all__ = ["band_ratio", "covariance"]
-
 OTHER_BAND = "other_band"
 
 

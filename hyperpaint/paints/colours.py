@@ -18,12 +18,6 @@ from hyperpaint.light.responses import band_spacing
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "COLOURS", "ciede2000", "colour_matching", "encode_srgb", "lab_of", "paint_colours", "parse_colour",
-    "srgb", "srgb_hex", "srgb_weights",
-]  # fmt: skip
-
-
 # XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
 _BRADFORD_E_TO_D65 = np.array(
     [

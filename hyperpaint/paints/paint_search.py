@@ -19,9 +19,6 @@ from .colours import ciede2000, lab_of, paint_colours, parse_colour
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["interpolated", "search_library"]
-
-
 _FEWEST_BANDS = 5
 _WIDEST_STEP = 4.0
 """Between two samples that are interpolated, in steps of those beside them."""

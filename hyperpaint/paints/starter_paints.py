@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
 
-__all__ = ["starter_library"]
-
-
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
 """Of a pushbroom camera for the visible and near infrared [nm]."""
 

@@ -16,8 +16,6 @@ from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.regions import Region, Regions, regions_from
 
-__all__ = ["RegionFiles", "corners_at", "regions_on"]
-
 
 def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
     """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.

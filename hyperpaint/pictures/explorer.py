@@ -26,9 +26,6 @@ from .explorer_figures import (
 from .explorer_state import INFRARED, TRUE_COLOUR, Explored, Place, Spectrum, spoken
 from .plot import percent
 
-__all__ = ["WIDE", "Explorer"]
-
-
 _MODES = {"Spectrum": "spectrum", "Draw": "draw", "Edit": "edit", "Move": "move"}
 _HELP = {
     "spectrum": "Click for a pixel's spectrum, drag for a box; the wheel zooms",

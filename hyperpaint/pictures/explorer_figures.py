@@ -10,8 +10,6 @@ from hyperpaint.base.arrays import Array
 
 from .explorer_state import Explored, Picture
 
-__all__ = ["PictureFigure", "SpectraFigure"]
-
 COLOURS = ("#e6550d", "#1f9ed1", "#31a354", "#c51b8a", "#a6761d", "#6a51a3", "#d7b600", "#17becf")
 """Of the regions, in turn."""
 INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}

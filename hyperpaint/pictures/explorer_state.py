@@ -38,11 +38,6 @@ from .plot_spectra import good_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "INFRARED", "TRUE_COLOUR", "Explored", "NearPaint", "Picture", "Place", "Spectrum", "Uncertainty",
-    "spoken",
-]  # fmt: skip
-
 TRUE_COLOUR: tuple[float, ...] = ()
 """Recipe of a picture: as the eye sees it. Others are the wavelengths of one or of three bands [nm]."""
 INFRARED = (860.0, 650.0, 550.0)

@@ -27,8 +27,6 @@ from .explorer_state import Explored
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["explore", "serve_explorer"]
-
 
 def explore(
     line: xr.Dataset,

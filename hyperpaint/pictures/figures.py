@@ -15,11 +15,6 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import SchemaError, needs_extra
 
-__all__ = [
-    "axes_or_new", "check_picture", "columns_for", "data_uri", "encode_png", "ink_of", "label_for",
-    "legend_below", "new_figure", "panel_width", "png_of", "save_figure",
-]  # fmt: skip
-
 _LONGEST_LABEL = 60
 
 

@@ -19,8 +19,6 @@ from .figures import label_for
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Orientation", "laid_down", "map_dims", "orientation_of", "show_picture"]
-
 
 @dataclass(frozen=True)
 class Orientation:

@@ -28,8 +28,6 @@ from .plot_spectra import draw_band, draw_curve, find_usable, good_of, styles_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["paint_card", "region_of_paint"]
-
 MARGIN = 0.6
 """What is shown around a region, relative to its longer side."""
 

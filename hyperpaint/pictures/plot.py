@@ -22,12 +22,6 @@ from .orientation import map_dims, orientation_of, show_picture
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "STRETCH", "draw_irradiance", "draw_spread", "flags_of", "known_quantiles", "linear_srgb",
-    "overview", "percent", "quicklook", "rgb", "stored_picture",
-]  # fmt: skip
-
-
 OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""
 

@@ -18,8 +18,6 @@ from .figures import check_picture, columns_for, ink_of, legend_below, new_figur
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["calibration_report", "draw_gain"]
-
 Values = dict[str, Any]
 
 # of Okabe and Ito's palette, which colour-blind readers can tell apart

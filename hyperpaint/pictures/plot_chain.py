@@ -26,8 +26,6 @@ from .plot_spectra import MOST_CURVES, draw_curve, good_of, pixel_colours, pixel
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["straightening", "triptych"]
-
 MOST_PIXELS = 4096
 """Pixels of a region that a triptych is drawn from; of a larger one every n-th."""
 

@@ -16,8 +16,6 @@ from .figures import ink_of, legend_below, new_figure, save_figure
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["detection_curve"]
-
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
 

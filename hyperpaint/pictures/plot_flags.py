@@ -33,9 +33,6 @@ from .plot import flags_of, percent, rgb, stored_picture
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "flag_overlay", "reduced_lines"]
-
-
 FLAG_COLOURS: Mapping[Quality, str] = {
     Quality.SATURATED: "#ff3300",
     Quality.BELOW_DARK: "#330080",

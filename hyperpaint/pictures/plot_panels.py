@@ -18,8 +18,6 @@ from .plot_spectra import good_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["draw_panels", "noticed_of", "panel_figure"]
-
 MOST_PANELS = 12
 """Panels of one figure at the most, the first in time."""
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")

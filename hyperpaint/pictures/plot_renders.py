@@ -23,9 +23,6 @@ from .plot_spectra import find_usable, good_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["chips_and_renders"]
-
-
 MAX_CHIPS = 60
 """Paints that are shown at the most."""
 

@@ -23,12 +23,6 @@ from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, s
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "MOST_CURVES", "MOST_PAINTS", "draw_curve", "draw_uncertainties", "find_usable", "good_of",
-    "library_overview", "pixel_colours", "pixel_label", "spectrum", "styles_of",
-]  # fmt: skip
-
-
 SPREADS = ("quantiles", "sd", "none")
 MOST_CURVES = 24
 """Curves of one figure at the most."""

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from hyperpaint.validation import Validation
 
-__all__ = ["MOST_PAIRS", "validation_figure"]
-
 MOST_PAIRS = 24
 """Pairs of one figure at the most."""
 

@@ -10,8 +10,6 @@ import xarray as xr
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import lines_a_task
 
-__all__ = ["CubeSample", "sample_cube"]
-
 
 @dataclass(frozen=True)
 class SampleRules:

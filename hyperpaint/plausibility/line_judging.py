@@ -28,8 +28,6 @@ from .plausible_frames import judge_doubles, judge_index
 from .plausible_layout import judge_layout
 from .plausible_record import judge_irradiance, judge_navigation
 
-__all__ = ["judge_dark_cube", "judge_line"]
-
 
 def judge_line(
     line: xr.Dataset, cubes: tuple[FlightlineInputs, ...], *, lit: bool = True

@@ -12,8 +12,6 @@ from hyperpaint.light.clear_sky import ClearSky
 
 from .finding import KINDS, Finding
 
-__all__ = ["judge_bands"]
-
 
 @dataclass(frozen=True)
 class BandRules:

@@ -9,8 +9,6 @@ import numpy as np
 from .cube_sample import CubeSample
 from .finding import KINDS, Finding
 
-__all__ = ["judge_range"]
-
 STRAY_SHARE = 2e-3
 """Share of the elements [1] that a frame counter or status word takes at the most: a column in 640."""
 

@@ -13,8 +13,6 @@ from hyperpaint.base.arrays import Bools, Floats
 from .cube_sample import CubeSample
 from .finding import KINDS, Finding
 
-__all__ = ["judge_dark", "judge_dark_frames"]
-
 
 @dataclass(frozen=True)
 class DarkRules:

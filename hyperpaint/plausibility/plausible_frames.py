@@ -15,8 +15,6 @@ from hyperpaint.io.flightline.timing import Timing
 
 from .finding import KINDS, Finding
 
-__all__ = ["judge_doubles", "judge_index"]
-
 
 @dataclass(frozen=True)
 class FrameRules:

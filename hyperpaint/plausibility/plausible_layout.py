@@ -16,8 +16,6 @@ from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 
 from .finding import KINDS, Finding
 
-__all__ = ["judge_layout"]
-
 
 @dataclass(frozen=True)
 class LayoutRules:

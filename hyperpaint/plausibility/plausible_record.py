@@ -15,8 +15,6 @@ from hyperpaint.radiometry.plausible_light import light_level
 
 from .finding import KINDS, Finding
 
-__all__ = ["judge_irradiance", "judge_navigation"]
-
 
 @dataclass(frozen=True)
 class RecordRules:

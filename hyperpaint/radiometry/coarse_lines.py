@@ -14,8 +14,6 @@ from hyperpaint.kernels.overviews import average_blocks
 from .counts_to_reflectance import reflectance
 from .slabs import line_chunked
 
-__all__ = ["coarse", "coarse_reflectance"]
-
 SCREEN_LINES = 1000
 SMALLEST_SIDE = 4
 """Pixels along a side of a block: what is stored is at most a sixteenth of the cube."""

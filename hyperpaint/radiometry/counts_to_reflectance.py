@@ -41,8 +41,6 @@ from .planning import make_plan
 from .stray_light import described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
 
-__all__ = ["applied", "merged_quality", "panel_closure", "radiance", "reflectance"]
-
 _BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA
 _BITS_OF_LIGHT = (
     Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE

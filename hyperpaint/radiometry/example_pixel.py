@@ -8,8 +8,6 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 
-__all__ = ["worked_example"]
-
 
 def worked_example() -> xr.Dataset:
     """Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).

@@ -20,8 +20,6 @@ from .panels import Panel
 from .stray_light import SHIFT_TIME, STRAY_LIGHT
 from .uncertainty.propagation import uncertainty_inputs
 
-__all__ = ["COUNTED", "cube_inputs", "plan_inputs", "refuse_calibration"]
-
 COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
 _LIGHT = ("irradiance", "irradiance_fwhm")
 _OPTIONAL = (

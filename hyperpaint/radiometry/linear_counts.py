@@ -18,8 +18,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import require
 from hyperpaint.kernels.arguments import DetectorModel
 
-__all__ = ["DARK_SUBTRACTED", "RAW", "TABLE", "Linearity", "declared_linearity", "linearity_of", "polynomial"]
-
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
 _TERMS = 4

@@ -11,8 +11,6 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 
 from .panel_judging import RULES, PanelClosure
 
-__all__ = ["panel_correction", "scale_of_factors", "scale_of_lines", "usable_panels"]
-
 
 def usable_panels(closure: PanelClosure) -> Array:
     """Return the places of panels that are not refused.

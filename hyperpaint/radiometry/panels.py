@@ -21,11 +21,6 @@ from hyperpaint.base.units import convert, takes_quantities
 from . import slabs
 from .panel_judging import PANEL_STATES
 
-__all__ = [
-    "CLOSURE", "Panel", "closure_variables", "declared_panels", "declared_scale", "panel_inputs",
-    "several_panels", "without_panels",
-]  # fmt: skip
-
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
 """Variables that say what panels measure."""
 

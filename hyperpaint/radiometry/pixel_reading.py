@@ -26,8 +26,6 @@ from .planning import make_plan
 from .slabs import Plan, calibrate_lines
 from .spectral_axis import bands_at
 
-__all__ = ["pixels"]
-
 Place = int | slice
 
 BLOCK_LINES = 2 * CHUNK_LINES

@@ -26,8 +26,6 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .slabs import Plan
 
-__all__ = ["PLANS", "Entry", "Origin", "PlanCache", "lazy_plan"]
-
 MOST_PLANS = 8
 MOST_BYTES = 64 * 2**20
 """Of all plans and the copies that they are looked up by."""

@@ -28,9 +28,6 @@ from .tilted_light import direct_share, tilt_factors
 from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms
 
-__all__ = ["darks_of_lines", "make_plan"]
-
-
 NOISE_MARGIN_SD = 5.0
 DEFAULT_READ_NOISE_COUNTS = 2.0
 """Spread of a dark count [count] where neither the calibration nor the dark gives it."""

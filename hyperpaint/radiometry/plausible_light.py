@@ -16,8 +16,6 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.sun import solar_position
 
-__all__ = ["LightLevel", "check_light", "light_level", "warn_of_lost_bands"]
-
 
 @dataclass(frozen=True)
 class LightRules:

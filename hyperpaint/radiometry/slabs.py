@@ -43,12 +43,6 @@ from hyperpaint.light.synchrony import LineLight
 from .panel_judging import PanelClosure
 from .panel_scale import scale_of_lines
 
-__all__ = [
-    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "of_panels", "plan_of",
-    "run_slab", "small",
-]  # fmt: skip
-
-
 _OF_LINES = ("dark_index", "dark_weight", "line_flags")
 _IN_LIGHT = ("rate", "scale", "panel_weights", "series", "lines")
 """Fields of a plan of which a slab takes what `Plan.light` makes of them."""

@@ -21,17 +21,6 @@ from hyperpaint.light.responses import band_spacing
 
 from .slabs import line_chunked
 
-__all__ = [
-    "METHODS",
-    "NominalAxis",
-    "at",
-    "bands_at",
-    "nominal_axis",
-    "smooth",
-    "smoothing_matrix",
-    "to_nominal",
-]
-
 METHODS = ("savitzky-golay", "box")
 
 

@@ -18,11 +18,6 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
-__all__ = [
-    "SHIFT_TIME", "STRAY", "STRAY_LIGHT", "STRAY_U", "check_stray_light", "described", "inverse_of",
-    "smear_of", "stray_light_of",
-]  # fmt: skip
-
 STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
 """What a calibration or a line says of it."""
 MAX_AMPLIFIED = 10.0

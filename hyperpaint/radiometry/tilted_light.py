@@ -17,8 +17,6 @@ from hyperpaint.light.illumination import MAX_SUN_ZENITH_DEG, Tilt
 from hyperpaint.light.sky_functions import sunward_gain
 from hyperpaint.light.sun import solar_position
 
-__all__ = ["direct_share", "tilt_factors"]
-
 _CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
 
 

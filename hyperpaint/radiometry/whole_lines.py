@@ -12,8 +12,6 @@ from hyperpaint.light.illumination import Tilt
 
 from .counts_to_reflectance import reflectance
 
-__all__ = ["slab"]
-
 
 @takes_quantities(tilt="degree")
 def slab(

@@ -15,8 +15,6 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
-__all__ = ["COORDINATES", "Region", "Regions"]
-
 COORDINATES = ("sensor", "map")
 """What x and y of regions are: column and line of the cube, or a place on the ground."""
 

@@ -20,9 +20,6 @@ from .polygons import contains
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Pixels", "lines_of_cells", "located_for", "pixels", "pixels_of", "region_mask", "renumbered"]
-
-
 RegionsT = TypeVar("RegionsT", bound=Regions)
 Pixels = tuple[Ints, Ints]
 """Positions along and across the track, line by line."""

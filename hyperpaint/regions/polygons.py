@@ -22,8 +22,6 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import SchemaError
 
-__all__ = ["contains"]
-
 Index = npt.NDArray[np.intp]
 
 _EPSILON = 2.0**-53

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from hyperpaint.regions import Region
 
-__all__ = ["figure_part", "picture_bytes", "trust_parts", "validation_section"]
-
 _DPI = 100
 _MAP_CELLS = 800
 _MAP_BANDS = 24

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-__all__ = ["Part", "page_part", "plain_text"]
-
 Part: TypeAlias = "tuple[str, Callable[[], Markup]]"
 """What a part shows, and what draws it."""
 

@@ -38,11 +38,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from markupsafe import Markup
 
-__all__ = [
-    "calibration_section", "card_parts", "library_section", "line_section",
-    "map_section", "regions_of",
-]  # fmt: skip
-
 MOST_ROWS = 500
 """Paints of a table at the most."""
 

@@ -22,8 +22,6 @@ from .report_sections import LAYERS as DRAWN
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_LINES", "ShownGroups", "flagged", "groups_to_show", "message_of"]
-
 MOST_LINES = 64
 """Flight lines of one page at the most: each takes some megabytes."""
 

@@ -37,8 +37,6 @@ from .store_report import Written
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_site"]
-
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
 FORMAT = "hyperpaint site 1"

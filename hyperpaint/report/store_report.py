@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     from hyperpaint.regions import Region
 
-__all__ = ["Written", "write_report"]
-
 
 @dataclass(frozen=True)
 class Written:

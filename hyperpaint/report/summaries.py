@@ -20,13 +20,6 @@ from .pages import page_part
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "Facts", "counted", "facts_of_bands", "facts_of_grid", "facts_of_irradiance", "facts_of_line",
-    "facts_of_map", "form_of", "range_of", "size_of", "stored_overview", "summary_html", "summary_text",
-    "times_of", "with_times",
-]  # fmt: skip
-
-
 Facts = Iterator[tuple[str, str]]
 """Names and texts."""
 

@@ -20,9 +20,6 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
 
-__all__ = ["GRID_STEP", "Light", "Sky", "spectral_grid"]
-
-
 GRID_STEP = 0.05
 """Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line."""
 

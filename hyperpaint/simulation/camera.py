@@ -26,12 +26,6 @@ from .atmosphere import spectral_grid
 from .optics import Optics, OpticsSettings
 from .settings import SimulationSettings
 
-__all__ = [
-    "CAMERA_FIELDS", "ETENDUE", "GAUSSIAN_REACH", "Camera", "Detector", "Imager", "convolve_gaussian",
-    "cubic_weights", "expected_counts", "filled_etendue", "line_shape", "nominal_responsivity", "smile",
-]  # fmt: skip
-
-
 GAUSSIAN_REACH = 3.2
 """Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies."""
 

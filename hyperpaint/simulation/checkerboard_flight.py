@@ -20,9 +20,6 @@ from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
 from .paint_spectra import reflectance
 from .settings import SimulationSettings
 
-__all__ = ["Checkerboard", "CheckerboardFlight"]
-
-
 _SQUARES = ("panel_05", "panel_50")
 _LINES_AT_ONCE = 32  # a slab that stays in the cache
 _SPARE = 1.0  # m of board around what is seen, whose corners are listed too

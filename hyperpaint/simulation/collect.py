@@ -24,7 +24,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import ORIGIN, PIXEL_ANGLE, Flight, Lines, SkySamples, sky_irradiance
+from .flight import PIXEL_ANGLE, Flight, Lines, SkySamples, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -40,18 +40,12 @@ from .instruments import (
 )
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
-from .settings import SimulationSettings
+from .settings import ORIGIN, SimulationSettings
 from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "ASD_FOLDER", "CAMERA_SOFTWARE", "MARKER", "PARTS", "SVC_FOLDER", "simulate_collect", "simulate_line",
-    "write_references",
-]  # fmt: skip
-
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 

@@ -30,9 +30,6 @@ from .rendering.sky_models import cloud_transmittance, relative_air_mass
 from .settings import ORIGIN, SimulationSettings
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
-__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "Seen", "SkySamples", "sky_irradiance"]
-
-
 _OVERCAST = 8.0  # oktas
 
 

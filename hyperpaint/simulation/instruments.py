@@ -22,13 +22,6 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
-__all__ = [
-    "ASD_WAVELENGTH", "SVC_DETECTORS", "BilWriter", "SvcDetector", "svc_wavelengths", "write_asd",
-    "write_asd_reflectance", "write_frame_index", "write_navigation", "write_sbet", "write_settings",
-    "write_svc",
-]  # fmt: skip
-
-
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
 """Wavelengths of the simulated spectrometer [nm]."""
 

@@ -25,8 +25,6 @@ from hyperpaint.base.errors import Problems
 
 from .setting_checks import check_number, check_whole, is_number
 
-__all__ = ["Optics", "OpticsSettings", "keystone", "point_spread", "stray_light_wings"]
-
 _SIGMAS = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))  # standard deviations in a full width at half maximum
 _TAIL = 1e-9  # weight below which neighbours are left out of a point spread
 _RANK = 1e-12  # of the largest singular value of a kernel, below which a term is rounding

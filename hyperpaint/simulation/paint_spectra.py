@@ -16,8 +16,6 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 
-__all__ = ["CAR_PAINTS", "MATERIALS", "PANELS", "Bump", "Edge", "Paint", "Plain", "reflectance"]
-
 
 class Feature(Protocol):
     """Something a spectrum has at one wavelength."""

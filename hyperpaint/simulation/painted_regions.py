@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from .flight import Flight, Lines
 
-__all__ = ["REGIONS", "PaintedRectangles"]
-
 REGIONS = "regions.geojson"
 """The file."""
 

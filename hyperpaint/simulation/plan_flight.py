@@ -19,9 +19,6 @@ from .flight import Flight, Lines, Seen
 from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .settings import SWATH_M, SimulationSettings
 
-__all__ = ["CarPark", "PlanFlight"]
-
-
 _BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
 _ROWS = (1.4, 10.9)  # where the two rows of bays begin across the track [m]
 _GRASS_END, _KERB_END = 1.0, 1.3

@@ -25,7 +25,7 @@ from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
 from .rendering.lighting import ProductTable, source_spectra
 from .rendering.painting import factor_spectra
-from .rendering.platforms import Platform
+from .rendering.platform_geometry import Platform
 from .rendering.populations import populations_of
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
@@ -34,12 +34,9 @@ from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
+from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
-from .transport.paths import Block
 from .transport.texturing import Texture
-
-__all__ = ["GLINT", "RenderedFlight"]
-
 
 GLINT = 0.02
 """Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint."""

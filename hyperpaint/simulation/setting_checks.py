@@ -10,10 +10,6 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems
 
-__all__ = [
-    "check_choice", "check_flag", "check_number", "check_whole", "finite_floats", "is_number", "moment_of",
-]  # fmt: skip
-
 
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether a value is a finite number, and no truth value."""

@@ -19,17 +19,10 @@ from .setting_checks import (
     check_flag,
     check_number,
     check_whole,
-    finite_floats,
     is_number,
     moment_of,
 )
 from .sun_clock import USUAL_START, when_sun_stands
-
-__all__ = [
-    "FLEETS", "MOST_SAMPLES", "NEAR_SUNSET", "ORIGIN", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M",
-    "WOBBLES", "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole",
-    "finite_floats", "is_number", "moment_of",
-]  # fmt: skip
 
 STAMPS = ("start", "mid", "end")
 """What a time stamp may mark of an exposure."""

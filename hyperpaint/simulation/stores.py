@@ -34,11 +34,6 @@ from .instruments import ASD_WAVELENGTH
 from .sweep import SWEEP_NAME, Sweep, SweepSettings, is_simulated_sweep
 from .trajectories import CONVENTION
 
-__all__ = [
-    "TruthStore", "labelled", "line_dataset", "simulate_sweep", "store_sweep", "write_calibration",
-    "write_sweep",
-]  # fmt: skip
-
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 

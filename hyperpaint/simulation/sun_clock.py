@@ -12,8 +12,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 
-__all__ = ["USUAL_START", "sun_at", "when_sun_stands"]
-
 USUAL_START = np.datetime64("2021-07-20T17:10:00", "ns")
 """When a flight starts unless its sun says otherwise."""
 

@@ -28,9 +28,8 @@ from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 from hyperpaint.base.units import takes_quantities
 
 from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
-from .settings import SimulationSettings, check_choice, check_flag, check_number, check_whole, is_number
-
-__all__ = ["SWEEP_NAME", "Frames", "Sweep", "SweepSettings", "is_simulated_sweep"]
+from .setting_checks import check_choice, check_flag, check_number, check_whole, is_number
+from .settings import SimulationSettings
 
 SWEEP_NAME = "simulated monochromator sweep"
 _MOST_BYTES = 64 << 20

@@ -23,12 +23,6 @@ from hyperpaint.base.arrays import Floats
 from .rendering.platform_geometry import quaternions, turns
 from .settings import SimulationSettings
 
-__all__ = [
-    "CONVENTION", "LocalFrame", "Motion", "Trajectory", "TransverseMercator", "geocentric", "geodetic",
-    "north_east_down",
-]  # fmt: skip
-
-
 _A, _F = 6_378_137.0, 1 / 298.257223563
 _B = _A * (1 - _F)
 _E2 = _F * (2 - _F)

@@ -16,8 +16,6 @@ from .model import CELL, LIT
 from .scratch import gather
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["Paints", "clean_references", "coloured", "coloured_bodies", "nearest_coloured", "same_paints"]
-
 
 def coloured(spectrum: Floats, light: Light) -> Floats:
     """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1].

@@ -20,8 +20,6 @@ from .sun_and_sky import sun_zenith_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["COAT_CORRECTED", "LEAN_U_DEG", "correct_coat"]
-
 COAT_CORRECTED = "coat_corrected"
 """Attribute of reflectance that says what a coat was taken for."""
 

@@ -24,19 +24,6 @@ from .sun_and_sky import OVERCAST_ZENITH
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "CORRECTIONS",
-    "LEVELS",
-    "NORMAL_REFLECTANCE",
-    "WIDTHS",
-    "as_fractions",
-    "correct_light",
-    "remove_mirrored_sky",
-    "sky_above",
-    "with_correction",
-]
-
-
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
 """Attributes of reflectance that say what was corrected."""
 

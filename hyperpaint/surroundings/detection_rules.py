@@ -9,20 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = [
-    "BODIES",
-    "DARK_COATS",
-    "DIFFUSE",
-    "FLAGS",
-    "GLINT",
-    "LOBES",
-    "MIRROR",
-    "MIXTURES",
-    "SEGMENTS",
-    "SHADOWS",
-    "SURVEY",
-]
-
 
 class Contact(NamedTuple):
     """How a segment touches its lit body, at least: a share of its border, and which side that is on.

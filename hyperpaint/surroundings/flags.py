@@ -31,9 +31,6 @@ from .surveying import to_channels, to_nominal_channels
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LAYERS", "Flagged", "flag", "flag_line", "is_flagged"]
-
-
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
 """Layers that bits are set from, and those that explain them."""
 

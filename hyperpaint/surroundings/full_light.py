@@ -14,12 +14,6 @@ from .model import CELL, GLINTED, LIT, SHADED
 from .scratch import gather
 from .segments import Touching, distinct_pairs
 
-__all__ = [
-    "AS_GLINT", "Light", "Matches", "Mixtures", "in_parts", "least_amounts", "match_segments",
-    "median_spectra", "mixtures_of", "most_amounts", "senders_of", "solve", "unmix_spectra", "without_sun",
-]  # fmt: skip
-
-
 _NONE = (0.0, 1e-6)
 _AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(5 * [_NONE])])
 _AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(5 * [_NONE])])

@@ -30,9 +30,6 @@ from .sun_and_sky import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CLEAR_SKY_TAKEN", "LightSplit", "says_its_split", "split_of", "warn_of_contradiction"]
-
-
 CLEAR_SKY_TAKEN = (
     "no record of irradiance says what the sky was, a clear one is taken; give diffuse='model' where it was, "
     "or a measured spectrum"

@@ -18,9 +18,6 @@ from .detection_rules import GLINT, LOBES
 from .full_light import AS_GLINT, Light, unmix_spectra
 from .scratch import line_parts, release, scratch_array
 
-__all__ = ["IN_LOBE", "SATURATED_IN_LOBE", "Picture", "mirror_lobes"]
-
-
 IN_LOBE, SATURATED_IN_LOBE = 1, 2
 """In a mirror image of the sun; and so bright there that nothing is measured. 0: in none."""
 

@@ -16,9 +16,6 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSIO
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CELL", "GLINTED", "LIT", "SHADED", "SceneModel", "two_nearest"]
-
-
 Index = npt.NDArray[np.int32]
 
 CELL = 4

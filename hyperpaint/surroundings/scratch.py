@@ -22,16 +22,6 @@ if TYPE_CHECKING:
     import dask.array as da
     import xarray as xr
 
-__all__ = [
-    "compute_into",
-    "gather",
-    "line_parts",
-    "release",
-    "scratch_array",
-    "survey_planned",
-    "trim_memory",
-]
-
 SURVEYED_BYTES = 30
 """Memory of a survey for every pixel, beside the channels in their file: what 12,000 lines took."""
 MOST_IN_MEMORY_BYTES = 8 * 2**20

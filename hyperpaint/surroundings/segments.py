@@ -14,11 +14,6 @@ from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 from .detection_rules import SEGMENTS
 from .scratch import line_parts, release, scratch_array, trim_memory
 
-__all__ = [
-    "Segments", "Touching", "beyond", "border_steps", "distance_to", "distinct_pairs", "divide",
-    "edge_distance", "sample_pixels", "touching",
-]  # fmt: skip
-
 
 class Segments(NamedTuple):
     """Segments of a line."""

@@ -26,9 +26,6 @@ from .model import LIT, SHADED
 from .scratch import line_parts, release
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["match_shade", "of_shadows", "penumbrae", "shaded_pixels"]
-
-
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Directions (along, across) of the sides of `Touching`."""
 

@@ -26,21 +26,6 @@ if TYPE_CHECKING:
 
     from .full_light import Matches
 
-__all__ = [
-    "MAX_SUN_ZENITH_DEG",
-    "OVERCAST_ZENITH",
-    "SKIES",
-    "SOURCES",
-    "SUN_FROM",
-    "diffuse_from_clear_sky",
-    "fraction_in_shadow",
-    "measured_fraction",
-    "mirrored_radiances",
-    "shadow_side_of",
-    "sun_zenith_of",
-]
-
-
 SOURCES = ("model", "pvlib", "shadow")
 """Where the diffuse fraction may come from, beside a measured spectrum."""
 

@@ -31,8 +31,6 @@ from .vegetation import is_vegetation
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["channel_noise", "channel_numbers", "survey", "to_channels", "to_nominal_channels"]
-
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
     """Return the channel of every band: runs of as many good bands each; -1 for bands that are not good.

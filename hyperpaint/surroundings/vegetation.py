@@ -8,8 +8,6 @@ import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
 
-__all__ = ["VEGETATION", "is_vegetation"]
-
 
 @dataclass(frozen=True)
 class VegetationRules:

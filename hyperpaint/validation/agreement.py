@@ -13,8 +13,6 @@ from hyperpaint.light.responses import Responses, matching_operator
 from .measured_spectra import Measured
 from .validation_result import STATISTICS
 
-__all__ = ["Operator", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
-
 _LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
 
 

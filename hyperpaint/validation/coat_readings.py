@@ -18,8 +18,6 @@ from hyperpaint.light.coat_transmission import (
 
 from .measured_spectra import Measured
 
-__all__ = ["as_body", "coat_of", "difference", "light_notes"]
-
 _LOW_SUN_DEG = 70.0
 """Sun beyond which a degree of lean changes the direct light by more than 5 %, the usual tolerance."""
 

@@ -23,8 +23,6 @@ from .validation_result import MEANINGS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Compared", "between_references", "compare", "paired"]
-
 _MOST_NAMED = 12
 
 

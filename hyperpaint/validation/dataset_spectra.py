@@ -24,8 +24,6 @@ from .measured_spectra import Measured, names_of_paint, names_of_spectrum
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Axis", "channel_widths", "join_detectors", "references_from", "signatures_from"]
-
 _MOST_DETECTORS = 8
 
 _WIDTHS: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}

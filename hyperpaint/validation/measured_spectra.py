@@ -13,8 +13,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 
-__all__ = ["Measured", "Names", "names_of_paint", "names_of_spectrum", "scaled_by_panel"]
-
 _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 
 

@@ -23,9 +23,6 @@ from .validation_result import DARKEST, FLOOR, MEANINGS, RELATIVE, STATISTICS, V
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PARTS", "validate"]
-
-
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
     "NIR": (700.0, 1000.0),

@@ -12,8 +12,6 @@ import numpy as np
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MEANINGS", "STATISTICS", "Validation", "aligned"]
-
 RELATIVE, FLOOR = "relative", "floor"
 """Names of a tolerance of RMSE that grows with the paint's level: a share of it, and what is added."""
 

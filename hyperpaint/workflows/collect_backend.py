@@ -14,8 +14,6 @@ from xarray.backends import BackendEntrypoint
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CollectBackendEntrypoint"]
-
 
 class CollectBackendEntrypoint(BackendEntrypoint):
     """Opens what a ``collect.toml`` names: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.

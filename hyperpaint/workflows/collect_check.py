@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.plausibility import Finding
 
-__all__ = ["MANY_FLAGGED", "check_accepted", "check_collect", "refuse_findings", "warn_of_flags"]
-
 MANY_FLAGGED = 0.2
 """Share of the pixels of a line that a flag is said of [1]: what is rare is looked at where it is."""
 

@@ -20,8 +20,6 @@ from hyperpaint.io.files.toml_tables import UNKNOWN
 
 from .field_folder import FieldFolder, FlightCube
 
-__all__ = ["unknown_keys", "write_collect_toml"]
-
 _RAW_CUBES = "raw_*[0-9].hdr"
 _DECLARED = (
     "roll_positive", "pitch_positive", "heading_positive", "heading_reference", "euler_order",

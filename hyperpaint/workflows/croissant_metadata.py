@@ -20,8 +20,6 @@ from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_croissant"]
-
 MAX_TEXT_CHARACTERS = 4096
 """Of one attribute; longer ones (tables of materials, records of a scene) are only named."""
 

@@ -30,9 +30,6 @@ from .pipeline import run
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Agreement", "Comparison", "compare", "refuse_foreign", "run_demonstration"]
-
-
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .scene_parts import Parts
 
-__all__ = ["export_dirsig_scene"]
-
 _GRID_NM = np.arange(380.0, 1051.0, 2.0)  # of spectra that are formulas
 
 
@@ -66,7 +64,7 @@ def export_dirsig_scene(
     ['grass']
     """
     from hyperpaint.io.dirsig import write_dirsig_scene
-    from hyperpaint.simulation.flight import ORIGIN
+    from hyperpaint.simulation.settings import ORIGIN
 
     from .scene_files import read_scene_file
     from .scene_parts import build_parts

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.regions import Regions
 
-__all__ = ["STEPS", "FieldDay", "StepOutcome", "run_field_day", "store_of"]
-
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
 """What a field day is made of, in this order; each may be left out, but for the first."""
 

@@ -22,8 +22,6 @@ from hyperpaint.base.schema import CROSS_TRACK
 if TYPE_CHECKING:
     from hyperpaint.io.spectrometers.asd import Spectrum
 
-__all__ = ["FieldFolder", "FlightCube", "Lens", "Survey", "find_field_files"]
-
 _MAX_SURVEY_BYTES = 1 << 20
 MAX_DEPTH = 6
 MAX_ENTRIES = 50_000

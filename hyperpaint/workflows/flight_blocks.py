@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = ["FlightBlocks"]
-
 _LOG = "slabs.log"
 _ENTRY = re.compile(r"(\d{1,9}) ([0-9a-f]{32})")
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.writer import Job
     from hyperpaint.radiometry.slabs import Plan
 
-__all__ = ["PRODUCTS", "digest_of", "form_of", "take_up"]
-
 PRODUCTS = ("reflectance", "quality")
 """What is made of counts in flight."""
 

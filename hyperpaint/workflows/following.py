@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 
     from .flight_blocks import FlightBlocks
 
-__all__ = ["FlightState", "Following", "follow"]
-
 POLL_S = 0.1
 """Time between two looks at the files [s]."""
 IDLE_S = 10.0

@@ -20,8 +20,6 @@ from .store_inputs import inputs_digest
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["InputReport", "compare_inputs"]
-
 _RAW = ("counts", "radiance")
 """What a cube holds; the first of them that a line has is what its file holds."""
 

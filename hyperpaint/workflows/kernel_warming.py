@@ -18,8 +18,6 @@ from hyperpaint.base.arrays import Progress
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import PaintWarning, StoreError
 
-__all__ = ["Warmth", "warm_kernels"]
-
 _SCENE = """
 [scene]
 kind = "car_park"

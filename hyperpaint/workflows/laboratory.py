@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.collect.collect_toml import Collect
 
-__all__ = ["calibrate_sweep", "open_collect", "opened_collect", "write_calibration"]
-
 
 def calibrate_sweep(
     path: str | os.PathLike[str], *, progress: Callable[[int, int], None] | None = None, **options: Any

@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from hyperpaint.regions import Regions
     from hyperpaint.validation import Validation
 
-__all__ = ["NOT_LOOKED_FOR", "check_table", "table_of", "validate_files", "write_signatures", "write_table"]
-
-
 _MOST_TOLD = 10
 _MOST_REFUSED = 200
 NOT_LOOKED_FOR = "not looked for"

@@ -19,16 +19,6 @@ from hyperpaint.geometry.orthorectification import orthorectify
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "LOCATION",
-    "line_of_store",
-    "location_of",
-    "map_of_store",
-    "map_planned",
-    "mosaic_of_store",
-    "write_map",
-]
-
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
     """Return the map of a flight line of a store, lazily.

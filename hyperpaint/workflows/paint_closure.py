@@ -17,11 +17,6 @@ from hyperpaint.validation.validation_result import aligned
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "PaintAgreement", "blocks_with_truth", "compare_paints", "signature_problems", "signature_table",
-]  # fmt: skip
-
-
 MAX_ERROR = 0.01
 """Of a signature of many pixels against its truth: RMS over bands, relative."""
 

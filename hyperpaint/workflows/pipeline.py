@@ -31,16 +31,11 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from hyperpaint.io.collect.collect_opening import Collect, OpenedCollect
+    from hyperpaint.io.collect.collect_opening import OpenedCollect
+    from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
     from hyperpaint.io.store.layout import Codec, Layout
     from hyperpaint.io.store.writer import TakeUp
-
-__all__ = [
-    "Outcome", "aligned_group", "computing_on", "kept_groups", "local_folder", "opened_groups", "process",
-    "run", "token_of",
-]  # fmt: skip
-
 
 WORKERS_WAIT = 60
 """How long a cluster without workers is waited for [s]."""

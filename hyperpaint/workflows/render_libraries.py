@@ -17,9 +17,6 @@ from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_paints", "read_spectra", "spectra_digest"]
-
-
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
 _MOST_BYTES = 64 << 20
 _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"

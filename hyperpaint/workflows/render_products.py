@@ -21,10 +21,7 @@ if TYPE_CHECKING:
     from hyperpaint.simulation.optics import Optics
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
-    from hyperpaint.simulation.rendering.platforms import Platform
-
-__all__ = ["Render", "counts_of", "irradiance_series", "pose_of"]
-
+    from hyperpaint.simulation.rendering.platform_geometry import Platform
 
 _INTERVAL = 2  # s from one sample of the spectrometer to the next
 _MARGIN = 6  # s of the record before and after the flight

@@ -56,9 +56,6 @@ if TYPE_CHECKING:
     from .scene_files import SceneFile
     from .scene_parts import Parts
 
-__all__ = ["TRANSPORT", "draw_renders", "render_scene", "run"]
-
-
 TRANSPORT = "transport"
 """Group of the traced scene."""
 

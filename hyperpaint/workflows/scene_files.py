@@ -29,10 +29,6 @@ from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.settings import FLEETS, MOST_SAMPLES
 
-__all__ = [
-    "MATERIAL", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene", "read_scene_file",
-]  # fmt: skip
-
 SCENE_KINDS = ("car_park", "plane", "empty")
 """Scenes that are made; any of them may hold meshes as well."""
 

@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.materials import Coat, Material
-    from hyperpaint.simulation.rendering.platforms import Platform
+    from hyperpaint.simulation.rendering.platform_geometry import Platform
     from hyperpaint.simulation.rendering.scene import Scene
 
     from .scene_files import AtmosphereEntry, MeshEntry, SceneFile
-
-__all__ = ["Parts", "build_parts", "chosen_atmospheres"]
 
 
 @dataclass(frozen=True)

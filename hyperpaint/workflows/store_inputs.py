@@ -18,10 +18,6 @@ from hyperpaint.io.files.sampled_content import sampled_digest
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "finishing_command", "inputs_digest", "paths_in", "refuse_to_write_over", "settings_of",
-]  # fmt: skip
-
 
 def paths_in(settings: Any) -> Iterator[Path]:
     """Yield every path that settings name, however deep it stands in them."""

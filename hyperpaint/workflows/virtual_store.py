@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
-__all__ = ["virtualise"]
-
 MOST_COPIED_SHARE = 0.1
 """Of a cube; beyond it a stored cube is the better one [1]."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
-from hyperpaint.kernels.rays import BLOCK, PLACES, level_places, raster_places
+from hyperpaint.kernels.arguments import BLOCK, LineFrames, LineRays, Raster
+from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
 DOWN = np.diag([1.0, 1.0, -1.0])[None]  # camera x is east, y north, z down
 

@@ -22,8 +22,7 @@ from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
-from hyperpaint.simulation.rendering.platform_geometry import matrices, quaternions
-from hyperpaint.simulation.rendering.platforms import Platform
+from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
 from hyperpaint.simulation.rendering.primitives import box
 from hyperpaint.simulation.rendering.scene import Scene, plane
 

@@ -24,8 +24,7 @@ from hyperpaint.simulation.rendering.appearance import gloss_units
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo
-from hyperpaint.simulation.rendering.platform_geometry import matrices, quaternions
-from hyperpaint.simulation.rendering.platforms import Platform
+from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_record import sun_vectors
 

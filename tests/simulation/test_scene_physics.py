@@ -13,8 +13,7 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance, measured_factor
-from hyperpaint.simulation.rendering.platform_geometry import matrices, quaternions
-from hyperpaint.simulation.rendering.platforms import Platform
+from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
 from hyperpaint.simulation.rendering.primitives import box
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import SimulationSettings
-from hyperpaint.simulation.flight import ORIGIN
+from hyperpaint.simulation.settings import ORIGIN
 from hyperpaint.simulation.trajectories import LocalFrame, Trajectory
 
 SECONDS = np.arange(0.0, 600.0, 0.01)

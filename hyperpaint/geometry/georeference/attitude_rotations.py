@@ -11,9 +11,6 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 
-__all__ = ["angles_of", "matrices", "quaternions", "slerp"]
-
-
 _MIN_ARC_RAD = 1e-8
 """Half angle between rotations below which the arc is its chord [rad]."""
 

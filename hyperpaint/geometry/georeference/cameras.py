@@ -14,9 +14,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
-__all__ = ["PinholeCamera", "directions", "look_angles"]
-
-
 _MAX_LOOK_ANGLE_DEG = 89.0
 """Angle from the optical axis from which a camera no longer looks down."""
 

@@ -15,9 +15,6 @@ from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
 
-__all__ = ["footprint", "line_ends", "spacing"]
-
-
 _LONGITUDE_LATITUDE = "OGC:CRS84"
 _PERCENTILES = (5.0, 95.0)
 

@@ -15,12 +15,6 @@ from hyperpaint.base.errors import MissingExtraError, SchemaError
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = [
-    "GEODETIC", "between_maps", "crs_of", "grid_mapping_attrs", "is_in_metres", "meridian_convergence",
-    "near_turns", "polynomials", "turn_of_north", "utm_zone",
-]  # fmt: skip
-
-
 GEODETIC = "EPSG:4979"
 """Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
 _GEOCENTRIC = "EPSG:4978"

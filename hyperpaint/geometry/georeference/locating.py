@@ -44,9 +44,6 @@ from .poses import (
 )
 from .terrain import Terrain, grid_of, terrain_of
 
-__all__ = ["Swath", "locate", "places_of"]
-
-
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Turns north, east, down into east, north, up."""
 _MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0

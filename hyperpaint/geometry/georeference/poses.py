@@ -19,12 +19,6 @@ from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from .attitude_rotations import angles_of, quaternions, slerp
 from .geodesy import meridian_convergence
 
-__all__ = [
-    "ANGLES", "LOCATION_UNITS", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation",
-    "canonical_values", "check_interpolation", "convention_of_line", "interpolate_pose", "pose_columns",
-    "poses_at", "with_convention",
-]  # fmt: skip
-
 Interpolation = Literal["linear", "cubic"]
 
 NAVIGATION_TIME = "navigation_time"

@@ -16,9 +16,6 @@ from hyperpaint.kernels.arguments import BLOCK
 
 from .geodesy import crs_of
 
-__all__ = ["Terrain", "TerrainGrid", "grid_of", "terrain_of"]
-
-
 _MAX_UNEVENNESS = 1e-3
 """Part of a cell by which the coordinates of a raster may miss their even spacing."""
 

@@ -25,9 +25,6 @@ from hyperpaint.io.store.layout import TILE as STORE_TILE
 from .levelling import LEVELLED_BY, Levelling, overlap_factors
 from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
 
-__all__ = ["mosaic"]
-
-
 RULES = ("nadir", "unflagged", "newest")
 _RANKED_BY = {
     "nadir": ("view_zenith",), "unflagged": ("quality", "view_zenith"), "newest": ("line_time",)

@@ -16,9 +16,6 @@ from hyperpaint.base.errors import SchemaError
 
 from .strips import Recipe
 
-__all__ = ["LEVELLED_BY", "overlap_factors"]
-
-
 LEVELLED_BY = ("hits", "quality")
 """Planes that are needed beside the spectra."""
 

@@ -9,8 +9,6 @@ import xarray as xr
 
 from hyperpaint.base.errors import SchemaError, needs_extra
 
-__all__ = ["seamlines"]
-
 
 def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
     """Return the areas that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).

@@ -27,9 +27,6 @@ from hyperpaint.geometry.orthorectification.grids import Survey, covering, north
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
-__all__ = ["Strip", "located_lines", "named_lines", "shared_grid", "strips_of"]
-
-
 _ON_GRID_CELLS = 1e-3
 """Part of a cell by which grids may miss one another and still be one."""
 _SAME_WAVELENGTH_NM = 1e-6

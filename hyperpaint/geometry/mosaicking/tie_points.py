@@ -19,9 +19,6 @@ from hyperpaint.geometry.orthorectification import orthorectify
 
 from .strips import is_map, located_lines, named_lines, shared_grid
 
-__all__ = ["find_tie_points"]
-
-
 _PICTURED = ("counts", "radiance", "reflectance")
 _FIELDS = ("glt_line", "glt_sample", "ground_height")
 

@@ -22,9 +22,6 @@ from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height
 from .pose_motion import Setting, course_of, local_metres, setting_of
 
-__all__ = ["ConventionCheck", "Finding", "Verdict", "check_conventions"]
-
-
 Verdict = Literal["right", "wrong", "undecided"]
 
 

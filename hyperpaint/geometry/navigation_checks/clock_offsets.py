@@ -27,8 +27,6 @@ from .motion_fit import amplitude, costs_of, fit_clock
 from .picture_motion import picture_of
 from .pose_motion import setting_of
 
-__all__ = ["ClockOffset", "estimate_clock_offset"]
-
 
 @dataclass(frozen=True)
 class AttitudeRules:

@@ -16,8 +16,6 @@ from .motion_fit import RULES, Residuals, inflation, residuals, robust_scale
 from .picture_motion import RowMotion
 from .pose_motion import Motion, Recorded, View
 
-__all__ = ["Hypothesis", "Scored", "fields_of", "hypotheses_of", "score"]
-
 Positions = Literal["as declared", "latitude and longitude swapped", "longitude west positive"]
 
 POSITIONS: tuple[Positions, ...] = (

@@ -10,9 +10,6 @@ from hyperpaint.base.arrays import Bools, Floats
 
 from .sightings import Sightings
 
-__all__ = ["PARAMETERS", "STEPS", "Misses", "TieMisses"]
-
-
 PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
 STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 """Over which misses are differenced."""

@@ -12,11 +12,6 @@ from hyperpaint.base.arrays import Bools, Floats
 from .picture_motion import RowMotion
 from .pose_motion import Motion, View
 
-__all__ = [
-    "Refined", "Residuals", "amplitude", "costs_of", "fit_clock", "fit_height", "inflation", "residuals",
-    "robust_scale",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Rules:

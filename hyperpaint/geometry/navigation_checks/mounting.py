@@ -18,9 +18,6 @@ from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
 from .misses import PARAMETERS, STEPS, Misses, TieMisses
 from .sightings import Sightings, sightings_of
 
-__all__ = ["BoresightSolution", "solve_boresight"]
-
-
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}

@@ -17,9 +17,6 @@ from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
-__all__ = ["RowMotion", "picture_of", "row_motion"]
-
-
 _CUBES = ("counts", "radiance", "reflectance")
 _MOST_BANDS = 12
 """Bands averaged: enough against noise, without reading what adds nothing."""

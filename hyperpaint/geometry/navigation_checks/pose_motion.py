@@ -28,12 +28,6 @@ from hyperpaint.geometry.georeference.poses import (
 
 from .picture_motion import RowMotion, picture_of, row_motion
 
-__all__ = [
-    "MAX_LINES", "Motion", "Recorded", "Setting", "View", "course_of", "local_metres", "recorded_poses",
-    "setting_of",
-]  # fmt: skip
-
-
 _MIN_DOWNWARD = 0.05
 """Downward part of a direction below which it meets no ground worth the name."""
 

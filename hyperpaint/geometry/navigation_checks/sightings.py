@@ -26,9 +26,6 @@ from hyperpaint.geometry.georeference.poses import (
     poses_at,
 )
 
-__all__ = ["Sightings", "sightings_of"]
-
-
 _AROUND_S = 3.0
 """Seconds of a record around every point that are kept, for the clock to be moved in."""
 _MIN_PICKING_PX = 0.05

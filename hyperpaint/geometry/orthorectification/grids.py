@@ -19,12 +19,6 @@ from dask.highlevelgraph import HighLevelGraph
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
 
-__all__ = [
-    "Axes", "Box", "MapGrid", "Progress", "Survey", "box_of", "covering", "direction_of_flight",
-    "flight_axes", "north_axes", "survey_lines",
-]  # fmt: skip
-
-
 Box = tuple[float, float, float, float]
 """Least and largest way to the right, then down, from the anchor of axes [m]."""
 

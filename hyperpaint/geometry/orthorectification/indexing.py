@@ -15,12 +15,6 @@ from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 
 from .grids import MapGrid, Survey
 
-__all__ = [
-    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "gaps_of", "hidden_between",
-    "index_tile",    "map_spectra", "nearest_values", "needed_slabs", "plane_values", "reading_of",
-]  # fmt: skip
-
-
 Window = tuple[slice, slice]
 """Rows and columns of a tile."""
 

@@ -11,7 +11,7 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -28,13 +28,10 @@ from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 from hyperpaint.io.store.computing import client_in_force
 
-from .grids import MapGrid, Progress, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
+from .grids import MapGrid, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
 from .indexing import RULES, Plan, areas_between, needed_slabs
 from .plausibility import swath_attrs
 from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
-
-__all__ = ["map_report", "orthorectify"]
-
 
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")

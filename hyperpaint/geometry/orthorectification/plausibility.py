@@ -11,8 +11,6 @@ import xarray as xr
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CROSS_TRACK
 
-__all__ = ["describe_swath", "swath_attrs"]
-
 MIN_HEIGHT_M, MAX_HEIGHT_M = 5.0, 10_000.0
 """Of the camera above the ground. Heights above the sea are up to 106 m off those above the ellipsoid."""
 MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0

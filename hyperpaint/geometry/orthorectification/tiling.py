@@ -34,9 +34,6 @@ from .indexing import (
     reading_of,
 )
 
-__all__ = ["Tiles", "empty_value", "in_memory", "in_slabs", "mapped", "prepared", "tile_windows"]
-
-
 Place = tuple[int, int]
 """Row and column of a tile."""
 

@@ -17,13 +17,11 @@ from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 
-from .collect_toml import Collect, IrradianceEntry, ReferenceEntry, parse_collect, read_collect
+from .collect_toml import Collect, IrradianceEntry, ReferenceEntry, parse_collect
 from .joining import JoinedLine, join_lines
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["Collect", "OpenedCollect", "open_collect", "open_with_settings", "read_collect"]
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["JoinedLine", "join_lines"]
-
 MAX_STEP_PERIODS = 2.5
 """Line periods from the last line of a cube to the first of the next, up to which the recording goes on: one
 lost frame is bridged, as in the navigation."""

@@ -46,8 +46,6 @@ from .scene_texts import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_dirsig_scene"]
-
 MAX_CURVES = 64
 """Curves of a population at the most, unless asked for otherwise."""
 

@@ -41,11 +41,6 @@ from .paint_curves import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "EMISSIVITY", "FORMAT", "MARKER", "REFLECTANCE", "export_folder", "paint_records", "write_dirsig",
-    "write_spectra",
-]  # fmt: skip
-
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
 MARKER = "paints.json"

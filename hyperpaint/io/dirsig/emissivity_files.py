@@ -33,18 +33,6 @@ from hyperpaint.io.files.reading import read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "CURVE_BEGIN",
-    "DECIMALS",
-    "WAVELENGTH_DECIMALS",
-    "ColumnText",
-    "Curve",
-    "Emissivity",
-    "emissivity_head",
-    "open_emissivity",
-    "read_emissivity",
-]
-
 CURVE_BEGIN = "CURVE_BEGIN"
 """Line before every curve of a new ``.ems`` file."""
 

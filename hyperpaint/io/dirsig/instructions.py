@@ -10,8 +10,6 @@ from hyperpaint.base.mirrored_light import INCLUDED
 
 from .material_list import Section
 
-__all__ = ["THERMAL", "glist_text", "material_section", "readme_text"]
-
 THERMAL = (
     "specific_heat", "mass_density", "thermal_conductivity", "solar_absorption", "thermal_emissivity",
     "exposed_area", "thickness",

@@ -21,16 +21,6 @@ from typing import Any
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
-__all__ = [
-    "Material",
-    "Section",
-    "material_ids",
-    "material_names",
-    "materials_text",
-    "plain_name",
-    "read_materials",
-]
-
 _LONGEST_ID, _LONGEST_NAME = 48, 120
 _LETTERS = str.maketrans(
     {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "æ": "ae", "Æ": "Ae",

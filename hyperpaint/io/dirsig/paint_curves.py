@@ -20,21 +20,6 @@ from .emissivity_files import WAVELENGTH_DECIMALS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "CURVES",
-    "GAPS",
-    "LONGEST",
-    "SHORTEST",
-    "Axis",
-    "Choices",
-    "Coat",
-    "PaintCurves",
-    "PaintProblemError",
-    "blocks_of",
-    "coat_of",
-    "curves_of",
-]
-
 
 @dataclass(frozen=True)
 class Coat:

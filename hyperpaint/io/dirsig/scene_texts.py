@@ -15,11 +15,6 @@ from hyperpaint.base.arrays import Array, Floats
 
 from .material_list import plain_name
 
-__all__ = [
-    "Triangles", "fit_text", "geometry_list_text", "material_colours_text", "obj_lines", "scene_readme_text",
-    "scene_text", "simulation_text", "texture_picture",
-]  # fmt: skip
-
 PICTURE_PX = 128
 """Side of a texture's picture [pixel]."""
 

@@ -22,9 +22,6 @@ from xarray.core import indexing
 from hyperpaint.base.arrays import Array, Ints
 from hyperpaint.base.errors import FormatError
 
-__all__ = ["EnviArray", "Scaling"]
-
-
 # bytes that are cheaper to read and drop than to skip with another system call
 _GAP = 32 * 2**10
 # bytes read at once where not all of them are kept

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["Interleave", "write_envi"]
-
 Interleave = Literal["bil", "bip", "bsq"]
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")

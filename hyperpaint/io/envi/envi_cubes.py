@@ -27,8 +27,6 @@ from hyperpaint.base.input_files import input_path, is_plain_file
 from .envi_array import EnviArray, Scaling
 from .envi_header import EnviHeader, MapInfo, read_header
 
-__all__ = ["find_pair", "open_envi"]
-
 DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}

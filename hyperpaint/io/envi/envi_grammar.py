@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 
 from hyperpaint.base.errors import FormatError, Problems
 
-__all__ = ["HeaderFindings", "Scanned", "bare", "braced", "scan", "shown"]
-
 MAX_ENTRIES = 10_000
 _MAX_SHOWN = 20
 

@@ -22,9 +22,6 @@ from hyperpaint.io.files.reading import decoded_text
 
 from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
 
-__all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
-
-
 MAX_HEADER_BYTES = 4 * 2**20
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
 """Of a spectral library, whose header names every spectrum: some 400,000 of them."""

@@ -22,8 +22,6 @@ from .envi_header import EnviHeader, parse_header
 if TYPE_CHECKING:
     from virtualizarr.manifests import ManifestStore
 
-__all__ = ["FILE_DIMS", "EnviParser", "slab_lines", "slab_offsets"]
-
 FILE_DIMS = {
     "bil": (ALONG_TRACK, BAND, CROSS_TRACK),
     "bip": (ALONG_TRACK, CROSS_TRACK, BAND),

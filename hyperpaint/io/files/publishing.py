@@ -42,8 +42,6 @@ from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
-__all__ = ["check_place", "publish_file", "published_files", "published_folder", "unwritable"]
-
 _MEND = "pass {}, or choose another path"
 _SWAP, _JOURNAL = "swap", "journal"
 _MOST_JOURNAL_BYTES = 100_000

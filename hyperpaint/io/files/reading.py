@@ -20,12 +20,6 @@ from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "PackedColumns",
-    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "number", "numbered_lines", "numbers",
-    "read_limited_text", "unique_names",
-]  # fmt: skip
-
 LONGEST_LINE = 2**20
 """Bytes of a line of text: spectra side by side have some 12 a cell."""
 

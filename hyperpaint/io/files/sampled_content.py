@@ -8,8 +8,6 @@ from pathlib import Path
 
 from hyperpaint.base.input_files import open_input
 
-__all__ = ["sampled_digest"]
-
 SAMPLES = 256
 """Blocks that are read of a large file; with `SAMPLE_BYTES` 4 MiB, some milliseconds."""
 

@@ -6,8 +6,6 @@ import re
 
 from .reading import number
 
-__all__ = ["safe_cell", "text_of_cell"]
-
 #: With the full-width signs, which spreadsheets take for the others, and blanks, which they pass over.
 _FORMULA = re.compile("'*(?:[\\t\\r]|\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 

@@ -18,8 +18,6 @@ from .reading import MOST_LINES, PackedColumns, numbered_lines, read_limited_tex
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MOST_ROWS", "Table", "name_rows", "read_table", "read_text", "table_of", "to_integers"]
-
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28
 MOST_ROWS = 2_000_000

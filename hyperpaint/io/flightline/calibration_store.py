@@ -30,8 +30,6 @@ from hyperpaint.io.files.reading import load_netcdf
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["check_calibration", "open_calibration", "open_sweep"]
-
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Variables of the table that a calibration may hold, those it must hold first.
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")

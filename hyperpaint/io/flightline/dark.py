@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["DARK_NONE", "Dark", "open_dark"]
-
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
 #: Lines from which the spread of a dark cube is a measure of read noise.

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     type_path = str | os.PathLike[str]
 
-__all__ = ["BLANK_COUNT", "FlightlineInputs", "assemble", "open_flightline"]
-
 #: Difference between the wavelengths of header and calibration above which a warning is given [nm].
 _WAVELENGTH_TOLERANCE_NM = 0.5
 BLANK_COUNT = np.uint16(65535)

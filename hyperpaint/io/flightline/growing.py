@@ -31,8 +31,6 @@ from .timing import Timing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["GrowingLine", "GrowingTable", "growing_cubes"]
-
 _LINES = re.compile(r"^[ \t]*lines[ \t]*=.*$", re.IGNORECASE | re.MULTILINE)
 _AXES = {"bil": (0, 1, 2), "bip": (0, 2, 1)}
 """Axes of a line in the file, slowest first, as (line, band, column)."""

@@ -17,8 +17,6 @@ from hyperpaint.io.files.publishing import published_files
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_line_table"]
-
 _FIRST = (
     *("frame", "time", "latitude", "longitude", "altitude", "roll", "pitch", "heading"),
     *("exposure_time", "irradiance_age"),

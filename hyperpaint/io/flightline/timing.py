@@ -22,8 +22,6 @@ from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LineTimes", "Timing", "line_times", "utc_of"]
-
 _NS_PER_S = 1_000_000_000
 _LONGEST_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000

@@ -14,8 +14,6 @@ from hyperpaint.base.errors import FormatError, PaintWarning
 
 from .text_spectra import other_quantity
 
-__all__ = ["IS_SPREAD", "check_words", "spread_columns", "warn_of_light", "without_repeats"]
-
 
 @dataclass(frozen=True)
 class QuantityRules:

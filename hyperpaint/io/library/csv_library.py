@@ -33,8 +33,6 @@ from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variab
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["is_csv_library", "read_csv_library", "write_csv_library"]
-
 _NAMES = (SIGNATURE, "paint")
 """Heading of the names; the second was that of hyperpaint 0.2 and before."""
 _KIND = ["variable", "place"]

@@ -37,8 +37,6 @@ from .text_spectra import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["is_ecostress", "read_ecostress", "write_ecostress_library"]
-
 _KEYS = (
     "Name", "Type", "Class", "Subclass", "Genus", "Species", "Particle Size", "Sample No.", "Owner",
     "Wavelength Range", "Origin", "Collection Date", "Description", "Measurement", "First Column",

@@ -38,8 +38,6 @@ from .text_spectra import PERCENT, other_quantity
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_envi_library", "write_envi_library"]
-
 _BLOCK_BYTES = 16 * 2**20
 _MOST_CLASSES_BYTES = 16 * 2**20
 _TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)

@@ -17,12 +17,6 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_a
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "OWN_AXES", "Spectra", "check_wavelengths", "library_of", "reflectances", "text_column",
-    "with_numbers_as_data",
-]  # fmt: skip
-
-
 SHORTEST, LONGEST = 100.0, 3e5
 """Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared (those of the USGS end
 at 216 um). Visible nanometres that are taken for micrometres are beyond."""

@@ -27,11 +27,6 @@ from .library_spectra import text_column
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "Metadata", "metadata_path", "metadata_text", "paint_columns", "read_metadata", "table_columns",
-    "typed_values",
-]  # fmt: skip
-
 VERSION = 2
 """Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""
 MOST_BYTES = 16 * 2**20

@@ -31,8 +31,6 @@ from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["open_library"]
-
 Path_ = str | os.PathLike[str]
 
 _HEAD_BYTES = 64 * 1024

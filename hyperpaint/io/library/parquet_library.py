@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import xarray as xr
 
-__all__ = ["is_parquet", "read_parquet_library", "write_parquet_library"]
-
 _MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
 _MOST_ROWS, _MOST_VALUES = 2_000_000, 2**28

@@ -18,8 +18,6 @@ from .column_quantities import IS_SPREAD, check_words, spread_columns, without_r
 from .library_spectra import Spectra, reflectances
 from .text_spectra import PERCENT, in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
-__all__ = ["read_plain_table"]
-
 _MOST_PREAMBLE = 500
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 

@@ -29,10 +29,6 @@ from .metadata import Metadata, metadata_path, read_metadata, table_columns
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "CENTRE", "Key", "blocks_of", "checked_library", "names_of", "restored", "spectral_variables",
-]  # fmt: skip
-
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
 _FEW_CELLS, _MANY_CELLS = 2**22, 2**29

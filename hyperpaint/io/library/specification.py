@@ -23,8 +23,6 @@ from .records import CENTRE
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["TERMS", "LibraryFinding", "LibraryReport", "check_library", "declare_library", "library_terms"]
-
 VERSION = 2
 """Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""
 UNKNOWN = "unknown"

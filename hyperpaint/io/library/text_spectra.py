@@ -12,11 +12,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
-__all__ = [
-    "PERCENT", "in_nanometres", "lines_of", "numbers_of_lines", "other_quantity",
-    "wavelength_factor",
-]  # fmt: skip
-
 MOST_BYTES = 32 * 2**20
 """Bytes of a text file that is read whole: 100,000 bands of 30 spectra."""
 

@@ -17,8 +17,6 @@ from hyperpaint.base.errors import FormatError
 from .library_spectra import Spectra, reflectances, text_column
 from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
-__all__ = ["is_usgs", "is_usgs_axis", "read_usgs", "read_usgs_axis"]
-
 _TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
 _MEASUREMENT = re.compile(r"[A-Z]{4}")
 _AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)

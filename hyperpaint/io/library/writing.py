@@ -21,8 +21,6 @@ from .records import CENTRE, checked_library, spectral_variables
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FORMATS", "write_library"]
-
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
     """Write a checked library with `hyperpaint.to_store`.

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["GeotiffHeader", "read_geotiff_header", "write_geotiff"]
-
 _TILE = 256
 _SAMPLED = 64
 """Rows that the levels of a picture are found in."""

@@ -16,17 +16,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
-__all__ = [
-    "RGB_WAVELENGTHS",
-    "SPATIAL_REF",
-    "Grid",
-    "envi_map_info",
-    "grid_of",
-    "nearest_bands",
-    "product_of",
-    "stored_float",
-]
-
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
 """Of the bands that are shown as red, green and blue [nm]."""
 _FARTHEST = 50.0

@@ -15,8 +15,6 @@ from .map_grids import SPATIAL_REF, Grid, grid_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["geozarr_attrs", "stac_item", "with_own_transform"]
-
 _CONVENTIONS = (
     ("proj", "geo-proj", "f17cb550-5864-4468-aeb7-f3180cfb622f", "Coordinate reference system information"),
     ("spatial", "spatial", "689b58e2-cf7b-45e0-9fff-9cfc0883d6b4", "Spatial coordinate information"),

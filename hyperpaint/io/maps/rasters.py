@@ -20,8 +20,6 @@ from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import head_of, open_input
 from hyperpaint.io.files.reading import number
 
-__all__ = ["open_raster", "read_heights"]
-
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 #: What files begin with, and the driver that opens them: of one file each, which names no other.
 _DRIVERS = ((TIFF, "GTiff"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))

@@ -19,12 +19,6 @@ from hyperpaint.io.flightline.headwall import check_increasing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "GPS_EPOCH", "LEAP_SECONDS", "LEAP_SECONDS_EXPIRY", "NAT", "NS_PER_S", "WEEK_S", "Clock",
-    "ClockCorrection", "bracket", "gps_to_utc", "instants", "nanoseconds", "overlap", "refuse_backwards",
-    "tie_clock", "unwrap_weeks",
-]  # fmt: skip
-
 LEAP_SECONDS: Mapping[str, int] = {
     "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,
     "1990-01-01": 6, "1991-01-01": 7, "1992-07-01": 8, "1993-07-01": 9, "1994-07-01": 10, "1996-01-01": 11,

@@ -21,8 +21,6 @@ from .navigation_records import limited_numbers
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["column_heading", "metres_of", "read_control_points"]
-
 _MAX_BYTES = 16 << 20
 _MOST_ROWS = 100_000
 _LARGEST = 1e8

@@ -22,8 +22,6 @@ from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["is_navigation_csv", "read_navigation_csv"]
-
 _LARGEST = 2**28
 _MOST_COLUMNS = 1000
 _MOST_COMMENTS = 1000

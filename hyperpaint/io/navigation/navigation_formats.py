@@ -34,8 +34,6 @@ from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_te
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
 
-__all__ = ["is_eph_att", "read_eph_att", "read_lcf", "read_sbet"]
-
 _SBET_FIELDS = (
     *("time", "latitude", "longitude", "altitude", "x_velocity", "y_velocity", "z_velocity"),
     *("roll", "pitch", "platform_heading", "wander_angle"),

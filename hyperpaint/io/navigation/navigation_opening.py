@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     #: A file's record, its UTC [ns since 1970-01-01], and attributes that say how it came about.
     Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
 
-__all__ = ["navigation_format", "open_navigation", "read_record"]
-
 NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]

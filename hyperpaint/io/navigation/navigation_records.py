@@ -36,11 +36,6 @@ from .clocks import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "ASSUMED", "LIMITS", "POSE", "Navigation", "PoseRecord", "check_poses", "check_seconds",
-    "limited_numbers", "read_gps_time", "read_imu_gps",
-]  # fmt: skip
-
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE_TIME = re.compile(
     r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"

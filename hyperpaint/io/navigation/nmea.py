@@ -19,8 +19,6 @@ from hyperpaint.io.files.text_tables import MOST_ROWS, read_text
 from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
-__all__ = ["is_nmea", "read_nmea"]
-
 _MAX_BYTES = 2**28
 _MOST_POSITIONS = 400_000
 """Positions of a log: five hours at 20 Hz."""

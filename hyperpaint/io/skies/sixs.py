@@ -18,8 +18,6 @@ from .sky_table import sky_dataset, sky_lines
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_sixs"]
-
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
 
 

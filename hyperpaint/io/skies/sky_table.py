@@ -17,8 +17,6 @@ from hyperpaint.io.files.reading import read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_SKY_BYTES", "read_sky_csv", "sky_dataset", "sky_lines"]
-
 MOST_SKY_BYTES = 64 << 20
 """Bytes of a file of a sky."""
 

@@ -16,8 +16,6 @@ from .sky_table import sky_dataset, sky_lines
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_tape7"]
-
 _NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
 #: Names of two words in MODTRAN 4 and 5, of one in 6.
 _TWO_WORDS = (

@@ -16,8 +16,6 @@ from .sky_table import sky_dataset, sky_lines
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_uvspec"]
-
 _COLUMNS = 7  # lambda edir edn eup uavgdir uavgdn uavgup
 
 

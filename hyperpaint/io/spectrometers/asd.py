@@ -19,7 +19,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeE
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import VARIABLES, label
 
-from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
+from .asd_binary import AsdFile, AsdGps, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text
 from .irradiance_files import is_irradiance_csv
 from .spectrum_files import (
@@ -34,11 +34,6 @@ from .spectrum_files import (
     ratio,
     require_one_grid,
 )
-
-__all__ = [
-    "AsdCalibration", "AsdFile", "AsdGps", "Spectrum", "find_files", "mask_undefined", "open_asd", "read_asd",
-    "read_spectra", "sniff", "utc_offsets",
-]  # fmt: skip
 
 Kind = Literal["binary", "text", "csv", "unknown"]
 

@@ -24,8 +24,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import read_limited
 
-__all__ = ["AsdCalibration", "AsdFile", "AsdGps", "Cursor", "is_asd", "nominal_integration_ms", "read_asd"]
-
 HEADER_BYTES = 484
 _LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
 

@@ -25,8 +25,6 @@ from hyperpaint.io.files.reading import read_limited_text
 
 from .asd_binary import nominal_integration_ms
 
-__all__ = ["AsdText", "is_asd_text", "read_asd_text"]
-
 _LARGEST_FILE = 512 * 2**20
 _SEPARATORS = (";", "\t", ",")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"

@@ -25,8 +25,6 @@ from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_
 from .irradiance_files import are_widths, asd_widths, is_store, read_irradiance_csv, stored_series, widths_at
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
 
-__all__ = ["cut_irradiance", "open_irradiance"]
-
 Stamp = Literal["start", "mid", "end"]
 
 _GAP_INTERVALS = 2.5

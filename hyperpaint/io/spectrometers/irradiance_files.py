@@ -20,11 +20,6 @@ from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarni
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
 
-__all__ = [
-    "are_widths", "asd_widths", "is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series",
-    "widths_at",
-]  # fmt: skip
-
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
 """Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm]."""
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0

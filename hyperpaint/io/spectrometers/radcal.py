@@ -15,8 +15,6 @@ from hyperpaint.io.files.reading import number, numbers, read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_radcal"]
-
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
 _FIRST = ("!FRM4SOC_CP", "!RADCAL")

@@ -17,8 +17,6 @@ from .spectrum_files import find_paths
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["open_references", "open_spectra", "read_pairs"]
-
 _GROUP = "references/"
 
 

@@ -19,8 +19,6 @@ from hyperpaint.io.files.reading import numbers, read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_certificate", "read_spectrum_csv"]
-
 _MAX_BYTES = 16 << 20
 _MOST_SHOWN = 5
 _WAVELENGTHS = (100.0, 100_000.0)  # nm

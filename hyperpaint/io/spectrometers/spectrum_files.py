@@ -15,11 +15,6 @@ from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import is_pattern, matching_files, unique_names
 
-__all__ = [
-    "QUANTITIES", "Paths", "check_utc_offset", "common_quantity", "find_paths", "for_all", "listed",
-    "name_spectra", "ratio", "require_one_grid", "same_grids",
-]  # fmt: skip
-
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]

@@ -37,8 +37,6 @@ from .svc_coords import (
 )
 from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
 
-__all__ = ["SVC_JOINS", "open_svc"]
-
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 

@@ -22,11 +22,6 @@ from hyperpaint.base.schema import VARIABLES
 from .spectrum_files import listed, name_spectra
 from .svc_layout import DETECTORS, SvcFile, SvcOverlap, error_bits, pair, position_of
 
-__all__ = [
-    "SCANS", "SvcMeasurement", "coords_of_channels", "coords_of_files", "coords_of_places", "coords_of_times",
-    "orders_of", "read_gps_time", "read_stamp", "utc_of", "warn_of",
-]  # fmt: skip
-
 SCANS = ("reference", "target")
 """The two scans of a file, in its order."""
 

@@ -23,11 +23,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-__all__ = [
-    "DETECTORS", "SvcFile", "SvcOverlap", "detectors_of", "error_bits", "is_svc", "items", "overlap_of",
-    "pair", "position_of", "read_svc",
-]  # fmt: skip
-
 _LARGEST_FILE = 4 * 2**20  # a hundred times what the instruments write
 _MOST_ROWS = 32_768
 _MOST_HEADER_LINES = 1000

@@ -37,8 +37,6 @@ from .false_alarms import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["detect"]
-
 _FEWEST_BANDS = 5
 _MOST_OTHERS = 20_000
 _JOINED_AT_ONCE = 16

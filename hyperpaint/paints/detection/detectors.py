@@ -8,8 +8,6 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
 
-__all__ = ["METHODS", "Projection", "distances", "projection", "scores"]
-
 METHODS = ("ace", "matched_filter", "spectral_angle")
 
 

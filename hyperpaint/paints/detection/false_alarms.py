@@ -14,11 +14,6 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 
 from .detectors import Projection, distances, projection, scores
 
-__all__ = [
-    "DETECTION", "BackgroundPart", "Detector", "DetectorSettings", "background_part", "joined_parts",
-    "make_detector",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class DetectionRules:

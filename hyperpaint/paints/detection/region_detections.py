@@ -14,8 +14,6 @@ from hyperpaint.base.schema import SIGNATURE
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["detected_regions"]
-
 _COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
 

@@ -31,8 +31,6 @@ from hyperpaint.base.schema import BAND
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Interface", "absorption_to_scattering", "coating_of", "thick_layer_reflectance"]
-
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
     """Return K/S [1] of a thick layer without an interface from its reflectance, above 0 and up to 1 [1].

@@ -21,8 +21,6 @@ from .synthetic_paints import MEMBERS, SPECULAR, specular_of, synthetic_library
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["METHODS", "mix_paints", "shade_paints"]
-
 Method = Literal["kubelka-munk", "linear"]
 
 METHODS = ("kubelka-munk", "linear")

@@ -21,12 +21,6 @@ from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "MEMBERS", "SPECULAR", "draw_variants", "sample_paints", "specular_of", "synthetic_library",
-    "text_column",
-]  # fmt: skip
-
-
 MEMBERS = "member_reflectance"
 """Single pixels of a paint, or variants (signature, member, band)."""
 

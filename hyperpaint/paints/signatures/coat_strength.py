@@ -29,8 +29,6 @@ from hyperpaint.surroundings.corrections import NORMAL_REFLECTANCE
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["StrengthRules", "strength_of", "with_coat_strength"]
-
 
 @dataclass(frozen=True)
 class StrengthRules:

@@ -14,8 +14,6 @@ from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["without_coat"]
-
 _NO_PAINT = frozenset({
     "asphalt", "concrete", "glass", "grass", "ground", "leaf", "line", "soil", "target", "tyre", "vegetation",
     "wall", "white panel", "window",

@@ -33,9 +33,6 @@ from .signature_library import Draft, paint_library
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EXCLUDED", "extract_signatures"]
-
-
 EXCLUDED = (
     Quality.SATURATED
     | Quality.IRRADIANCE_GAP

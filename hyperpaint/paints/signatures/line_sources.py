@@ -36,9 +36,6 @@ from .map_cells import middle_of_map
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ATTITUDE", "Smoothing", "Source", "lines_of", "mean_view", "relative_azimuth", "source_of"]
-
-
 ATTITUDE = ("roll", "pitch", "heading")
 """Variables of a line that turn its camera."""
 

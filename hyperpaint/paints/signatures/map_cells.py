@@ -20,8 +20,6 @@ from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Shown", "middle_of_map", "shown_pixels"]
-
 _PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
 
 

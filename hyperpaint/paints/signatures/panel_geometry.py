@@ -17,11 +17,6 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "FLOP_SHARE", "MIN_FLOP_MEMBERS", "PanelFlop", "aspecular_angle", "lean_range", "panel_flop",
-    "with_panel_geometry",
-]  # fmt: skip
-
 FLOP_SHARE = 0.2
 """Share of the pixels at the bright, and at the dark end of a panel, whose means are compared [1]."""
 

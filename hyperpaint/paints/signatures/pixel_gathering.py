@@ -16,8 +16,6 @@ from hyperpaint.surroundings.scratch import trim_memory
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["gather"]
-
 _TOGETHER = 16
 """Blocks that are computed at a time."""
 

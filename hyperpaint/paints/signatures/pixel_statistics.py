@@ -13,12 +13,6 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.uncertainty.averages import effective_number
 from hyperpaint.regions import Region
 
-__all__ = [
-    "CENTRES", "QUANTILES", "SMEAR", "chosen_members", "effective_pixels", "excluded_of",
-    "geometric_median", "summarise",
-]  # fmt: skip
-
-
 CENTRES = ("trimmed_mean", "geometric_median", "median")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 

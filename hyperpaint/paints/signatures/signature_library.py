@@ -34,9 +34,6 @@ from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summa
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Draft", "paint_library"]
-
-
 _CORRELATED_BANDS = 8
 """Good bands, spread over all, that the correlation of pixels is looked at in."""
 

@@ -17,8 +17,6 @@ from .error_sources import line_errors
 from .mean_errors import MeanErrors, RegionSums, error_variables
 from .propagation import NONE_KNOWN, UNCERTAINTIES
 
-__all__ = ["effective_number", "mean_uncertainty"]
-
 
 @takes_quantities()
 def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:

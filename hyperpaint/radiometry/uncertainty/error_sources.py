@@ -33,8 +33,6 @@ from .propagation import (
     masked_elements,
 )  # fmt: skip
 
-__all__ = ["FORMS", "LightErrors", "LineErrors", "line_errors", "rounding_variance"]
-
 
 class Form(NamedTuple):
     """Which samples share an error, dim by dim, in the words of FIDUCEO and obsarray."""

@@ -11,9 +11,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.light.illumination import imager_of, matched_series
 
-__all__ = ["INTERPOLATED", "USUAL_SHARE", "MatchedNoise", "at_bands", "matched_noise", "noise_of_record"]
-
-
 INTERPOLATED = 2.0 / 3.0
 """Variance between two samples of irradiance over that of one: mean of (1 - w)^2 + w^2 over w."""
 

@@ -20,8 +20,6 @@ from hyperpaint.radiometry.spectral_axis import NominalAxis
 from .error_sources import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
-__all__ = ["MeanErrors", "RegionSums", "error_variables"]
-
 LEAST_CORRELATION = 0.01
 """Correlation of two bands below which none is stored [1]."""
 MOST_LAGS = 48

@@ -32,9 +32,6 @@ from hyperpaint.base.schema import (
 
 from .irradiance_noise import noise_of_record
 
-__all__ = ["estimate_noise"]
-
-
 BLOCK_LINES = 8
 """Lines of a block, within which a column is asked to see one surface."""
 MOST_SAMPLES = 3_000_000

@@ -23,13 +23,6 @@ from hyperpaint.radiometry import slabs
 
 from .irradiance_noise import INTERPOLATED, at_bands, matched_noise
 
-__all__ = [
-    "MASKED", "NOISE", "NONE_KNOWN", "PANEL_U", "SYSTEMATIC", "UNCERTAINTIES", "WHOLE_COUNTS",
-    "band_steps", "element_rows", "error_terms", "masked_elements",
-    "uncertainty_inputs", "with_uncertainty",
-]  # fmt: skip
-
-
 NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (
     "dark_counts_u_random",

@@ -17,8 +17,6 @@ from hyperpaint.surroundings.model import SHADED
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["GAPS", "FreeSun", "doubt_about_clouds", "sunny_lines"]
-
 
 @dataclass(frozen=True)
 class GapRules:

@@ -18,10 +18,6 @@ from .between_clouds import FreeSun
 from .leans import HeightModel
 from .proposal_rules import SURFACES
 
-__all__ = [
-    "Limits", "Measures", "Picture", "Piece", "Surfaces", "largest_body", "measured", "pieces", "window_of",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:

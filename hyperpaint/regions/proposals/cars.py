@@ -21,8 +21,6 @@ from .levels import level_light, level_place
 from .proposal_rules import CARS, FOOTPRINTS, JUDGING, SURFACES
 from .roofs import NoRoof, Roof, find_roof
 
-__all__ = ["Car", "find_cars", "judge_car"]
-
 
 @dataclass(eq=False)
 class Car:

@@ -13,8 +13,6 @@ from .candidates import Measures, Picture, Piece
 from .judging import Level, Verdict, change_with_lean, direct_share
 from .proposal_rules import FOOTPRINTS
 
-__all__ = ["FINISHES", "Difference", "difference_of", "judge_finish"]
-
 
 @dataclass(frozen=True)
 class FinishRules:

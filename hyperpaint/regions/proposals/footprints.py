@@ -14,9 +14,6 @@ from hyperpaint.surroundings import SceneModel
 from .candidates import largest_body, window_of
 from .proposal_rules import FOOTPRINTS, SURFACES
 
-__all__ = ["WAYS", "Footprint", "Scene", "Way", "footprints_of", "hull_of"]
-
-
 _ROUNDING = 1e-6
 
 

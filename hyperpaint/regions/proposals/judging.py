@@ -15,8 +15,6 @@ from .between_clouds import GAPS
 from .candidates import Limits, Measures, Picture, Piece
 from .proposal_rules import FOOTPRINTS, JUDGING
 
-__all__ = ["Judged", "Level", "Verdict", "change_with_lean", "direct_share", "judge_level", "judge_pixels"]
-
 
 @dataclass
 class Verdict:

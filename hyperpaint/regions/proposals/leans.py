@@ -13,8 +13,6 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LEANS", "HeightModel", "Lean", "height_model_of", "lean_to_sun", "measured_lean"]
-
 
 @dataclass(frozen=True)
 class LeanRules:

@@ -13,8 +13,6 @@ from .footprints import Footprint
 from .proposal_rules import ROOFS
 from .roofs import Roof
 
-__all__ = ["LEVELS", "Levelled", "Place", "level_light", "level_place"]
-
 
 @dataclass(frozen=True)
 class LevelRules:

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["CARS", "FOOTPRINTS", "JUDGING", "ROOFS", "SURFACES"]
-
 
 @dataclass(frozen=True)
 class SurfaceRules:

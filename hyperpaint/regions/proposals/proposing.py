@@ -33,9 +33,6 @@ from .proposal_rules import SURFACES
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Proposals", "outline", "propose_regions"]
-
-
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """Right, down, left, up, as (line, column); a right turn is the next one."""
 

@@ -11,8 +11,6 @@ from hyperpaint.base.arrays import Bools, Floats
 from .footprints import Footprint
 from .proposal_rules import FOOTPRINTS, ROOFS
 
-__all__ = ["NoRoof", "Roof", "find_roof"]
-
 
 class Roof(NamedTuple):
     """The roof of a car."""

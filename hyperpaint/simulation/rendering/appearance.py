@@ -14,8 +14,6 @@ from hyperpaint.base.errors import SchemaError
 
 from .materials import Coat, Flakes, Material, fresnel_reflectance, measured_factor
 
-__all__ = ["coat_of_gloss", "flakes_of_flop", "flop_index", "gloss_units", "reflectance_factor"]
-
 _GLOSS_ANGLE_DEG = 20.0
 _GLASS_INDEX = 1.567  # the black glass that reads 100
 _RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in the plane of incidence and across it: ISO 2813, table 1

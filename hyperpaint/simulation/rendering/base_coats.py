@@ -10,9 +10,6 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.simulation.paint_spectra import Bump, Edge, Feature, Paint
 
-__all__ = ["FAMILIES", "HUES", "Pigments", "absorbers_of", "aluminium", "mix"]
-
-
 FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
 """What `generate_paint` makes: titanium white; a coloured pigment; the same in a white base; carbon in a
 white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour over aluminium

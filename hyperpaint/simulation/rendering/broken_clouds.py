@@ -15,9 +15,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.settings import check_number, check_whole
-
-__all__ = ["BrokenClouds"]
+from hyperpaint.simulation.setting_checks import check_number, check_whole
 
 _WAVES = 64
 _RETURNED = 1.0 / 3.0  # of the direct light that clouds take, as diffuse light everywhere

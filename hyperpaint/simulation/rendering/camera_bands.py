@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.camera import cubic_weights, line_shape
-from hyperpaint.simulation.settings import SHAPES, SimulationSettings, check_choice, finite_floats
-
-__all__ = ["BandResponses", "BandSet", "cell_means"]
-
+from hyperpaint.simulation.setting_checks import check_choice, finite_floats
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings
 
 _GAUSSIAN_REACH = 2.5  # full widths; beyond them lies 1e-8 of a Gaussian's area
 #: Distance of the shifts at which products are made: at the most [nm], and in parts of the narrowest band.

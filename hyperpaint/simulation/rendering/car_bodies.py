@@ -18,8 +18,6 @@ from hyperpaint.base.arrays import Floats
 
 from .primitives import Mesh, cuboid, lattice, polygon, put_together, smoothed, tube
 
-__all__ = ["CAR_TYPES", "CarShape", "car_body"]
-
 Words = NDArray[np.object_]
 
 _CREASE = 38.0  # what bends by more is an edge [degree]

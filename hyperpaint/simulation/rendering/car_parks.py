@@ -21,7 +21,8 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.paint_spectra import PANELS
-from hyperpaint.simulation.settings import FLEETS, check_choice, check_number, check_whole
+from hyperpaint.simulation.setting_checks import check_choice, check_number, check_whole
+from hyperpaint.simulation.settings import FLEETS
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
@@ -29,8 +30,6 @@ from .pavements import BAY, Layout, paved, strips_across, worn
 from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
 from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
-
-__all__ = ["NEIGHBOURS", "car_park"]
 
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
 """What may stand around the cars."""

@@ -27,9 +27,6 @@ from hyperpaint.base.arrays import Floats
 from .base_coats import HUES, Pigments, absorbers_of, mix
 from .weathering import Octaves, dusty
 
-__all__ = ["COLOUR_SHARES", "DIRT", "FINISH_SHARES", "FLAKE_SHARES", "FLOPS", "FleetPaint", "fleet_paint"]
-
-
 COLOUR_SHARES: Mapping[str, float] = {
     "white": 0.39, "black": 0.23, "grey": 0.16, "silver": 0.08, "coloured": 0.14,
 }  # fmt: skip

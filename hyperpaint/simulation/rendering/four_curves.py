@@ -21,7 +21,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.settings import check_number
+from hyperpaint.simulation.setting_checks import check_number
 
 from .sky_models import (
     CIE_OVERCAST_SHARE,
@@ -37,9 +37,6 @@ from .sky_models import (
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["PRESETS", "Atmosphere", "preset_atmosphere"]
-
 
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),

@@ -23,9 +23,6 @@ from .weathering import MEASURED
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SpectrumReader", "Table", "by_name", "is_library", "some_names"]
-
-
 MOST_MEMBERS = 512
 """Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %."""
 

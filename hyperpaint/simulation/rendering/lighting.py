@@ -42,9 +42,6 @@ from .scene_record import TraceSettings, sun_vectors
 if TYPE_CHECKING:
     from hyperpaint.simulation.transport.texturing import Texture
 
-__all__ = ["SHARES", "Lighting", "ProductTable", "make_lighting", "source_spectra", "traced_sun"]
-
-
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
 """Layers that say where the light of a pixel came from."""
 

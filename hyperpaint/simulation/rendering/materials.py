@@ -24,12 +24,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.settings import check_choice, check_number
-
-__all__ = [
-    "KINDS", "Coat", "Flakes", "Material", "base_albedo", "coated_reflectance", "fresnel_reflectance",
-    "hemispherical_reflectance", "internal_reflectance", "measured_factor",
-]  # fmt: skip
+from hyperpaint.simulation.setting_checks import check_choice, check_number
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 

@@ -17,15 +17,12 @@ from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.light.sky_fit import fit_sky
-from hyperpaint.simulation.settings import moment_of
+from hyperpaint.simulation.setting_checks import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["read_irradiance", "read_sky", "read_table"]
-
 
 _MOST_BYTES = 16 * 2**20
 _MOST_LINES = 200_000

@@ -21,9 +21,6 @@ from .mesh_formats import RawTriangles, parse_obj, read_glb, read_ply
 from .primitives import Mesh, smoothed
 from .scene import Instance, Scene, has_area, warn_of_dropped
 
-__all__ = ["read_mesh"]
-
-
 _MAX_BYTES = 2**30
 _FARTHEST_M = 1e8
 #: Turns the axis that points up into z, and keeps the axes right-handed.

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, MissingExtraError
 
-__all__ = ["RawTriangles", "Stripped", "check_ply", "parse_obj", "read_glb", "read_ply", "strip_glb"]
-
 _MAX_TRIANGLES = 50_000_000
 _LARGEST_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")

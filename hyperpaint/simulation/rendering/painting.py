@@ -20,8 +20,6 @@ from .scene_spectra import Spectrum, paint_spec
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FactorSpectra", "dealt_paints", "factor_spectra"]
-
 
 @dataclass(frozen=True, eq=False)
 class FactorSpectra:

@@ -12,8 +12,6 @@ from hyperpaint.base.errors import SchemaError
 
 from .primitives import Mesh, cuboid, polygon, put_together, uniform
 
-__all__ = ["BAY", "Layout", "paved", "strips_across", "worn"]
-
 BAY = (5.0, 2.5)
 """Length and width of a bay [m]."""
 

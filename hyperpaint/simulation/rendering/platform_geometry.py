@@ -21,13 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.settings import finite_floats
-
-__all__ = [
-    "MOST_COLUMNS", "MOST_LINES", "START", "STEEPEST", "Platform", "attitude_of", "interpolate",
-    "matrices", "quaternions", "turns",
-]  # fmt: skip
-
+from hyperpaint.simulation.setting_checks import finite_floats
 
 MOST_LINES, MOST_COLUMNS = 1_000_000, 20_000
 """Sizes of a flight that are taken; poses are held in memory, 200 bytes a line."""

@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.settings import check_number, check_whole, finite_floats, is_number, moment_of
+from hyperpaint.simulation.setting_checks import (
+    check_number,
+    check_whole,
+    finite_floats,
+    is_number,
+    moment_of,
+)
 
 from .platform_geometry import (
     MOST_COLUMNS,
@@ -24,9 +30,6 @@ from .platform_geometry import (
     quaternions,
     turns,
 )
-
-__all__ = ["Platform", "platform_from_poses", "pushbroom"]
-
 
 IFOV = 7.4e-6 / 12e-3
 """Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad]."""

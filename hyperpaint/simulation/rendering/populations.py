@@ -22,9 +22,6 @@ from .weathering import Octaves
 if TYPE_CHECKING:
     from hyperpaint.simulation.transport.texturing import Grain, Texture
 
-__all__ = ["Populations", "populations_of", "rows_of_pixels"]
-
-
 _DARKEST = 1e-4
 """Mean below which a member is not divided by it [1]."""
 

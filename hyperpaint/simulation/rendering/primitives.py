@@ -13,8 +13,6 @@ from hyperpaint.base.arrays import Floats, Ints
 from .materials import Material
 from .scene import PARTS, Instance, Scene, has_area
 
-__all__ = ["Mesh", "box", "cuboid", "lattice", "polygon", "put_together", "smoothed", "tube", "uniform"]
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:

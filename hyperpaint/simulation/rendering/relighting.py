@@ -41,9 +41,6 @@ if TYPE_CHECKING:
     import dask.array as da
     import xarray as xr
 
-__all__ = ["relight"]
-
-
 _PATHS = ("transport_weight", "transport_path", "distance")
 _UNLIT_LAYERS = (
     "material", "instance", "surface_class", "car_id", "purity", "distance", "east", "north", "up",

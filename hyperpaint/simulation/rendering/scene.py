@@ -13,14 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.settings import check_choice
+from hyperpaint.simulation.setting_checks import check_choice
 
 from .materials import Material
-
-__all__ = [
-    "INSTANCE_KINDS", "PARTS", "Factor", "Instance", "Scene", "has_area", "plane", "warn_of_dropped",
-]  # fmt: skip
-
 
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
 """What a thing in a scene can be."""

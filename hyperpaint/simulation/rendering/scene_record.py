@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.settings import MOST_SAMPLES, check_number, check_whole
+from hyperpaint.simulation.setting_checks import check_number, check_whole
+from hyperpaint.simulation.settings import MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     MOST_SUNS,
@@ -24,9 +25,6 @@ from hyperpaint.simulation.transport.path_codes import (
 from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
 from .scene_spectra import FOURTEEN
-
-__all__ = ["SUN_RADIUS_DEG", "LabelTables", "SceneRecord", "TraceSettings", "sun_vectors"]
-
 
 _MOST_SLOTS = 4096
 SUN_RADIUS_DEG = 0.267

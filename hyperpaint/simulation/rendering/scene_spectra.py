@@ -33,12 +33,6 @@ from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
 from .weathering import WEATHERED, Weathered, leaf_transmittance
 
-__all__ = [
-    "FAMILIES", "FINISHES", "FOURTEEN", "SPECTRA", "PaintSpec", "Pigments", "Spectrum", "fleet_names",
-    "generate_paint", "is_paint", "paint_spec", "spectrum_of",
-]  # fmt: skip
-
-
 FINISHES = ("solid", "metallic", "pearl")
 """What a paint looks like when one walks around it."""
 

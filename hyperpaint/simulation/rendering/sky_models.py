@@ -42,12 +42,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.settings import check_number
-
-__all__ = [
-    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_curves", "check_wavelengths", "clear_spread",
-    "cloud_factor", "cloud_transmittance", "relative_air_mass", "spectrl2_sky",
-]  # fmt: skip
+from hyperpaint.simulation.setting_checks import check_number
 
 
 def check_wavelengths(wavelength: Floats) -> None:

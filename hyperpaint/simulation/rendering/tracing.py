@@ -41,10 +41,8 @@ if TYPE_CHECKING:
     from hyperpaint.simulation.transport.path_blocks import Block, Sources
     from hyperpaint.simulation.transport.surfaces import Surfaces
 
-    from .platforms import Platform
+    from .platform_geometry import Platform
     from .scene import Scene
-
-__all__ = ["PreparedScene", "prepare_scene", "trace", "trace_block"]
 
 Sun = tuple[float, float] | Atmosphere | str
 

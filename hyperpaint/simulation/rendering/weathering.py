@@ -23,17 +23,6 @@ from hyperpaint.simulation.paint_spectra import MATERIALS, Bump, Edge, Plain
 
 from .materials import fresnel_reflectance, hemispherical_reflectance
 
-__all__ = [
-    "DUST",
-    "MEASURED",
-    "WEATHERED",
-    "Octaves",
-    "Weathered",
-    "dusty",
-    "leaf_optics",
-    "leaf_transmittance",
-]
-
 
 @dataclass(frozen=True)
 class Octaves:

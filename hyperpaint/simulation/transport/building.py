@@ -9,9 +9,6 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-__all__ = ["build_nodes"]
-
-
 _BINS = 16
 _LARGEST_LEAF = 4
 _TRAVERSAL = 1.5  # cost of a node, in tests of a triangle

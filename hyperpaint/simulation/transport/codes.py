@@ -11,9 +11,6 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .path_codes import FIRST_DIGIT
 
-__all__ = ["PathTable", "add_path", "with_factor", "write_paths"]
-
-
 _MULTIPLIER = np.uint64(0x9E3779B1)
 
 

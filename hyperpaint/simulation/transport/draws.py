@@ -13,8 +13,6 @@ import numpy as np
 
 from hyperpaint.base.jit import borrowing_kernel
 
-__all__ = ["even_pair", "philox", "pixel_key", "uniforms"]
-
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)

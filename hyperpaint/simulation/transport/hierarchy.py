@@ -17,9 +17,6 @@ from hyperpaint.base.jit import borrowing_kernel
 from .building import build_nodes
 from .vectors import Vector
 
-__all__ = ["STACK", "Geometry", "build_geometry", "closest", "occluded"]
-
-
 #: Length of the stack of a traversal; `building` keeps every branch shorter.
 STACK = 96
 

@@ -12,9 +12,6 @@ from .hierarchy import Geometry
 from .vectors import Frame, Vector, along, dot, frame_of
 from .waviness import waved
 
-__all__ = ["FACING", "Hit", "behind", "hit_at", "leaves"]
-
-
 #: A direction at a smaller cosine does not face a surface.
 FACING = 1e-9
 

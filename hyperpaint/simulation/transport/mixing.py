@@ -12,9 +12,6 @@ from hyperpaint.base.jit import borrowing_kernel, kernel
 
 from .texturing import Texture
 
-__all__ = ["index_paths", "integrate_bands", "mix", "mix_shifted", "through_air"]
-
-
 _TILE = 16  # columns whose spectra are made side by side, before they are written band by band
 _MULTIPLIER = np.uint64(0x9E3779B1)
 

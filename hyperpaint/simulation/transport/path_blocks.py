@@ -12,8 +12,6 @@ from .hierarchy import Geometry
 from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MOST_SUNS, USABLE_BITS
 from .surfaces import Surfaces
 
-__all__ = ["Block", "Rays", "Settings", "Sources", "check"]
-
 
 class Rays(NamedTuple):
     """Where the camera looks from, and to, for the lines of a block.

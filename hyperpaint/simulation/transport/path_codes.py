@@ -22,13 +22,6 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
-__all__ = [
-    "CLEAR_SKY_FUNCTIONS", "FIRST_CLEAR_SKY", "FIRST_DIGIT", "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS",
-    "OVERCAST_SKY", "SKY", "SOURCES", "SOURCE_BITS", "USABLE_BITS", "PathCodes", "is_direct", "is_indirect",
-    "is_mirrored", "source_of",
-]  # fmt: skip
-
-
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
 """Numbers of the sources."""
 

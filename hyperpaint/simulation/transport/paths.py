@@ -47,9 +47,6 @@ from .surfaces import (
 )
 from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
 
-__all__ = ["Block", "Rays", "Settings", "Sources", "trace_lines"]
-
-
 # what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
 _PIXEL, _TIME, _BODY, _COAT, _SECOND, _SUN = 0, 1, 2, 3, 4, 6
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537

@@ -13,8 +13,6 @@ from .path_blocks import Sources
 from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_CLEAR_SKY, OVERCAST_SKY, SKY
 from .vectors import Vector, dot
 
-__all__ = ["record_sky"]
-
 
 @borrowing_kernel
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:

@@ -23,14 +23,6 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .vectors import Vector, dot, unit
 
-__all__ = [
-    "BASE", "BLURRED_ALPHA", "COAT", "ENDED", "FLAKES", "RECYCLED", "SMALLEST_ALPHA", "TWICE",
-    "WAVINESS", "WIDENED_ALPHA", "Lobes", "Surfaces", "facet_density", "facet_lambda", "fresnel", "lobes_at",
-    "refracted_cosine", "sample_cosine", "sample_facet", "scatter", "scatter_body", "scatter_coat",
-    "sun_weights", "surfaces_of", "turned_part",
-]  # fmt: skip
-
-
 #: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
 SMALLEST_ALPHA = 5e-4
 

@@ -21,9 +21,6 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .draws import philox
 
-__all__ = ["Grain", "Texture", "member_rows"]
-
-
 _MASK = 0xFFFFFFFF
 _STEP = 2.0**-32
 _COS = tuple(math.cos(angle) for angle in (0.4, 1.5, 2.3, 0.9))

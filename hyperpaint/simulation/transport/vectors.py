@@ -7,8 +7,6 @@ from typing import TypeAlias
 
 from hyperpaint.base.jit import borrowing_kernel
 
-__all__ = ["Frame", "Vector", "along", "dot", "frame_of", "from_frame", "in_frame", "unit"]
-
 Vector: TypeAlias = tuple[float, float, float]
 Frame: TypeAlias = tuple[Vector, Vector, Vector]
 

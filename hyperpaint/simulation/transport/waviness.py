@@ -10,8 +10,6 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .vectors import Vector, along, dot, unit
 
-__all__ = ["WAVES", "waved"]
-
 
 def _waves(count: int = 8) -> np.ndarray:
     """Return wave vectors [rad/m] and phases [rad], (wave, 4): all directions, lengths of 3 to 12 mm."""

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.io.spectrometers.asd import find_files, open_asd, read_asd
-from hyperpaint.io.spectrometers.asd_binary import Cursor
+from hyperpaint.io.spectrometers.asd import find_files, open_asd
+from hyperpaint.io.spectrometers.asd_binary import Cursor, read_asd
 from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
 GRID = np.arange(350.0, 1051.0)
