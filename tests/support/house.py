@@ -1,6 +1,7 @@
-"""Counts what the house promises: rooms, arrows, sizes, names. ``python tests/support/house.py`` prints them.
+"""Checks of the layout of the package: rooms, arrows, names. ``python tests/support/house.py`` prints them.
 
-Exit status 1 where a promise is broken; ``--list NAME`` shows what a count is made of.
+Exit status 1 where a limit is passed; ``--list NAME`` shows the members of a count. Sizes have no limits here:
+`count_house` beside this file prints them.
 """
 
 from __future__ import annotations
@@ -303,12 +304,11 @@ def promises() -> list[Promise]:
         Promise("arrows up", 0, up),
         Promise("circles between files", 0, circles()),
         Promise("lines", None, sizes, sum(lines.values())),
-        Promise("files", None, list(names)),
         Promise("file names used twice", 0, stems_used_twice()),
         Promise("more than 8 positional parameters", 0, long_signatures()),
         Promise("definitions without a caller", 0, uncalled()),
         Promise("public names at the top", 35, top_names()),
-        Promise("variables named made, told, found, known, kept", 115, riddles()),
+        Promise("variables named made, told, found, known, kept", None, riddles()),
         Promise('bare "cannot be" errors', 0, bare_refusals()),
     ]  # fmt: skip
 
