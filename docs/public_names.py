@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import xarray as xr
+from error_codes import codes_page
 
 import hyperpaint
 
@@ -95,9 +96,15 @@ def write_reference(folder: Path) -> None:
     for page in (folder / "generated").glob("*.rst"):  # of a name that is public no longer
         if page.stem not in public:
             page.unlink()
-    index = _FRONT + "```{toctree}\n:maxdepth: 1\n\n" + "\n".join([*pages, "command_line"]) + "\n```\n"
+    index = (
+        _FRONT
+        + "```{toctree}\n:maxdepth: 1\n\n"
+        + "\n".join([*pages, "command_line", "error_codes"])
+        + "\n```\n"
+    )
     texts = {name: f"# {title}\n\n{about}\n\n{table}" for name, (title, about, table) in pages.items()}
-    for name, text in {**texts, "index": index, "command_line": _command_line()}.items():
+    texts |= {"index": index, "command_line": _command_line(), "error_codes": codes_page()}
+    for name, text in texts.items():
         page = folder / f"{name}.md"
         if not page.exists() or page.read_text(encoding="utf-8") != text:
             page.write_text(text, encoding="utf-8")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Counts of a tree of Python code: statements, definitions, habits of language.
 
-``python tests/support/count_house.py ROOT ...`` prints them. Statements are counted, so that packing lines gains
+``python tests/support/count_house.py ROOT ...`` prints them. Statements are counted, so packing lines gains
 nothing. The options of the command line are counted too where the package can be imported.
 """
 

@@ -1,7 +1,7 @@
 """Checks of the layout of the package: rooms, arrows, names. ``python tests/support/house.py`` prints them.
 
-Exit status 1 where a limit is passed; ``--list NAME`` shows the members of a count. Sizes have no limits here:
-`count_house` beside this file prints them.
+Exit status 1 where a limit is passed; ``--list NAME`` shows the members of a count. `count_house` beside
+this file prints sizes, which have no limits.
 """
 
 from __future__ import annotations
@@ -267,6 +267,36 @@ def bare_refusals() -> Names:
     return places
 
 
+ERRORS = {
+    "CollectError",
+    "FormatError",
+    "IncompleteStoreError",
+    "PaintError",
+    "PaintWarning",
+    "Problem",
+    "SchemaError",
+    "StoreError",
+    "TimeError",
+    "UnitsError",
+}
+
+
+def faults_without_code() -> Names:
+    """Return the calls that build an error, a problem or a warning without its code."""
+    places = []
+    for name, path in modules().items():
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call) and name != "base.errors":
+                function = ast.unparse(node.func)
+                is_fault = function.rpartition(".")[2] in ERRORS or re.search(r"problems?\.add$", function)
+                coded = {keyword.arg for keyword in node.keywords} & {"code", "problems", None}
+                if (is_fault and node.args and not coded) or "PaintWarning" in map(
+                    ast.unparse, node.args[1:2]
+                ):
+                    places.append(f"{name}:{node.lineno}: {ast.unparse(node)[:80]}")
+    return places
+
+
 def top_names() -> Names:
     """Return the names that ``hp.<Tab>`` shows, without those of rooms."""
     stub = PACKAGE / "__init__.pyi"
@@ -310,6 +340,7 @@ def promises() -> list[Promise]:
         Promise("public names at the top", 35, top_names()),
         Promise("variables named made, told, found, known, kept", None, riddles()),
         Promise('bare "cannot be" errors', 0, bare_refusals()),
+        Promise("errors, problems and warnings without a code", None, faults_without_code()),
     ]  # fmt: skip
 
 
