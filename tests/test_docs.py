@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import re
 import shlex
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -72,7 +73,9 @@ def test_the_readme_is_short():
 
 @functools.cache
 def of_docs(name: str) -> ModuleType:
-    """Return a module of docs/, which is no package."""
+    """Return a module of docs/, which is not a package."""
+    if str(ROOT / "docs") not in sys.path:  # its modules import each other
+        sys.path.append(str(ROOT / "docs"))
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -134,3 +137,11 @@ def test_links_of_a_built_site_that_lead_nowhere_are_named(tmp_path):
     assert count == len(right) + len(wrong)
     assert [fault.split(": ")[1] for fault in faults] == list(wrong)
     assert all(text in fault for text, fault in zip(wrong.values(), faults, strict=True))
+
+
+def test_every_code_is_well_formed_and_has_a_section():
+    module = of_docs("error_codes")
+    codes = {fault.code for fault in module.faults()}
+    assert not {code for code in codes if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+){0,4}", code)}
+    page = module.codes_page()
+    assert all(f"\n## {code}\n" in page for code in codes)
