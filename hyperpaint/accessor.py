@@ -1,8 +1,8 @@
-"""The ``.paint`` accessors: the spelling of hyperpaint's functions on a Dataset or DataArray, nothing else.
+"""The ``.paint`` accessors: hyperpaint's functions as methods of a Dataset or DataArray, without logic.
 
-Every method is the function that `METHODS` names, with the dataset as its first argument: same arguments,
-same docstring (``line.paint.reflectance?``). What type checkers and editors see stands in ``accessor.pyi``,
-which ``python tests/support/accessor_stub.py`` writes from the same functions.
+Each method is the function in `METHODS` with the dataset as its first argument: same arguments, same
+docstring (``line.paint.reflectance?``). ``accessor.pyi`` declares the methods for type checkers and editors;
+``python tests/support/accessor_stub.py`` writes it from the same functions.
 """
 
 from __future__ import annotations
@@ -51,22 +51,22 @@ METHODS = {
     "explore": "pictures",
     "relight": "simulation",
 }
-"""The room of each method's function, and the function's name where it is another."""
+"""Room of each method's function, and the name of the function where it differs."""
 
 ARRAY_METHODS = ("smooth", "at", "to_nominal", "rgb", "spectrum")
-"""Those of a DataArray: what needs nothing but a cube, or one spectrum, and its coordinates."""
+"""Methods of a DataArray: they need only a cube or a spectrum with its coordinates."""
 
 _ABOUT_DIMS = """
 
-As a method it takes the dataset as its first argument, and ``dims``, a mapping such as
-``{"along_track": "my_dim"}``, for dims whose names are of no program that hyperpaint knows.
+The method passes the dataset as the first argument, and accepts ``dims``, a mapping such as
+``{"along_track": "my_dim"}``, for dims with other names.
 """
 
 Dims = Mapping[str, Hashable]
 
 
 class _Method:
-    # A function of a room, loaded when it is called or looked at; on the class it is bound to no accessor.
+    # A function of a room, loaded on first use; unbound on the class.
 
     def __init__(self, name: str, home: str, accessor: Any = None) -> None:
         self.__name__ = name
@@ -112,12 +112,14 @@ class _Method:
 
 
 class _Accessor:
-    # What both accessors say where `.paint` was taken for a variable, which it hides.
+    # Errors for users who expect a variable named paint, which the accessor hides.
 
     def __getattr__(self, name: str) -> Any:
         text = f"the accessor .paint has no attribute {name!r}"
-        if not name.startswith("_"):  # those are asked for by copy, pickle, IPython
-            if near := difflib.get_close_matches(name, [each for each in dir(self) if each[0] != "_"], 1):
+        if not name.startswith("_"):  # copy, pickle and IPython ask for private names
+            if near := difflib.get_close_matches(
+                name, [method for method in dir(self) if method[0] != "_"], 1
+            ):
                 text += f"; the nearest is .paint.{near[0]}"
             text += f". {_HIDDEN}"
         raise AttributeError(text, name=name, obj=self)
@@ -138,10 +140,10 @@ _HIDDEN = (
 
 @xr.register_dataset_accessor("paint")
 class PaintAccessor(_Accessor):
-    """Methods on a flight line. Each returns something new, lazily unless it says otherwise.
+    """Methods on a flight line. Each returns a new object, lazily unless its documentation says "eager".
 
-    Dims are found by role; those of other programs (downtrack, crosstrack, bands, y, x, ...) are known, and
-    any other is named by ``dims={"along_track": "my_dim"}``.
+    Dims are found by role. Names of other programs (downtrack, crosstrack, bands, y, x, ...) are recognised;
+    declare others with ``dims={"along_track": "my_dim"}``.
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:
@@ -163,7 +165,7 @@ class PaintAccessor(_Accessor):
         Raises
         ------
         StoreError
-            The dataset does not say where it was opened from, or no Zarr store is there.
+            The source of the dataset is unknown, or is not a Zarr store.
 
         Examples
         --------
@@ -179,28 +181,29 @@ class PaintAccessor(_Accessor):
         source = self._dataset.encoding.get("source")
         if not isinstance(source, str):
             raise StoreError(
-                "the dataset does not say which store it was opened from, as those do that xarray.open_zarr "
-                "opens by path or URL",
-                mend="call hyperpaint.verify(path), or load it whole where it is in icechunk",
+                "the dataset has no path or URL of its store in encoding['source']",
+                expected="a dataset of xarray.open_zarr(path)",
+                mend="call hyperpaint.verify(path)",
+                code="store-unknown",
             )
         return verify(source)
 
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``).
 
-        Coordinates stay plain, so that they can still be selected on. hyperpaint's functions take such a view
-        as well as the plain dataset, and return plain ones; so does ``.pint.dequantify()``.
+        Coordinates stay plain, for selection. hyperpaint's functions accept such a view and return plain
+        datasets, as does ``.pint.dequantify()``.
 
         Parameters
         ----------
         registry
-            Yours, such as ``pint.UnitRegistry(force_ndarray_like=True)``; by default hyperpaint's, in which
-            sr, count and electron are dimensions.
+            A pint registry, such as ``pint.UnitRegistry(force_ndarray_like=True)``. Default: the registry of
+            hyperpaint, in which sr, count and electron are dimensions.
 
         Raises
         ------
         UnitsError
-            Units cannot be read, or are not those of the registry; all are listed.
+            Units are unreadable, or unknown to the registry; all are listed.
 
         Examples
         --------
@@ -214,7 +217,7 @@ class PaintAccessor(_Accessor):
 
 
 class _ArrayMethod(_Method):
-    # The same for a DataArray: of what comes back, its own variable is returned.
+    # A method of a DataArray: returns its own variable of the resulting dataset.
 
     def __call__(self, *arguments: Any, dims: Dims | None = None, **options: Any) -> Any:
         result = super().__call__(*arguments, dims=dims, **options)
@@ -223,7 +226,7 @@ class _ArrayMethod(_Method):
 
 @xr.register_dataarray_accessor("paint")
 class PaintArrayAccessor(_Accessor):
-    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns something new."""
+    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns a new object."""
 
     def __init__(self, array: xr.DataArray) -> None:
         self._array = array
@@ -238,7 +241,7 @@ class PaintArrayAccessor(_Accessor):
         return self._array.to_dataset(name=self._name)
 
     def _own(self, result: Any) -> Any:
-        """Return the array of a resulting Dataset; what is none as it is."""
+        """Return the array of a resulting Dataset; pass other results through."""
         return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
 
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.DataArray:

@@ -1,16 +1,14 @@
 """The six equations of the paper this package starts from, corrected and as printed.
 
 Mulhollan et al. (2020), section 3 [1]_, calibrate a pushbroom camera with a monochromator and a power meter.
-As printed, three of their equations lose the scale: the ratio of exposures is inverted and the area on the
-ground stands where the area of the pupil belongs (eq. 4), pi is counted twice (eq. 5), and the reflectance is
-a product where it should be a quotient (eq. 6). Here each equation is one function with a ``variant``,
-"corrected" (the default) or "as_printed", for those who want to check, and for tests that show what fails.
-All else in the package uses the corrected chain.
+As printed, three of their equations lose the scale: eq. 4 inverts the ratio of exposures and uses an area on
+the ground instead of the area of the pupil, eq. 5 divides by pi twice, and eq. 6 multiplies radiance by
+irradiance instead of dividing. Each equation is a function with a ``variant``, "corrected" (the default) or
+"as_printed". The rest of the package uses the corrected chain.
 
-Arguments are plain numbers or arrays in the units stated, or Quantities of `hyperpaint.base.units.registry`;
-where any is a Quantity the result is one. Units are carried through either way, and pi is a solid angle [sr].
-
-Where an equation's dimensions do not agree, pint raises its ``DimensionalityError``.
+Arguments are numbers or arrays in the stated units, or Quantities of `hyperpaint.base.units.registry`. If any
+argument is a Quantity, the result is one. Units are propagated, and pi is a solid angle [sr]. Where the
+dimensions of an equation disagree, pint raises ``DimensionalityError``.
 
 References
 ----------
@@ -19,7 +17,7 @@ References
 
 Examples
 --------
-The worked example: a surface of reflectance 0.4, through both chains.
+A surface of reflectance 0.4, in both variants:
 
 >>> setup = Setup()
 >>> truth = lambertian_radiance(1.30, 0.40)
@@ -47,9 +45,14 @@ import numpy as np
 from .base.units import registry
 
 __all__ = [
-    "Setup", "electrons", "lambertian_radiance", "radiance", "radiance_per_count", "reflectance",
+    "Setup",
+    "electrons",
+    "lambertian_radiance",
+    "radiance",
+    "radiance_per_count",
+    "reflectance",
     "spectral_responsivity",
-]  # fmt: skip
+]
 
 Amount: TypeAlias = Any
 """A number or array in the unit stated, or a Quantity."""
@@ -67,18 +70,16 @@ def _is_quantity(value: Amount) -> bool:
 
 
 def _amount(value: Amount, unit: str) -> Any:
-    """Return a Quantity in ``unit``: of a Quantity, converted; of a number, as it is."""
     return value.to(unit) if _is_quantity(value) else registry().Quantity(value, unit)
 
 
-def _result(amount: Any, unit: str, *given: Amount) -> Any:
-    """Return ``amount`` in ``unit``: a Quantity where one was given, else a number."""
+def _result(amount: Any, unit: str, *arguments: Amount) -> Any:
+    """Return ``amount`` in ``unit``: a Quantity if an argument is one, else a number."""
     amount = amount.to(unit)
-    return amount if any(map(_is_quantity, given)) else amount.magnitude
+    return amount if any(map(_is_quantity, arguments)) else amount.magnitude
 
 
-def _check(variant: str) -> bool:
-    """Tell whether the corrected variant is wanted."""
+def _is_corrected(variant: str) -> bool:
     if variant not in ("corrected", "as_printed"):
         raise ValueError(f"variant={variant!r}, expected 'corrected' or 'as_printed'")
     return variant == "corrected"
@@ -111,7 +112,7 @@ def lambertian_radiance(
     pint.DimensionalityError
         An argument is a Quantity of another dimension.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
@@ -119,7 +120,7 @@ def lambertian_radiance(
     0.165521
     """
     exitance = _amount(irradiance, _IRRADIANCE) * _amount(reflectance, "1")
-    if not _check(variant):
+    if not _is_corrected(variant):
         exitance = exitance * np.cos(_amount(incidence, "rad").magnitude)
     return _result(exitance / _amount(np.pi, "sr"), _RADIANCE, irradiance, reflectance, incidence)
 
@@ -156,14 +157,14 @@ def electrons(
     pint.DimensionalityError
         An argument is a Quantity of another dimension.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
     >>> round(electrons(3e-12, 0.05, 550.0, 0.5))
     207657
     """
-    _check(variant)
+    _is_corrected(variant)
     photons = (
         _amount(flux, "W")
         * _amount(exposure, "s")
@@ -199,7 +200,7 @@ def spectral_responsivity(
     pint.DimensionalityError
         An argument is a Quantity of another dimension.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
@@ -208,7 +209,7 @@ def spectral_responsivity(
     """
     given = counts, dark, flux, exposure
     per_watt = (_amount(counts, "count") - _amount(dark, "count")) / _amount(flux, "W")
-    if _check(variant):
+    if _is_corrected(variant):
         return _result(per_watt / _amount(exposure, "s"), "count J-1", *given)
     return _result(per_watt, "count W-1", *given)
 
@@ -285,7 +286,7 @@ class Setup:
 
 
 def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
-    """Return what a count of the flight is worth, eq. 4.
+    """Return the radiance per count of the flight, eq. 4.
 
     Parameters
     ----------
@@ -294,8 +295,8 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     variant
         Corrected, with the area of the line, ``phi_ref t_ref / (t_obs etendue spacing SUM_ref)``: independent
         of the widths and shapes of both lines. As printed, ``phi_ref t_obs / t_ref / (x_obs^2 theta^2
-        B_ref / B_obs R_norm)``, called irradiance per count, with R_norm the fitted amplitude in counts: a
-        longer exposure makes a count worth more, and a higher flight makes it worth less.
+        B_ref / B_obs R_norm)``, called irradiance per count, with R_norm the fitted amplitude in counts: the
+        radiance per count then grows with exposure, and falls with the height of the flight.
 
     Returns
     -------
@@ -306,7 +307,7 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     pint.DimensionalityError
         An argument is a Quantity of another dimension.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
@@ -318,7 +319,7 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     flux = _amount(setup.flux, "W")
     lab, flight = _amount(setup.reference_exposure, "s"), _amount(setup.flight_exposure, "s")
     given = setup._given()
-    if _check(variant):
+    if _is_corrected(variant):
         per_line = _amount(setup.band_spacing, "nm") * _amount(setup.line_area, "count")
         amount = flux * (lab / flight) / (_amount(setup.etendue, "m2 sr") * per_line)
         return _result(amount, f"{_RADIANCE} count-1", *given)
@@ -351,7 +352,7 @@ def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Varian
     pint.DimensionalityError
         An argument is a Quantity of another dimension.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
@@ -360,7 +361,7 @@ def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Varian
     """
     given = counts, dark, per_count
     signal = _amount(counts, "count") - _amount(dark, "count")
-    if _check(variant):
+    if _is_corrected(variant):
         return _result(signal * _amount(per_count, f"{_RADIANCE} count-1"), _RADIANCE, *given)
     amount = signal * _amount(per_count, "W m-2 count-1") / _amount(np.pi, "sr")
     return _result(amount, "W m-2 sr-1", *given)
@@ -387,7 +388,7 @@ def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "cor
     pint.DimensionalityError
         An argument is a Quantity of another dimension; as printed always.
     ValueError
-        There is no such variant.
+        ``variant`` is neither "corrected" nor "as_printed".
 
     Examples
     --------
@@ -396,5 +397,5 @@ def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "cor
     """
     L, E = _amount(radiance, _RADIANCE), _amount(irradiance, _IRRADIANCE)
     half_space = _amount(np.pi, "sr")
-    amount = half_space * L / E if _check(variant) else L * E / half_space
+    amount = half_space * L / E if _is_corrected(variant) else L * E / half_space
     return _result(amount, "1", radiance, irradiance)

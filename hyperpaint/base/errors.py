@@ -1,4 +1,4 @@
-"""Errors that say what was found, what was expected and how to mend it, all problems at once."""
+"""Errors with the observed value, the accepted values, a remedy and a stable code; all problems at once."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class UnitsError(PaintError, ValueError):
 
 
 class SchemaError(PaintError, ValueError):
-    """A dataset lacks variables, dims, units or chunks that an operation needs.
+    """A dataset lacks variables, dims, units or chunks that an operation needs, or an argument is invalid.
 
     Examples
     --------
@@ -190,7 +190,7 @@ class SchemaError(PaintError, ValueError):
 
 
 class FormatError(PaintError, ValueError):
-    """A file is not what its format says: truncated, over-long, contradictory or foreign.
+    """A file violates its format: truncated, over-long, contradictory or of another format.
 
     Examples
     --------
@@ -203,7 +203,7 @@ class FormatError(PaintError, ValueError):
 
 
 class TimeError(PaintError, ValueError):
-    """Time stamps are duplicate, unordered, without a zone, or do not fit the lines.
+    """Time stamps are duplicate, unordered, without a time zone, or inconsistent with the lines.
 
     Examples
     --------
@@ -214,7 +214,7 @@ class TimeError(PaintError, ValueError):
 
 
 class CollectError(PaintError, ValueError):
-    """A ``collect.toml``, or the files it names, cannot be processed as written.
+    """A ``collect.toml``, or a file that it names, cannot be processed.
 
     Examples
     --------
@@ -232,7 +232,7 @@ class CollectError(PaintError, ValueError):
 
 
 class StoreError(PaintError, OSError):
-    """A store cannot be written where asked, or what it holds must not be touched.
+    """A store cannot be written to the path, or its content must not be replaced.
 
     Examples
     --------
@@ -319,12 +319,12 @@ class PaintWarning(UserWarning):
 
 
 class Problems:
-    """Collects every problem of one input, to raise them together.
+    """Collector of all problems of one input, to raise them together.
 
     Parameters
     ----------
     subject
-        Opens the message: what cannot be used, and for what.
+        Start of the message: the unusable input and its purpose.
     error
         Class of the error raised.
 
@@ -365,13 +365,13 @@ class Problems:
         return map(str, self._problems)
 
     def raise_if_any(self) -> None:
-        """Raise one error that lists every problem noted; do nothing where there is none."""
+        """Raise one error that lists all problems, if there are any."""
         if self._problems:
             raise self._error(self._subject, problems=self._problems)
 
 
 class Unavailable(Enum):
-    """Stands for an input that failed to open and has been reported.
+    """Placeholder of an input that failed to open and has been reported.
 
     Examples
     --------
@@ -384,9 +384,9 @@ class Unavailable(Enum):
 
 
 class Findings:
-    """Errors that independent inputs raise, raised together; `Problems` lists the faults of one input.
+    """Errors of independent inputs, raised together; `Problems` lists the faults of one input.
 
-    A lone error is raised as it is, more than one are listed.
+    A single error is raised unchanged; several are listed in one.
 
     Examples
     --------
@@ -407,14 +407,14 @@ class Findings:
 
     @contextlib.contextmanager
     def step(self) -> Iterator[None]:
-        """Note what a step raises on purpose, and go on after it."""
+        """Catch and collect the errors of a step."""
         try:
             yield
         except (PaintError, OSError) as error:
             self.errors.append(error)
 
     def raise_if_any(self) -> None:
-        """Raise the one error as it is, or one that lists them all."""
+        """Raise a single error unchanged, or one error that lists all."""
         if not self.errors:
             return
         kinds = {type(error) for error in self.errors}
