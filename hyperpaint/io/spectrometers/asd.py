@@ -143,7 +143,8 @@ def open_asd(
     spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
     stamped = [s for s in spectra if s.local_time is not None]
     if utc_offset_h is None and (silent := [s for s in stamped if s.utc_offset_h is None]):
-        _warn(f"local times are NaT, since {_zoneless(silent)}")
+        text = f"local times are NaT, since {_zoneless(silent)}"
+        warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
         stamped = [s for s in stamped if s.utc_offset_h is not None]
     offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
     times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
@@ -223,12 +224,19 @@ def read_spectra(
     Raises SchemaError: See `open_asd`.
     """
     if quantity is not None and quantity not in QUANTITIES:
-        raise SchemaError(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
+        raise SchemaError(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
     external = _external_calibration(calibration or {})
     contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
     if absolute and wanted != "reflectance":
-        raise SchemaError(f"absolute=True needs reflectance, found {wanted}; omit it, or name the quantity")
+        raise SchemaError(
+            f"absolute=True with quantity {wanted!r}",
+            expected="reflectance",
+            mend="omit absolute=, or pass quantity='reflectance'",
+            code="option-conflict",
+        )
     derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
     spectra = [
         replace(spectrum, path=path)
@@ -247,12 +255,12 @@ def _read_file(path: Path) -> AsdFile | AsdText:
     if kind == "text":
         return read_asd_text(path)
     if path.is_file():
-        reason = "neither a binary .asd file nor a text export of ASD spectra"
+        found, code = "neither a binary .asd file nor a text export of ASD spectra", "format-unknown"
     elif os.path.lexists(path):
-        reason = "a pipe, a device or a link that leads nowhere; expected a file"
+        found, code = "a pipe, a device or a broken link", "file-not-plain"
     else:
-        reason = "no such file"
-    raise FormatError(f"{path.name}: {reason}")
+        found, code = "no such file", "file-not-found"
+    raise FormatError(f"{path.name}: {found}", code=code)
 
 
 def sniff(path: Path) -> Kind:
@@ -278,10 +286,11 @@ def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     )
     texts = [content.name for content in contents if isinstance(content, AsdText)]
     if texts:
-        _warn(
-            f"text exports do not say their quantity; {quantity} is a guess from the range of the operator's "
-            f"plot. Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
+        text = (
+            f"text exports do not state their quantity; {quantity} is a guess from the range of the plot. "
+            f"Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
         )
+        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=3)
     return quantity
 
 
@@ -300,7 +309,9 @@ def _spectra_of(
         ]  # fmt: skip
     if absolute:
         raise FormatError(
-            f"{content.name}: a text export, to which no panel's reflectance can be put; give the binary file"
+            f"{content.name}: a text export cannot be scaled by the reflectance of its panel",
+            mend="give the binary file",
+            code="option-conflict",
         )
     averaging_s = None
     if content.integration_ms is not None:
@@ -318,7 +329,11 @@ def _spectra_of(
 def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
     unknown = sorted(set(calibration) - set(_CALIBRATION_KEYS))
     if unknown:
-        raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(_CALIBRATION_KEYS)}")
+        raise SchemaError(
+            f"calibration keys {unknown}",
+            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
+            code="key-unknown",
+        )
     read = for_all(calibration.values(), read_asd)
     return {_CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
 
@@ -327,7 +342,8 @@ def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
     binaries = [content for content in contents if isinstance(content, AsdFile)]
     with_dark = [file.name for file in binaries if not file.dark_subtracted]
     if with_dark and quantity != "counts":
-        _warn(f"the dark current was not subtracted, so that {quantity} is biased, in: {listed(with_dark)}")
+        text = f"the dark current was not subtracted, so that {quantity} is biased, in: {listed(with_dark)}"
+        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=3)
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
@@ -347,9 +363,10 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
             undefined |= spectrum.saturated
         masked.append(replace(spectrum, values=np.where(undefined, np.nan, spectrum.values)))
     for reason, names in reasons.items():
-        _warn(
+        text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
         )
+        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
     return masked
 
 
@@ -372,15 +389,20 @@ def utc_offsets(
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
-            _warn(f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}")
+            text = f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}"
+            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
-        raise TimeError(f"files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}")
+        raise TimeError(
+            f"UTC offsets differ within one series: {said}",
+            mend="pass utc_offset_h=",
+            code="utc-offset-conflict",
+        )
     if one_clock and sources_by_offset:
         return [next(iter(sources_by_offset))] * len(spectra)
     silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
     if silent:
-        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}")
+        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}", code="zone-missing")
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 
@@ -405,10 +427,6 @@ def _offset_hint(spectrum: Spectrum) -> str:
     return f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
 
 
-def _warn(message: str) -> None:
-    warnings.warn(message, PaintWarning, stacklevel=2)
-
-
 # --- from counts to quantities -----------------------------------------------------------------------------
 
 
@@ -426,8 +444,9 @@ def _derived(
     if quantity == "reflectance":
         if file.reference is None:
             raise FormatError(
-                f"{file.name}: no white reference in the file, so no reflectance; "
-                "pass quantity='counts', or give files saved after the white reference was taken"
+                f"{file.name}: no white reference in the file, so no reflectance",
+                mend="pass quantity='counts', or give files saved after the white reference was taken",
+                code="reference-missing",
             )
         values = ratio(file.spectrum, file.reference)
         if absolute:
@@ -438,7 +457,11 @@ def _derived(
             values = file.spectrum * _responsivity(file, quantity, external)
         vnir = wavelength <= _splices(file)[0]
         if not vnir.any():
-            raise FormatError(f"{file.name}: wavelengths lie beyond the first splice; copy it again")
+            raise FormatError(
+                f"{file.name}: all wavelengths lie beyond the first splice",
+                mend="copy the file again",
+                code="wavelength-range",
+            )
         return wavelength[vnir], values[vnir], _saturated(file)[vnir]
     return wavelength, values, _saturated(file)
 
@@ -457,15 +480,20 @@ def _needed_blocks(
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
-            raise FormatError(f"{file.name}: its wavelengths are not those of calibration file {other.name}")
+            raise FormatError(
+                f"{file.name}: wavelengths differ from calibration file {other.name}", code="grid-mismatch"
+            )
         blocks[kind] = (other.spectrum, other.integration_ms)
     missing = [kind for kind in kinds if kind not in blocks]
     if missing:
         keys = [key for key, kind in _CALIBRATION_KEYS.items() if kind in missing]
         raise FormatError(
-            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}; pass "
-            f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
-            "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}",
+            mend=(
+                f"pass calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the files of the "
+                "instrument (.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+            ),
+            code="calibration-missing",
         )
     return blocks
 
@@ -476,8 +504,9 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
     lamp_counts, lamp_ms = blocks["FO"]
     if file.integration_ms <= 0 or lamp_ms <= 0:
         raise FormatError(
-            f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
-            f"{lamp_ms:g} ms; expected positive numbers"
+            f"{file.name}: integration time {file.integration_ms:g} ms, of the calibration {lamp_ms:g} ms",
+            expected="positive numbers",
+            code="value-out-of-range",
         )
     per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
     return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count

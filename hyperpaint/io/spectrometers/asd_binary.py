@@ -107,7 +107,9 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
 def _parse(data: bytes, name: str) -> AsdFile:
     cursor = Cursor(data, name)
     if data[:3] not in _VERSIONS:
-        raise cursor.error(f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file")
+        raise cursor.error(
+            f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown"
+        )
     version = _VERSIONS[data[:3]]
     header = _header(cursor)
     channels: int = header["channels"]
@@ -117,14 +119,18 @@ def _parse(data: bytes, name: str) -> AsdFile:
     if version >= 2:
         flag, reference_ole, _ = cursor.values("Hdd", "the head of the white reference")
         if flag not in (0, 0xFFFF):
-            raise cursor.error(f"white reference flag {flag:#06x}, expected 0x0000 or 0xffff: damaged")
+            raise cursor.error(
+                f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
+            )
         description = cursor.text("the description of the white reference")
         # a file without a reference holds zeros or an old one in its place
         values = cursor.array(channels, dtype, "the white reference")
         reference = values if flag and np.any(values != 0.0) else None
     calibrations = _read_later_blocks(cursor, version, channels)
     if not cursor.at_end:
-        raise cursor.error(f"{cursor.left} bytes follow the last block of a version {version} file: damaged")
+        raise cursor.error(
+            f"{cursor.left} bytes follow the last block of a version {version} file", code="file-damaged"
+        )
     return AsdFile(
         name=name,
         version=version,
@@ -157,18 +163,26 @@ def _header(cursor: Cursor) -> dict[str, Any]:
         values = cursor.values(fmt, f"the header ({name})")
         header[name] = values[0] if len(values) == 1 else values
     if header["data_format"] not in _DTYPES:
-        raise cursor.error(f"data format {header['data_format']}, expected 0 float, 1 integer or 2 double")
+        raise cursor.error(
+            f"data format {header['data_format']}",
+            expected="0 float, 1 integer or 2 double",
+            code="file-damaged",
+        )
     if header["data_type"] >= len(_DATA_TYPES):
-        raise cursor.error(f"data type {header['data_type']}, expected 0 to {len(_DATA_TYPES) - 1}: damaged")
+        raise cursor.error(
+            f"data type {header['data_type']}", expected=f"0 to {len(_DATA_TYPES) - 1}", code="file-damaged"
+        )
     if header["channels"] == 0:
-        raise cursor.error("no channels: the file holds no spectrum")
+        raise cursor.error("the file has no channels", code="empty-input")
     return header
 
 
 def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> Floats:
     first, step = header["first_wavelength"], header["wavelength_step"]
     if not (0 < first < 1e5 and 0 < step < 1e4):
-        raise cursor.error(f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged")
+        raise cursor.error(
+            f"first wavelength {first} nm, step {step} nm", expected="positive numbers", code="file-damaged"
+        )
     wavelength: Floats = first + step * np.arange(header["channels"], dtype=np.float64)
     wavelength.flags.writeable = False
     return wavelength
@@ -182,7 +196,7 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
         # C allows the second 60
         return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
     except ValueError as error:
-        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date: damaged") from error
+        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date", code="time-unreadable") from error
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
@@ -246,9 +260,9 @@ class Cursor:
         self._name = name
         self._at = 0
 
-    def error(self, problem: str) -> FormatError:
+    def error(self, found: str, *, expected: str = "", mend: str = "", code: str) -> FormatError:
         """Return an error that names the file."""
-        return FormatError(f"{self._name}: {problem}")
+        return FormatError(f"{self._name}: {found}", expected=expected, mend=mend, code=code)
 
     @property
     def left(self) -> int:
@@ -264,8 +278,9 @@ class Cursor:
         """Read bytes; ``what`` names them in messages."""
         if count > self.left:
             raise self.error(
-                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left: "
-                "the file is truncated or damaged; copy it again from the instrument"
+                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left",
+                mend="copy the file again from the instrument",
+                code="file-truncated",
             )
         self._at += count
         return self._data[self._at - count : self._at]
@@ -291,12 +306,15 @@ class Cursor:
         """Read the head of an OLE SAFEARRAY and return how many items follow."""
         (dims,) = self.values("H", what)
         if dims * 8 > self.left or dims > 60:
-            raise self.error(f"{what} has {dims} dimensions: the file is damaged")
+            raise self.error(f"{what} has {dims} dimensions", code="file-damaged")
         count = 1 if dims else 0
         for _ in range(dims):
             count *= self.values("Ii", what)[0]
         if count * item_bytes > self.left:
-            raise self.error(f"{what} declares {count} items, more than the {self.left} bytes left can hold")
+            raise self.error(
+                f"{what} declares {count} items, more than the {self.left} bytes left can hold",
+                code="file-damaged",
+            )
         return count
 
 
@@ -343,12 +361,14 @@ def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
     (count,) = cursor.values("B", "the number of calibration blocks")
     heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
     blocks: dict[str, AsdCalibration] = {}
-    for code, name, milliseconds, *gains in heads:
-        if not 0 <= code < len(_CALIBRATION_KINDS):
-            raise cursor.error(f"calibration block of type {code}, expected 0 to 3: damaged")
-        kind = _CALIBRATION_KINDS[code]
+    for number, name, milliseconds, *gains in heads:
+        if not 0 <= number < len(_CALIBRATION_KINDS):
+            raise cursor.error(f"calibration block of type {number}", expected="0 to 3", code="file-damaged")
+        kind = _CALIBRATION_KINDS[number]
         if kind in blocks:
-            raise cursor.error(f"two calibration blocks of kind {kind}, expected one of each: damaged")
+            raise cursor.error(
+                f"two calibration blocks of kind {kind}", expected="one of each", code="file-damaged"
+            )
         values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
         integration_ms = nominal_integration_ms(milliseconds)
         blocks[kind] = AsdCalibration(kind, _plain_text(name), integration_ms, (gains[0], gains[1]), values)
@@ -369,8 +389,9 @@ def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
         return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), altitude, fix)
     except ValueError as error:
         raise cursor.error(
-            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
-            "expected ddmm.mmmm, dddmm.mmmm and metres: damaged"
+            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
+            expected="ddmm.mmmm, dddmm.mmmm and metres",
+            code="file-damaged",
         ) from error
 
 

@@ -85,7 +85,9 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
         raise FormatError(
-            f"{path.name}: no line begins with 'Wavelength' and a separator: not a text export of ASD spectra"
+            f"{path.name}: no line begins with 'Wavelength' and a separator",
+            expected="a text export of ASD spectra",
+            code="format-unknown",
         )
     spectra, wavelength, values = _table(path.name, lines[start:])
     return AsdText(path.name, spectra, wavelength, values, **_preamble(path.name, "\n".join(lines[:start])))
@@ -141,7 +143,9 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
             raise ValueError
         return stamp
     except ValueError as error:
-        raise FormatError(f"{name}: {match[0]!r} is not a date in the order month/day/year") from error
+        raise FormatError(
+            f"{name}: {match[0]!r} is not a date", expected="month/day/year", code="time-unreadable"
+        ) from error
 
 
 _Table = tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -154,7 +158,11 @@ def _table(name: str, lines: list[str]) -> _Table:
     while cells and not cells[-1]:  # a separator at the end of the line
         cells.pop()
     if len(cells) < 2:
-        raise FormatError(f"{name}: the table has no column beside 'Wavelength'; export the spectra again")
+        raise FormatError(
+            f"{name}: the table has no column beside 'Wavelength'",
+            mend="export the spectra again",
+            code="column-missing",
+        )
     by_rows = all(_number(cell) is not None for cell in cells[1:])
     labels, values = _rows(name, lines[1:], separator, len(cells), words=by_rows)
     if by_rows:
@@ -163,7 +171,11 @@ def _table(name: str, lines: list[str]) -> _Table:
         spectra, wavelength = tuple(cells[1:]), np.array([_number(label) for label in labels], np.float64)
         values = values.T
     if not (np.all(np.isfinite(wavelength)) and np.all(wavelength > 0) and np.all(np.diff(wavelength) > 0)):
-        raise FormatError(f"{name}: the wavelengths do not increase; the table is damaged")
+        raise FormatError(
+            f"{name}: the wavelengths do not increase",
+            mend="export the spectra again",
+            code="wavelength-order",
+        )
     values = np.ascontiguousarray(values)
     wavelength.flags.writeable = values.flags.writeable = False
     return spectra, wavelength, values
@@ -188,13 +200,17 @@ def _rows(
             continue
         if len(cells) != width or len(whole) != len(row) or ended_at is not None:
             raise FormatError(
-                f"{name}: line {number} of the table holds {line.strip()[:60]!r}, "
-                f"expected {width} cells separated by {separator!r}; the table is damaged"
+                f"{name}: line {number} of the table holds {line.strip()[:60]!r}",
+                expected=f"{width} cells separated by {separator!r}",
+                mend="export the spectra again",
+                code="row-unreadable",
             )
         labels.append(cells[0])
         values.append(whole)
     if not labels:
-        raise FormatError(f"{name}: the table is empty; export the spectra again")
+        raise FormatError(
+            f"{name}: the table is empty", mend="export the spectra again", code="table-missing"
+        )
     return labels, np.array(values, np.float64)
 
 

@@ -76,7 +76,10 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     data = read_limited_text(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
     if (count := data.count(b",")) > _MOST_VALUES:
         raise FormatError(
-            f"{path}: {count} values, expected at most {_MOST_VALUES}; make several files of it, or Zarr"
+            f"{path}: {count} values",
+            expected=f"at most {_MOST_VALUES}",
+            mend="make several files of it, or Zarr",
+            code="file-too-large",
         )
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = data.decode("utf-8-sig", errors="replace")
@@ -93,7 +96,11 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
     )
     _, header = next(rows, (0, [""]))
     if header[0].lower() != "time":
-        raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
+        raise FormatError(
+            f"{name}: no header 'time,<wavelength>,...'",
+            expected="an irradiance series",
+            code="format-unknown",
+        )
     wavelength = _wavelength(name, header[1:])
     times, lines = [], []
     values = np.empty((commas // len(wavelength) + 1, len(wavelength)))
@@ -106,13 +113,20 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
             values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
         except (ValueError, OverflowError) as error:
             raise FormatError(
-                f"{name}: line {line_number} cannot be read ({error}); expected an ISO 8601 time such as "
-                f"2024-05-21T12:00:00Z and {len(wavelength)} numbers"
+                f"{name}: line {line_number} is unreadable ({error})",
+                expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
+                code="row-unreadable",
             ) from error
     if not times:
-        raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
+        raise FormatError(
+            f"{name}: no rows", expected=f"a time and {len(wavelength)} values in each", code="table-missing"
+        )
     if len({time.tzinfo is None for time in times}) > 1:
-        raise FormatError(f"{name}: some stamps have a zone and some have not; give it to all or to none")
+        raise FormatError(
+            f"{name}: some stamps have a zone and some have not",
+            mend="give a zone to all stamps, or to none",
+            code="zone-missing",
+        )
     return IrradianceTable(
         name, tuple(times), tuple(lines), wavelength, values[: len(times)], comments.get("units"),
         _width(name, comments),
@@ -133,8 +147,9 @@ def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
     wavelength = np.array(numbers(cells) or [], np.float64)
     if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
         raise FormatError(
-            f"{name}: the header is 'time,{','.join(cells)[:60]}', expected 'time' and wavelengths in "
-            "nm, which must be positive and increase"
+            f"{name}: the header is 'time,{','.join(cells)[:60]}'",
+            expected="'time' and increasing positive wavelengths [nm]",
+            code="header-unreadable",
         )
     return wavelength
 
@@ -151,7 +166,11 @@ def _width(name: str, comments: dict[str, str]) -> float | None:
         return None
     width = number(comments["fwhm_nm"])
     if width is None or not width > 0:
-        raise FormatError(f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number")
+        raise FormatError(
+            f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}'",
+            expected="a positive number",
+            code="number-unreadable",
+        )
     return width
 
 
@@ -180,7 +199,8 @@ def stored_series(path: Any) -> xr.Dataset:
         raise
     except Exception as error:  # h5py and xarray leak classes of their own on damaged files
         raise FormatError(
-            f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
+            f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
+            code="file-unreadable",
         ) from error
 
 
@@ -198,7 +218,9 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
     if stamps.dtype.kind != "M":
         count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
         if (np.abs(count) > _LATEST_S).any():
-            raise FormatError("'acquisition_time' holds values that are no seconds from 1970")
+            raise FormatError(
+                "'acquisition_time' is out of range", expected="seconds from 1970", code="time-unreadable"
+            )
         nanoseconds = np.where(np.isfinite(count), count * 1e9, 0.0).round().astype(np.int64)
         stamps = np.where(
             np.isfinite(count), nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns")
@@ -210,7 +232,7 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
         text = (
             f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
         )
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(text, code="samples-flagged"), stacklevel=2)
     data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})

@@ -93,7 +93,11 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines()]
     if tuple(lines[:2]) != _FIRST:
-        raise FormatError(f"{path} begins {' '.join(lines[:2])[:60]!r}, expected {' and '.join(_FIRST)}")
+        raise FormatError(
+            f"{path} begins {' '.join(lines[:2])[:60]!r}",
+            expected=" and ".join(_FIRST),
+            code="format-unknown",
+        )
     problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
     sections = _sections(lines)
     tables = {name: _table(name, sections, columns, problems) for name, columns in _TABLES.items()}
@@ -154,17 +158,28 @@ def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, 
     """Return the numbers of a section (row, column); what is wrong is noted."""
     rows = sections.get(name, [])
     if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
-        problems.add(f"[{name}] has {len(rows)} rows, expected at least two up to [END_OF_{name}]")
+        problems.add(
+            f"[{name}] has {len(rows)} rows",
+            expected=f"at least two up to [END_OF_{name}]",
+            code="table-missing",
+        )
         return np.zeros((0, columns))
     table = []
     for line, text in rows:
         cells = numbers(text.split())
         if cells is None or len(cells) != columns:
-            problems.add(f"line {line}: {text[:60]!r}, expected {columns} numbers of [{name}]")
+            problems.add(
+                f"line {line}: {text[:60]!r}",
+                expected=f"{columns} numbers of [{name}]",
+                code="row-unreadable",
+            )
             return np.zeros((0, columns))
         table.append(cells)
     values = np.array(table, np.float64)
     at = values[1:, 1] if name == "CALDATA" else values[:, 0]
     if not np.isfinite(values).all() or (np.diff(at) <= 0).any():
-        problems.add(f"[{name}] has wavelengths that do not increase, or values that are not finite")
+        problems.add(
+            f"[{name}] has wavelengths that do not increase, or values that are not finite",
+            code="wavelength-order",
+        )
     return values

@@ -46,7 +46,11 @@ def _of_store(path: Any) -> list[xr.Dataset]:
     groups = list_groups(path)
     wanted = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
     if not wanted:
-        raise FormatError(f"{path}: expected a paint library, or groups {_GROUP}<instrument>")
+        raise FormatError(
+            f"{path}: no library and no references",
+            expected=f"a paint library, or groups {_GROUP}<instrument>",
+            code="library-missing",
+        )
     return [open_store(path, group) for group in wanted]
 
 
@@ -85,24 +89,28 @@ def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) ->
         elif references and suffix != ".asd":
             libraries.append(path)
         else:
-            problems.add(f"{path}: no file of a field spectrometer; expected .sig, .asd or a text export")
+            problems.add(
+                f"{path}: no file of a field spectrometer",
+                expected=".sig, .asd or a text export",
+                code="format-unknown",
+            )
     datasets: list[xr.Dataset] = []
 
-    def error_of(opener: Any, *arguments: Any) -> str:
+    def error_of(opener: Any, *arguments: Any) -> PaintError | None:
         try:
             datasets.append(opener(*arguments))
         except PaintError as error:
-            return str(error)
-        return ""
+            return error
+        return None
 
-    errors: list[str] = []
+    errors: list[PaintError | None] = []
     for opener, own in files_by_opener.items():
         error = error_of(opener, own, quantity)
         one_by_one = error and references and len(own) > 1
         errors += [error_of(opener, path, quantity) for path in own] if one_by_one else [error]
     errors += [error_of(open_library, path) for path in libraries]
     for error in filter(None, errors):
-        problems.add(error)
+        problems.add_error("", error)
     problems.raise_if_any()
     return datasets
 
@@ -133,14 +141,16 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: no UTF-8 text; save it as UTF-8") from error
+        raise FormatError(
+            f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
+        ) from error
     problems = Problems(f"{path} is no list of paints and references", FormatError)
     pairs = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
     references_by_paint: dict[str, dict[str, None]] = {}
     for paint, reference in pairs:
         references_by_paint.setdefault(paint, {})[reference] = None
     if not references_by_paint and not problems:
-        problems.add("it names no pair")
+        problems.add("the file names no pair", code="empty-input")
     problems.raise_if_any()
     return {paint: tuple(references) for paint, references in references_by_paint.items()}
 
@@ -158,23 +168,33 @@ def _of_lines(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
             if len(cells) == 2 and all(cells):
                 yield cells[0], cells[1]
             elif len(problems) < _MOST_SHOWN:
-                problems.add(f"line {number}: {','.join(row)[:60]!r}, expected paint, comma, reference")
+                problems.add(
+                    f"line {number}: {','.join(row)[:60]!r}",
+                    expected="paint, comma, reference",
+                    code="row-unreadable",
+                )
     except csv.Error as error:
-        problems.add(f"after line {number}: {error}")
+        problems.add(f"after line {number}: {error}", code="row-unreadable")
 
 
 def _of_json(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
     try:
         document: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
-        problems.add(f"no JSON ({error!s:.80})")
+        problems.add(f"not readable as JSON ({error!s:.80})", code="text-unreadable")
         return
     if not isinstance(document, dict):
-        problems.add("expected an object of paints, each with the name of its reference or a list of names")
+        problems.add(
+            "the JSON is no object",
+            expected="an object of paints, each with the name of its reference or a list of names",
+            code="type-wrong",
+        )
         return
     for paint, names in document.items():
         several = [names] if isinstance(names, str) else names
         if isinstance(several, list) and several and all(isinstance(name, str) and name for name in several):
             yield from ((paint, name) for name in several)
         elif len(problems) < _MOST_SHOWN:
-            problems.add(f"{paint!r:.60}: {names!r:.60}, expected a name or a list of names")
+            problems.add(
+                f"{paint!r:.60}: {names!r:.60}", expected="a name or a list of names", code="type-wrong"
+            )

@@ -62,7 +62,11 @@ def _table(
         if row is not None and len(row) == 2:
             rows.append(row)
         elif rows or number > headings:
-            problems.add(f"line {number}: {content[:60]!r}, expected a wavelength [nm] and a value")
+            problems.add(
+                f"line {number}: {content[:60]!r}",
+                expected="a wavelength [nm] and a value",
+                code="row-unreadable",
+            )
             if len(problems) == _MOST_SHOWN:
                 problems.raise_if_any()
         else:
@@ -73,11 +77,17 @@ def _table(
         table[:, 0] *= _factor(above, 0, path)
     wavelength, values = table.T.copy()
     if len(rows) < 2:
-        problems.add(f"{len(rows)} lines of numbers, expected two at least")
+        problems.add(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing")
     elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
-        problems.add("wavelengths do not increase from line to line, or a value is not finite")
+        problems.add(
+            "wavelengths do not increase from line to line, or a value is not finite", code="wavelength-order"
+        )
     elif not _WAVELENGTHS[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTHS[1]:
-        problems.add(f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}, expected nanometres")
+        problems.add(
+            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}",
+            expected="nanometres",
+            code="wavelength-range",
+        )
     problems.raise_if_any()
     return wavelength, values, above
 
@@ -111,16 +121,28 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
             if unit is not None:
                 units[unit] = name
             elif is_unit(name):
-                problem = f"{path}: heading {heading[:60]!r} names {name!r:.40}"
-                raise FormatError(f"{problem}, expected a unit such as {wanted!r}; correct the heading")
+                raise FormatError(
+                    f"{path}: heading {heading[:60]!r} names {name!r:.40}",
+                    expected=f"a unit such as {wanted!r}",
+                    mend="correct the heading",
+                    code="units-unknown",
+                )
     if len(units) > 1:
         names = " and ".join(map(repr, units.values()))
-        raise FormatError(f"{path}: headings name {names} for one column, expected one; correct the headings")
+        raise FormatError(
+            f"{path}: headings name {names} for one column",
+            expected="one",
+            mend="correct the headings",
+            code="units-conflict",
+        )
     percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
     if column == 1 and not units and percent is not None:
         raise FormatError(
-            f"{path}: {percent[:60]!r} speaks of percent, and not which column is in it; write [%] or [1] "
-            "behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
+            f"{path}: {percent[:60]!r} names percent, but not for which column",
+            mend=(
+                "write [%] or [1] behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
+            ),
+            code="units-ambiguous",
         )
     return conversion_factor(next(iter(units), wanted), wanted)
 
@@ -190,8 +212,10 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     values = values * _factor(headings, 1, path)
     if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
         raise FormatError(
-            f"{path}: values from {values.min():g} to {values.max():g}, expected reflectance as a fraction; "
-            "divide percent by 100"
+            f"{path}: values from {values.min():g} to {values.max():g}",
+            expected="reflectance as a fraction",
+            mend="divide percent by 100",
+            code="scale-missing",
         )
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -49,13 +50,13 @@ def find_paths(
             try:
                 matches = of_pattern(matching_files(Path(*path.parts[:first]), "/".join(path.parts[first:])))
             except ValueError as error:
-                problems.add(f"{path}: {error}")
+                problems.add(f"{path}: {error}", code="pattern-unusable")
                 continue
         if not matches:
-            problems.add(f"{path}: no spectra found; expected {expected}")
+            problems.add(f"{path}: no spectra found", expected=expected, code="file-not-found")
         files += matches
     if not files and not problems:
-        problems.add("an empty list of files; name at least one")
+        problems.add("an empty list of files", mend="name at least one", code="empty-input")
     problems.raise_if_any()
     return files
 
@@ -66,17 +67,19 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
     Raises FormatError: It raised that for some: one error names all of them, each reason once.
     """
     outputs: list[_R] = []
-    failed: dict[str, list[str]] = {}
+    names_by_problem: dict[Problem, list[str]] = {}
     for item in items:
         try:
             outputs.append(function(item))
         except FormatError as error:
-            name, _, reason = str(error).partition(": ")
-            failed.setdefault(reason, []).append(name)
-    problems = Problems("spectra cannot be used", FormatError)
-    for reason, names in failed.items():
-        problems.add(f"{', '.join(names)}: {reason}")
-    problems.raise_if_any()
+            name, _, found = error.problem.found.partition(": ")
+            names_by_problem.setdefault(replace(error.problem, found=found), []).append(name)
+    if names_by_problem:
+        problems = [
+            replace(problem, found=": ".join(filter(None, [", ".join(names), problem.found])))
+            for problem, names in names_by_problem.items()
+        ]
+        raise FormatError("spectra cannot be used", problems=problems)
     return outputs
 
 
@@ -101,11 +104,16 @@ def require_one_grid(
     if len(groups) > 1:
         remarks = [", overlap kept" if np.any(np.diff(nm) <= 0.0) else "" for nm, _ in groups]
         problems = [
-            Problem(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}")
+            Problem(
+                f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}", code="grid-mismatch"
+            )
             for (nm, names), remark in zip(groups, remarks, strict=True)
         ]
         raise FormatError(
-            f"spectra differ in their wavelengths; open them apart{advice()}", problems=problems
+            "spectra differ in their wavelengths",
+            mend=f"open them apart{advice()}",
+            problems=problems,
+            code="grid-mismatch",
         )
 
 
@@ -119,8 +127,16 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
-        problems = [Problem(f"{key or 'unknown'}: {', '.join(of)}") for key, of in names_by_quantity.items()]
-        raise FormatError("the quantity of the spectra is not clear; pass quantity=", problems=problems)
+        problems = [
+            Problem(f"{key or 'unknown'}: {', '.join(of)}", code="quantity-ambiguous")
+            for key, of in names_by_quantity.items()
+        ]
+        raise FormatError(
+            "the spectra hold several or unknown quantities",
+            mend="pass quantity=",
+            problems=problems,
+            code="quantity-ambiguous",
+        )
     return next(str(quantity) for quantity in names_by_quantity)
 
 
@@ -158,7 +174,11 @@ def check_utc_offset(hours: float) -> None:
     Raises TimeError: It is outside -14 to 14.
     """
     if not -14.0 <= hours <= 14.0:
-        raise TimeError(f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14")
+        raise TimeError(
+            f"utc_offset_h={hours}",
+            expected="local time minus UTC in hours, within -14 to 14",
+            code="value-out-of-range",
+        )
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:

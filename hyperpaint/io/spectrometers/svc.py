@@ -147,6 +147,7 @@ def open_svc(
     warn_of(
         "samples that are undefined (not finite) become NaN",
         [one.file.name for one, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+        "samples-undefined",
     )
     coords = {
         **coords_of_channels(measured),
@@ -171,15 +172,23 @@ def _check_arguments(
 ) -> None:  # fmt: skip
     problems = Problems("SVC files cannot be opened as asked", SchemaError)
     if quantity is not None and quantity not in QUANTITIES:
-        problems.add(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
+        problems.add(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
     if scan not in SCANS:
-        problems.add(f"scan={scan!r}: expected 'target' or 'reference'")
+        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
     if scan == "reference" and quantity == "reflectance":
-        problems.add("scan='reference': reflectance is of both scans; leave scan out, or ask for radiance")
+        problems.add(
+            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
+            mend="leave scan out, or pass quantity='radiance'",
+            code="option-conflict",
+        )
     if overlap not in ("keep", "trim"):
-        problems.add(f"overlap={overlap!r}: expected 'keep' or 'trim'")
+        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
     if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
-        problems.add(f"joins={joins!r}: expected two increasing wavelengths in nm")
+        problems.add(
+            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+        )
     problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
@@ -207,17 +216,28 @@ def _measurement(
         values = _reflectance(file)
     elif file.units[side] != quantity:
         raise FormatError(
-            f"{file.name}: its {SCANS[side]} is in {file.units[side]}, not in {quantity}; pass "
-            f"quantity={file.units[side]!r}, or save the file in {quantity} with the vendor's software"
+            f"{file.name}: its {SCANS[side]} is in {file.units[side]}",
+            expected=quantity,
+            mend=(
+                f"pass quantity={file.units[side]!r}, or save the file in {quantity} with the "
+                "vendor's software"
+            ),
+            code="quantity-wrong",
         )
     elif side == 0 and not file.has_reference:
-        raise FormatError(f"{file.name}: no white reference was taken; pass scan='target'")
+        raise FormatError(
+            f"{file.name}: no white reference was taken", mend="pass scan='target'", code="reference-missing"
+        )
     else:
         values = (file.reference, file.target)[side] * _SCALE[quantity]
     at = _handovers(file, joins) if trim else ()
     used = _trimmed(file, at)
     if not used.any():
-        raise FormatError(f"{file.name}: its detectors do not follow one another in wavelength: damaged")
+        raise FormatError(
+            f"{file.name}: its detectors do not follow one another in wavelength",
+            mend="copy the file again",
+            code="wavelength-order",
+        )
     return SvcMeasurement(
         file=file, path=path, overlap=overlap, wavelength=file.wavelength[used], values=values[used],
         detector=None if detector is None else detector[used], trimmed_at=at,
@@ -226,22 +246,25 @@ def _measurement(
 
 def _reflectance(file: SvcFile) -> Floats:
     """Return target over reference, NaN where the reference is zero."""
-    reason = ""
     times = items(file.header.get("integration", ""))
     if not file.has_reference:
-        reason = "no white reference was taken, so no reflectance; pass quantity='radiance'"
-    elif file.units[0] != file.units[1]:
-        reason = (
-            f"its reference is in {file.units[0]} and its target in {file.units[1]}, so no reflectance; "
-            f"pass quantity={file.units[1]!r}"
+        raise FormatError(
+            f"{file.name}: no white reference was taken, so no reflectance",
+            mend="pass quantity='radiance'",
+            code="reference-missing",
         )
-    elif file.units[1] == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
-        reason = (
-            "reference and target are counts, whose integration times differ or are not told, so no "
-            "reflectance; save the file in radiance with the vendor's software, or pass quantity='counts'"
+    if file.units[0] != file.units[1]:
+        raise FormatError(
+            f"{file.name}: its reference is in {file.units[0]} and its target in {file.units[1]}",
+            mend=f"pass quantity={file.units[1]!r}",
+            code="units-conflict",
         )
-    if reason:
-        raise FormatError(f"{file.name}: {reason}")
+    if file.units[1] == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
+        raise FormatError(
+            f"{file.name}: reference and target are counts of different or unknown integration times",
+            mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
+            code="integration-time-conflict",
+        )
     return ratio(file.target, file.reference)
 
 
@@ -255,8 +278,10 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
         if joins is not None and not low <= join <= high:
             raise FormatError(
-                f"{file.name}: the join at {join:g} nm is not where detectors overlap, {first:g} to "
-                f"{last:g} nm; pass joins= within the overlaps"
+                f"{file.name}: the join at {join:g} nm is outside the overlap of detectors",
+                expected=f"{first:g} to {last:g} nm",
+                mend="pass joins= within the overlaps",
+                code="join-outside-overlap",
             )
         handovers.append(min(max(join, low), high))
     return tuple(handovers)

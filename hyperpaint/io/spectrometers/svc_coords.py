@@ -92,45 +92,48 @@ class _Clock:
         self._orders = orders
         self._dayfirst = dayfirst
         self._utc_offset_h = utc_offset_h
-        self._reasons: dict[str, dict[str, None]] = {}
+        self._files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
 
-    def _note(self, reason: str, file: SvcFile) -> np.datetime64:
-        self._reasons.setdefault(reason, {})[file.name] = None
+    def _note(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
+        self._files_by_reason.setdefault((reason, code), {})[file.name] = None
         return _NAT
 
     def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
         """Return UTC of a scan, or NaT."""
         if stamp is None:
-            return self._note("times that are missing or cannot be read are NaT", file)
+            return self._note("missing or unreadable times are NaT", "time-unreadable", file)
         order = self._orders.get(file.header.get("instrument", ""))
         local = stamp.read(order if self._dayfirst is None and stamp.slashes else self._dayfirst)
         if local is None:
-            return self._note("dates whose day and month may be either way are NaT; pass dayfirst=", file)
+            return self._note("dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file)
         gps = None
         try:
             gps = read_gps_time(pair(file.header, "gpstime")[scan])
         except ValueError:
-            self._note("GPS times that cannot be read are left out", file)
+            self._note("unreadable GPS times are left out", "gps-time-unreadable", file)
         utc = utc_of(local, gps, (position_of(file.header, scan) or _NOWHERE)[1], self._utc_offset_h)
         if utc is None:
-            return self._note("local times without GPS time are NaT; pass utc_offset_h=", file)
+            return self._note(
+                "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
+            )
         if self._utc_offset_h is not None and gps is not None:
             apart = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
             if abs(apart) > 0.25:
-                self._note(f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used", file)
+                reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
+                self._note(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")
 
     def warn(self) -> None:
-        """Say what was found, one line a reason."""
-        for reason, names in self._reasons.items():
-            warn_of(reason, list(names))
+        """Give one warning a reason."""
+        for (reason, code), names in self._files_by_reason.items():
+            warn_of(reason, list(names), code)
 
 
 def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
     """Return where the scans were taken, after the GPS; ``side`` is 0 for references, 1 for targets."""
     places = [position_of(file.header, side) for file in contents]
     unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
-    warn_of("positions that cannot be read are NaN", unreadable)
+    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
     columns = np.array([place or _NOWHERE for place in places], np.float64).T
     coords: dict[str, Any] = {}
     for name, column in zip(("latitude", "longitude"), columns, strict=True):
@@ -192,17 +195,17 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
         if wrong.any():
             contradictory.append(f"{file.name} ({np.count_nonzero(wrong)} channels)")
     warn_of(
-        "the reflectance in the file contradicts its two scans, whose ratio is used; was it edited or "
-        "resampled?",
+        "the reflectance in the file contradicts its two scans (edited or resampled?); their ratio is used",
         contradictory,
+        "reflectance-conflict",
     )
     return differences
 
 
-def warn_of(problem: str, names: Sequence[str]) -> None:
+def warn_of(problem: str, names: Sequence[str], code: str) -> None:
     """Warn of a problem, where any files have it."""
     if names:
-        warnings.warn(f"{problem}. Files: {listed(names)}", PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
 
 
 _STAMP = re.compile(

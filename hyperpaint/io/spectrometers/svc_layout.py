@@ -87,8 +87,9 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     if not is_svc(data[:200]):
         ger = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
         raise FormatError(
-            f"{path.name}: begins with {data[:24]!r}{ger}, expected '/*** Spectra Vista SIG Data ***/': "
-            "not an SVC .sig file"
+            f"{path.name}: begins with {data[:24]!r}{ger}",
+            expected="'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
+            code="format-unknown",
         )
     lines = decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     header, first = _header(path.name, lines)
@@ -128,18 +129,25 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
                 header[last] = f"{header[last]}\n{line.strip()}"
             continue
         if header.setdefault(key, value.strip()) != value.strip():
-            raise FormatError(f"{name}: {key!r} stands twice in the header and differs; the file is damaged")
+            raise FormatError(
+                f"{name}: the header has {key!r} twice with different values",
+                mend="copy the file again",
+                code="key-duplicate",
+            )
         last = key
     raise FormatError(
-        f"{name}: no line 'data=' among the first {_MOST_HEADER_LINES}, so no spectrum: the file is "
-        "truncated; copy it again from the instrument"
+        f"{name}: no line 'data=' among the first {_MOST_HEADER_LINES}",
+        mend="copy the file again from the instrument",
+        code="file-truncated",
     )
 
 
 def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     rows: list[list[float]] = []
     if len(lines) - first > _MOST_ROWS:
-        raise FormatError(f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}: damaged")
+        raise FormatError(
+            f"{name}: {len(lines) - first} rows", expected=f"at most {_MOST_ROWS}", code="file-too-large"
+        )
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
@@ -147,12 +155,19 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
         values = [value for cell in cells if (value := _svc_number(cell)) is not None]
         if len(cells) != 4 or len(values) != 4:
             raise FormatError(
-                f"{name}: line {number} holds {line.strip()[:60]!r}, expected four numbers (wavelength, "
-                "reference, target, per cent): the file is truncated or damaged; copy it again"
+                f"{name}: line {number} holds {line.strip()[:60]!r}",
+                expected="four numbers (wavelength, reference, target, percent)",
+                mend="copy the file again",
+                code="row-unreadable",
             )
         rows.append(values)
     if len(rows) < 2:
-        raise FormatError(f"{name}: {len(rows)} rows, expected a spectrum; copy the file again")
+        raise FormatError(
+            f"{name}: {len(rows)} rows",
+            expected="a spectrum",
+            mend="copy the file again",
+            code="table-missing",
+        )
     columns = [np.ascontiguousarray(column) for column in np.array(rows, np.float64).T]
     for column in columns:
         column.flags.writeable = False
@@ -161,12 +176,18 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
 
 def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
-        raise FormatError(f"{name}: wavelengths that are not positive numbers of nanometres: damaged")
+        raise FormatError(
+            f"{name}: wavelengths are not all positive numbers of nanometres",
+            mend="copy the file again",
+            code="wavelength-range",
+        )
     starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
     if len(starts) > _MOST_DETECTORS:
         raise FormatError(
-            f"{name}: the wavelengths step back {len(starts) - 1} times, expected at most "
-            f"{_MOST_DETECTORS - 1} (where detectors overlap); the file is damaged"
+            f"{name}: the wavelengths step back {len(starts) - 1} times",
+            expected=f"at most {_MOST_DETECTORS - 1} times, where detectors overlap",
+            mend="copy the file again",
+            code="wavelength-order",
         )
     return starts
 
@@ -177,8 +198,10 @@ def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
     overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
     if model and overlap_preserved and rows < int(model[1]):
         raise FormatError(
-            f"{name}: {rows} rows, expected the {model[1]} channels of an HR-{model[1]} whose overlap is "
-            "preserved: the file is truncated; copy it again from the instrument"
+            f"{name}: {rows} rows",
+            expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
+            mend="copy the file again from the instrument",
+            code="file-truncated",
         )
 
 
@@ -189,7 +212,11 @@ def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
         words *= 2
     if len(words) != 2 or any(word not in allowed for word in words):
         line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
-        raise FormatError(f"{name}: {line}, expected units= Radiance, Radiance (or Counts, Irradiance)")
+        raise FormatError(
+            f"{name}: {line}",
+            expected="units= Radiance, Radiance (or Counts, Irradiance)",
+            code="units-unknown",
+        )
     return words[0], words[1]
 
 
