@@ -71,8 +71,10 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
     foreign = [name.strip() for name in headings[1:] if _foreign(name) or _STATISTIC.fullmatch(name.strip())]
     if foreign:
         raise FormatError(
-            f"{source}: its heading says {', '.join(map(repr, foreign[:5]))}, expected reflectance; "
-            f"leave those columns out, or {SAY_SO}"
+            f"{source}: column headings name {', '.join(map(repr, foreign[:5]))}",
+            expected="reflectance",
+            mend=f"leave those columns out, or {SAY_SO}",
+            code="quantity-wrong",
         )
     said = " ".join(preamble)
     last = preamble[-1] if preamble else ""
@@ -84,7 +86,12 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
     ):
         word = title[0]
     if word:
-        raise FormatError(f"{source}: its heading says {word!r}, expected reflectance; {SAY_SO}")
+        raise FormatError(
+            f"{source}: the heading names {word!r}",
+            expected="reflectance",
+            mend=SAY_SO,
+            code="quantity-wrong",
+        )
 
 
 def _foreign(text: str) -> str:
@@ -118,8 +125,9 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
         )
         if is_spread[0]:
             raise FormatError(
-                f"{source}: its first spectrum is named {headings[1].strip()!r}, expected reflectance before "
-                "its standard deviation"
+                f"{source}: the first spectrum is named {headings[1].strip()!r}",
+                expected="reflectance before its standard deviation",
+                code="column-order",
             )
         roles[is_spread] = IS_SPREAD
         for at in np.flatnonzero(is_spread):
@@ -132,7 +140,7 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
             f"{source}: three columns without headings; the third is taken for the standard deviation of the "
             "second; name the columns, or pass quantity='reflectance' if it is a paint"
         )
-        warnings.warn(text, PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(text, code="spread-assumed"), stacklevel=6)
         roles[:] = 1, IS_SPREAD
     return roles
 
@@ -165,8 +173,10 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
     if apart > RULES.max_repeats or 2 * doubled >= wavelength.size:
         twice = wavelength.size - np.unique(wavelength).size
         raise FormatError(
-            f"{source}: {twice} of {wavelength.size} wavelengths occur twice; are spectra one below the "
-            "other, or wavelengths rounded? Spectra belong in columns"
+            f"{source}: {twice} of {wavelength.size} wavelengths occur twice",
+            expected="one row a wavelength, and one column a spectrum",
+            mend="put spectra side by side, or write wavelengths with more digits",
+            code="wavelength-duplicate",
         )
     if not doubled:
         return wavelength, values, []
@@ -178,7 +188,7 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
     if apart <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
         return wavelength[starts], values[starts], [f"{text}: the same rows count once"]
     text = f"{text}: their values, up to {apart:.3g} apart, are averaged"
-    warnings.warn(f"{source}: {text}", PaintWarning, stacklevel=6)
+    warnings.warn(PaintWarning(f"{source}: {text}", code="wavelength-duplicate"), stacklevel=6)
     return wavelength[starts], means, [text]
 
 
@@ -206,4 +216,4 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
             f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
             f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {SAY_SO}"
         )
-        warnings.warn(text, PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(text, code="sunlight-in-reflectance"), stacklevel=6)

@@ -113,7 +113,9 @@ def read_csv_library(path: Path) -> xr.Dataset:
     table = _table(path)
     check_wavelengths(table.wavelength, source)
     if not table.names:
-        raise FormatError(f"{source}: no row of {CENTRE!r}; write the library anew")
+        raise FormatError(
+            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+        )
     rows = [(0, np.array(table.rows, np.float32))]
     return restored(path, table.names, table.keys, {"wavelength": table.wavelength}, rows, table.columns)
 
@@ -145,8 +147,9 @@ def _table(path: Path) -> _Table:
         key = owner.key(*(row[:3] if has_kind else (row[0], CENTRE, ""))) if values is not None else None
         if values is None or key is None:
             problems.add(
-                f"row {at}: {','.join(row)[:60]!r}, expected {', '.join(head)[:60]}, and {wavelength.size} "
-                "numbers"
+                f"row {at}: {','.join(row)[:60]!r}",
+                expected=f"{', '.join(head)[:60]}, and {wavelength.size} numbers",
+                code="row-unreadable",
             )
             if len(problems) == _MOST_SHOWN:
                 break
@@ -194,7 +197,7 @@ def _cells(path: Path) -> Iterator[list[str]]:
         with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
-        raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error
+        raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
@@ -202,8 +205,10 @@ def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]
     for at, row in enumerate(rows):
         if row[0] != str(at):
             raise FormatError(
-                f"{source}: its first column has no name and holds {row[0][:30]!r}, expected {SIGNATURE} as "
-                "the first column, or row numbers of pandas before it; write it with to_csv(index=False)"
+                f"{source}: the first column has no name and holds {row[0][:30]!r}",
+                expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
+                mend="write it with to_csv(index=False)",
+                code="column-name-missing",
             )
         yield row[1:]
 
@@ -217,8 +222,9 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
     plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
     if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
         raise FormatError(
-            f"{source}: its first row is {','.join(row)[:60]!r}, expected {SIGNATURE}, names of columns, "
-            "each once, and wavelengths"
+            f"{source}: the first row is {','.join(row)[:60]!r}",
+            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+            code="header-unreadable",
         )
     if head[0] != SIGNATURE:
         head = [NEW_NAMES.get(name, name) for name in head]

@@ -72,16 +72,18 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     problems = Problems(f"{source} cannot be used", FormatError)
     for key in ("Name", "X Units", "Y Units", "Number of X Values"):
         if key not in fields:
-            problems.add(f"{key!r} is missing in its header")
+            problems.add(f"the header has no {key!r}", code="key-missing")
     said = _scale_of(fields.get("Y Units", ""))
     if other_quantity(fields.get("Y Units", "")):
-        problems.add(f"'Y Units' is {fields['Y Units'][:60]!r}, expected reflectance")
+        problems.add(
+            f"'Y Units' is {fields['Y Units'][:60]!r}", expected="reflectance", code="quantity-wrong"
+        )
     problems.raise_if_any()
     table = numbers_of_lines(lines, first, 2, source)
     notes = _compared(fields, table, source)
     factor, note = wavelength_factor(fields["X Units"], table[:, 0], source)
     if np.isnan(table[:, 0]).any():
-        raise FormatError(f"{source}: a wavelength is not a number")
+        raise FormatError(f"{source}: a wavelength is not a number", code="number-unreadable")
     nm, values = table[:, 0], table[:, 1:]
     if wavelength is None:
         nm, values, repeats = without_repeats(nm, values, source)
@@ -112,8 +114,12 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
             fields[current].append(line.strip())
             wrapped = True
         elif line.strip():
-            raise FormatError(f"{source}: line {at + 1} is {line.strip()[:60]!r}, expected 'Name: ...'")
-    raise FormatError(f"{source}: no line of two numbers after its header")
+            raise FormatError(
+                f"{source}: line {at + 1} is {line.strip()[:60]!r}",
+                expected="'Name: ...'",
+                code="header-unreadable",
+            )
+    raise FormatError(f"{source}: no line of two numbers after the header", code="table-missing")
 
 
 def _is_pair(line: str) -> bool:
@@ -131,7 +137,12 @@ def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
     """Refuse another number of values than the header says; return what else does not fit it."""
     count = fields["Number of X Values"]
     if count != str(len(table)):
-        raise FormatError(f"{source}: {len(table)} values, its header says {count[:30]}; copy the file again")
+        raise FormatError(
+            f"{source}: {len(table)} values",
+            expected=f"{count[:30]}, as the header says",
+            mend="copy the file again",
+            code="length-mismatch",
+        )
     notes = []
     for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
         stated = number(fields.get(key, ""))
@@ -155,12 +166,18 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
     try:
         entries = json.loads(more.removeprefix(_METADATA))
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} holds damaged metadata ({error!s:.100})") from error
+        raise FormatError(
+            f"{where} holds damaged metadata ({error!s:.100})", code="metadata-damaged"
+        ) from error
     if not isinstance(entries, dict):
-        raise FormatError(f"{where} holds {type(entries).__name__}, expected names and values")
+        raise FormatError(
+            f"{where} holds {type(entries).__name__}", expected="names and values", code="metadata-damaged"
+        )
     for name, value in entries.items():
         if not name.isidentifier() or name in {*columns, SIGNATURE, "band", "wavelength", "reflectance"}:
-            raise FormatError(f"{where} names {name[:60]!r}, expected a new plain name")
+            raise FormatError(
+                f"{where} names {name[:60]!r}", expected="a new identifier", code="metadata-damaged"
+            )
         columns[name] = _metadata_column(name, value, source)
     return columns
 
@@ -171,14 +188,18 @@ def _metadata_column(name: str, value: Any, source: str) -> Any:
         try:
             return typed_values([value], row.dtype)
         except ValueError as error:
-            raise FormatError(f"{source}: metadata {name!r}: {error}") from error
+            raise FormatError(f"{source}: metadata {name!r}: {error}", code="metadata-damaged") from error
     if isinstance(value, str):
         return text_column([value])
     if value is None:
         return np.array([np.nan])
     if (isinstance(value, int) and abs(value) < 2**53) or (isinstance(value, float) and np.isfinite(value)):
         return np.array([value])
-    raise FormatError(f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number")
+    raise FormatError(
+        f"{source}: metadata {name!r} is {str(value)[:60]!r}",
+        expected="text or a number",
+        code="metadata-damaged",
+    )
 
 
 _SUFFIX = ".spectrum.txt"
@@ -214,8 +235,9 @@ def write_ecostress_library(
     names = names_of(library)
     if broken := [name for name in names if name != name.strip()]:
         raise SchemaError(
-            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header does not "
-            "keep; rename them"
+            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header drops",
+            mend="rename them",
+            code="name-unwritable",
         )
     values = np.asarray(library[CENTRE].values, np.float64)
     used_bands = np.isfinite(values).any(axis=0)
@@ -246,11 +268,17 @@ def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
     gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
     for at in gaps[:_MOST_SHOWN]:
         missing = int((~np.isfinite(values[at])).sum())
-        problems.add(f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands")
+        problems.add(
+            f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands", code="value-missing"
+        )
     if gaps.size:
-        problems.add(f"{gaps.size} paints; choose bands that all have (.isel(band=...)), or another format")
+        problems.add(
+            f"{gaps.size} paints have gaps",
+            mend="choose bands that all have (.isel(band=...)), or another format",
+            code="value-missing",
+        )
     if not values.size:
-        problems.add("no band is good and has values")
+        problems.add("no good band has values", code="empty-input")
     problems.raise_if_any()
 
 

@@ -64,7 +64,7 @@ def read_envi_library(
     _refuse_contradictions(header, header_path, data_path)
     if _MARK in header.fields:
         if scale is not None or wavelength is not None or fwhm is not None:
-            raise FormatError(OWN_AXES.format(data_path.name))
+            raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
         return _own(header, data_path)
     return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
 
@@ -72,19 +72,34 @@ def read_envi_library(
 def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
     problems = Problems(f"{path.name} cannot be used", FormatError)
     if not header.is_spectral_library:
-        problems.add(f"file type is {header.fields.get('file type', 'none')!r}, expected a spectral library")
+        problems.add(
+            f"file type is {header.fields.get('file type', 'none')!r}",
+            expected="a spectral library",
+            code="format-unknown",
+        )
     if header.bands != 1:
-        problems.add(f"bands is {header.bands}, expected 1: spectra are lines, their wavelengths samples")
+        problems.add(
+            f"bands is {header.bands}",
+            expected="1 (spectra are lines, their wavelengths samples)",
+            code="dims-wrong",
+        )
     if header.dtype.kind == "c":
-        problems.add("values are complex, expected reflectance")
+        problems.add("values are complex", expected="reflectance", code="type-wrong")
     if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
-        problems.add("'data gain values' or 'data offset values' are given, which libraries do not have")
+        problems.add(
+            "'data gain values' or 'data offset values' are set, which libraries do not have",
+            code="key-unknown",
+        )
     stored_bytes, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
     if stored_bytes != expected:
         problems.add(
-            f"{data.name} has {stored_bytes} bytes, expected {expected} ({header.lines} spectra of "
-            f"{header.samples} values of {header.dtype.itemsize} bytes after {header.header_offset}); "
-            "copy it again"
+            f"{data.name} has {stored_bytes} bytes",
+            expected=(
+                f"{expected} ({header.lines} spectra of {header.samples} values of "
+                f"{header.dtype.itemsize} bytes after {header.header_offset})"
+            ),
+            mend="copy it again",
+            code="file-size-mismatch",
         )
     problems.raise_if_any()
 
@@ -98,7 +113,7 @@ def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
             count = min(step, header.lines - first)
             stored = np.fromfile(file, header.dtype, count * header.samples)
             if stored.size != count * header.samples:
-                raise FormatError(f"{path.name} became shorter while it was read")
+                raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
             yield first, stored.reshape(count, header.samples)
 
 
@@ -124,12 +139,16 @@ def _foreign(
             width = stored[1].astype(np.float64) * factor
     if nm is None:
         raise FormatError(
-            f"{source}: its header gives no wavelengths (wavelength units "
-            f"{bare(header.fields.get('wavelength units', 'not given'))!r}); pass wavelength= [nm]"
+            (
+                f"{source}: the header has no wavelengths (wavelength units "
+                f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
+            ),
+            mend="pass wavelength= [nm]",
+            code="wavelength-missing",
         )
     check_wavelengths(nm, source)
     if warned:
-        warnings.warn(f"{source}: {'; '.join(warned)}", PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
     values = reflectances(
         stored[skipped:], source, said=_scale(header, source), given=scale, ignore=header.data_ignore_value
     )
@@ -206,7 +225,11 @@ def _scale(header: EnviHeader, source: str) -> float | None:
     # the first names the wavelengths, and may itself hold commas
     title = titles.rpartition(",")[2]
     if other_quantity(title):
-        raise FormatError(f"{source}: its z plot title is {title.strip()[:60]!r}, expected reflectance")
+        raise FormatError(
+            f"{source}: the z plot title is {title.strip()[:60]!r}",
+            expected="reflectance",
+            code="quantity-wrong",
+        )
     said = None
     if match := _TITLE_SCALE.search(title):
         said = float(match[1])
@@ -214,8 +237,12 @@ def _scale(header: EnviHeader, source: str) -> float | None:
         said = 100.0
     if factor is not None and said is not None and factor != said:
         raise FormatError(
-            f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' say "
-            f"{title.strip()[:60]!r}; pass scale="
+            (
+                f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' has "
+                f"{title.strip()[:60]!r}"
+            ),
+            mend="pass scale=",
+            code="scale-conflict",
         )
     return said if factor is None else factor
 
@@ -250,7 +277,11 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 def _own(header: EnviHeader, path: Path) -> xr.Dataset:
     source = path.name
     if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
+        raise FormatError(
+            f"{source}: the header is not a hyperpaint header",
+            mend="write the library again",
+            code="header-unreadable",
+        )
     names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
     return restored(path, names, keys, axes, _records(header, path), {})
@@ -299,12 +330,20 @@ def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
     Raises FormatError: There are not as many names, or one leads nowhere.
     """
     if text.count(",") + 1 != count:
-        raise FormatError(f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write it anew")
+        raise FormatError(
+            f"{source}: {text.count(',') + 1} spectra names for {count} spectra",
+            mend="write the library again",
+            code="length-mismatch",
+        )
     records = [name.strip() for name in text.split(",")]
     names = [record for record in records if _BAR not in record]
     places = {name: at for at, name in enumerate(names)}
     if len(places) != len(names) or records[: len(names)] != names:
-        raise FormatError(f"{source}: its first records are not its paints, each once; write it anew")
+        raise FormatError(
+            f"{source}: the first records are not one record a paint",
+            mend="write the library again",
+            code="record-unmatched",
+        )
     return names, [_key(record, places, source) for record in records]
 
 
@@ -314,7 +353,11 @@ def _key(record: str, places: dict[str, int], source: str) -> Key:
     paint, _, label = record.partition(_BAR)
     match = _LABEL.fullmatch(label)
     if paint not in places or match is None:
-        raise FormatError(f"{source}: record {record[:80]!r} leads to no paint; write the library anew")
+        raise FormatError(
+            f"{source}: record {record[:80]!r} belongs to no paint",
+            mend="write the library again",
+            code="record-unmatched",
+        )
     return _LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1
 
 
@@ -376,7 +419,9 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     text = ("\n".join(lines) + "\n").encode()
     if len(text) > MAX_LIBRARY_HEADER_BYTES:
         raise SchemaError(
-            f"the header would take {len(text)} bytes for {len(records)} spectra, at most "
-            f"{MAX_LIBRARY_HEADER_BYTES} are read again; shorten names, write fewer members, or write Zarr"
+            f"the header of {len(records)} spectra takes {len(text)} bytes",
+            expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
+            mend="shorten names, write fewer members, or write Zarr",
+            code="file-too-large",
         )
     return text

@@ -78,7 +78,9 @@ def library_of(spectra: Spectra) -> xr.Dataset:
     for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):
         if axis is not None and axis.shape != (bands,):
             raise FormatError(
-                f"{spectra.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
+                f"{spectra.source}: {axis.size} values of {name} for {bands} bands",
+                mend="pass one value a band",
+                code="length-mismatch",
             )
     rows = LIBRARY_VARIABLES
     data = {"reflectance": spectra.reflectance, **spectra.others}
@@ -126,8 +128,10 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
     else:
         description = f"{wavelength.size} wavelengths, not all of them finite"
     raise FormatError(
-        f"{source}: {description}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
-        "check their units, or pass wavelength= [nm]"
+        f"{source}: {description}",
+        expected=f"{SHORTEST:g} nm to {LONGEST:g} nm",
+        mend="check their units, or pass wavelength= [nm]",
+        code="wavelength-range",
     )
 
 
@@ -135,8 +139,13 @@ def _refuse_twice(wavelength: Floats, source: str) -> None:
     values, counts = np.unique(wavelength, return_counts=True)
     if (counts > 1).any():
         raise FormatError(
-            f"{source}: {int((counts > 1).sum())} wavelengths are given twice, such as "
-            f"{values[counts > 1][0]:g} nm, expected each once; leave out one of the two bands"
+            (
+                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
+                f"{values[counts > 1][0]:g} nm"
+            ),
+            expected="each once",
+            mend="leave out one of the two bands",
+            code="wavelength-duplicate",
         )
 
 
@@ -172,7 +181,9 @@ def reflectances(
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
         largest = np.abs(values[~np.isnan(values)]).max()
-        raise FormatError(f"{source}: values up to {largest:g}, expected finite reflectance")
+        raise FormatError(
+            f"{source}: values up to {largest:g}", expected="finite reflectance", code="not-finite"
+        )
     return reflectance
 
 
@@ -183,7 +194,7 @@ def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
     if marks.any():
         count, one = int(marks.sum()), float(values[marks][0])
         msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {one:g}, taken for missing"
-        warnings.warn(msg, PaintWarning, stacklevel=7)
+        warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=7)
         values[marks] = np.nan
 
 
@@ -197,15 +208,22 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
     )
     if magnitudes.size and float(np.median(magnitudes)) > _LARGEST_FRACTION:
         raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, half of them above {np.median(magnitudes):g}, "
-            f"and no scale (is it radiance, or counts?); {advice}"
+            (
+                f"{source}: values up to {magnitudes.max():g}, half of them above "
+                f"{np.median(magnitudes):g}, and no scale (radiance or counts?)"
+            ),
+            expected="reflectance as a fraction",
+            mend=advice,
+            code="scale-missing",
         )
     with np.errstate(invalid="ignore"):
         beyond = (np.abs(values) > _BEYOND).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
     if 2 * beyond.sum() > len(values):
         raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BEYOND:g}: are they "
-            f"radiance? {advice} (of a text quantity='reflectance')"
+            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BEYOND:g} (radiance?)",
+            expected="reflectance as a fraction",
+            mend=f"{advice} (for a text: quantity='reflectance')",
+            code="scale-missing",
         )
     bright = beyond | [
         bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
@@ -216,7 +234,7 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
             f"{source}: {bright.sum()} of {len(values)} spectra have many values above "
             f"{_LARGEST_FRACTION:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=7)
+        warnings.warn(PaintWarning(msg, code="scale-missing"), stacklevel=7)
 
 
 def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
@@ -230,4 +248,4 @@ def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
         f"{source}: reflectance up to {finite.max():.3g} where a stored {scale:g} is taken for 1; pass the "
         "scale= that is right"
     )
-    warnings.warn(msg, PaintWarning, stacklevel=7)
+    warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=7)

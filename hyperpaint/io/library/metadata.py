@@ -93,8 +93,10 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     text = "{\n" + ",\n".join([*lines, '  "variables": {\n' + rows + "\n  }"]) + "\n}\n"
     if len(text.encode()) > MOST_BYTES:
         raise SchemaError(
-            f"the library's metadata take {len(text.encode())} bytes, at most {MOST_BYTES} can be written; "
-            "drop variables, write fewer paints, or write Zarr"
+            f"the metadata of the library take {len(text.encode())} bytes",
+            expected=f"at most {MOST_BYTES}",
+            mend="drop variables, write fewer paints, or write Zarr",
+            code="file-too-large",
         )
     return text
 
@@ -140,7 +142,11 @@ def _attrs(attrs: Mapping[Any, Any], owner: str, problems: Problems) -> dict[str
         try:
             _dumped(plain)
         except (TypeError, ValueError, RecursionError):
-            problems.add(f"attribute {key!r} of {owner} is {str(value)[:60]!r}, expected text or numbers")
+            problems.add(
+                f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
+                expected="text or numbers",
+                code="type-wrong",
+            )
         plain_attrs[str(key)] = plain
     return plain_attrs
 
@@ -150,18 +156,26 @@ def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Pro
     kind = "str" if values.dtype.kind in "OUT" else str(values.dtype)
     plain: Any = None
     if kind not in _DTYPES:
-        problems.add(f"{name!r} is {values.dtype}, expected numbers, booleans, text or datetime64[ns]")
+        problems.add(
+            f"{name!r} is {values.dtype}",
+            expected="numbers, booleans, text or datetime64[ns]",
+            code="type-wrong",
+        )
     elif kind == "str":
         plain = values.tolist()
         odd = next((value for value in values.ravel().tolist() if not isinstance(value, str)), None)
         if odd is not None:
-            problems.add(f"{name!r} holds {type(odd).__name__} among its texts, expected text alone")
+            problems.add(
+                f"{name!r} holds {type(odd).__name__} among its texts",
+                expected="text alone",
+                code="type-wrong",
+            )
     elif kind == "datetime64[ns]":
         plain = np.where(np.isnat(values), "", np.datetime_as_string(values)).tolist()
     else:
         plain = _without_nan(values.tolist())
         if values.dtype.kind == "f" and np.isinf(values).any():
-            problems.add(f"{name!r} holds infinities, expected finite numbers or NaN")
+            problems.add(f"{name!r} holds infinities", expected="finite numbers or NaN", code="not-finite")
     return {
         "dims": [str(dim) for dim in variable.dims], "dtype": kind, "coordinate": coordinate,
         "attrs": _attrs(variable.attrs, name, problems), "values": plain,
@@ -190,12 +204,18 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise FormatError(
-            f"{path.name}: cannot be read as JSON ({error!s:.100}); copy it again, or write the library anew"
+            f"{path.name}: not readable as JSON ({error!s:.100})",
+            mend="copy the file again, or write the library again",
+            code="metadata-damaged",
         ) from error
     problems = Problems(f"{path.name} does not go with its library", FormatError)
     metadata = Metadata()
     if not isinstance(document, dict) or document.get("hyperpaint_library") not in (1, VERSION):
-        problems.add(f'expected an object with "hyperpaint_library": {VERSION}')
+        problems.add(
+            "the document has another head",
+            expected=f'an object with "hyperpaint_library": {VERSION}',
+            code="metadata-damaged",
+        )
     else:
         if document["hyperpaint_library"] == 1:
             warn_of_old_names(path.name)
@@ -234,12 +254,16 @@ def _read_document(
     parts = {name: document.get(name) for name in ("attrs", "sizes", "spectra", "variables")}
     wrong = [name for name, part in parts.items() if not isinstance(part, dict)]
     if wrong:
-        problems.add(f"{', '.join(wrong)}: expected an object")
+        problems.add(f"{', '.join(wrong)}", expected="an object", code="metadata-damaged")
         return
     metadata.attrs = _plain_attrs(document["attrs"], "attrs", problems)
     for dim, size in document["sizes"].items():
         if type(size) is not int or not 0 <= size <= 2**31 or dim in (SIGNATURE, BAND):
-            problems.add(f"size of {dim[:60]!r} is {str(size)[:30]}, expected a whole number")
+            problems.add(
+                f"size of {dim[:60]!r} is {str(size)[:30]}",
+                expected="a whole number",
+                code="metadata-damaged",
+            )
         else:
             metadata.sizes[dim] = size
     for name, entry in document["spectra"].items():
@@ -258,7 +282,7 @@ def _read_document(
 def _plain_attrs(attrs: Any, owner: str, problems: Problems) -> dict[str, Any]:
     if isinstance(attrs, dict):
         return dict(attrs)
-    problems.add(f"attributes of {owner[:60]!r}: expected an object")
+    problems.add(f"attributes of {owner[:60]!r}", expected="an object", code="metadata-damaged")
     return {}
 
 
@@ -270,7 +294,11 @@ def _variable(
         return None
     kind, attrs = entry.get("dtype"), entry.get("attrs")
     if kind not in _DTYPES or not isinstance(attrs, dict):
-        problems.add(f"{name[:60]!r}: expected a known dtype, and attributes")
+        problems.add(
+            f"{name[:60]!r} has an unknown dtype, or no attributes",
+            expected="a known dtype, and attributes",
+            code="metadata-damaged",
+        )
         return None
     try:
         nested = np.array(entry.get("values"), object)
@@ -282,7 +310,7 @@ def _variable(
             raise ValueError(f"shape {nested.shape}, expected {expected}")
         values = typed_values(nested.ravel().tolist(), kind).reshape(nested.shape)
     except (ValueError, TypeError, OverflowError) as error:
-        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}")
+        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}", code="metadata-damaged")
         return None
     if name == "quality":
         attrs = {**attrs, "flag_masks": quality_attrs()["flag_masks"]}
@@ -294,7 +322,11 @@ def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | Non
     texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
     if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MOST_DIMS:
         return tuple(dims)
-    problems.add(f"{name[:60]!r}: expected an object with dims, each once, attributes and values")
+    problems.add(
+        f"{name[:60]!r}",
+        expected="an object with dims, each once, attributes and values",
+        code="metadata-damaged",
+    )
     return None
 
 

@@ -56,7 +56,7 @@ class _Options:
         Raises FormatError: One is given.
         """
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
-            raise FormatError(OWN_AXES.format(path))
+            raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
 
 def open_library(
@@ -129,9 +129,18 @@ def open_library(
     >>> scratch.cleanup()
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise FormatError(f"scale is {scale}, expected the stored value of a reflectance of one, such as 100")
+        raise FormatError(
+            f"scale is {scale}",
+            expected="the stored value of a reflectance of one, such as 100",
+            code="value-out-of-range",
+        )
     if quantity not in (None, "reflectance"):
-        raise FormatError(f"quantity={quantity!r}: a paint library holds reflectance; leave quantity= out")
+        raise FormatError(
+            f"quantity={quantity!r}",
+            expected="'reflectance', as in every paint library",
+            mend="leave quantity= out",
+            code="choice-unknown",
+        )
     sure = quantity is not None
     options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, sure)
     from hyperpaint.io.store.reader import is_zarr
@@ -153,7 +162,7 @@ def open_library(
         try:
             opened.append((file, _opened(file, options)))
         except (FormatError, StoreError) as error:
-            problems.add(str(error))
+            problems.add_error("", error)
             if len(problems) == _MOST_SHOWN:
                 break
     problems.raise_if_any()
@@ -171,7 +180,11 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        raise FormatError(f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm] or a file")
+        raise FormatError(
+            f"{name}= is {str(given)[:60]!r}",
+            expected="one finite number a band [nm] or a file",
+            code="value-out-of-range",
+        )
     return values
 
 
@@ -225,13 +238,15 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
     """Open one file, by what it holds."""
     if not path.is_file():
         kind = "no plain file" if os.path.lexists(path) else "no such file"
-        raise FormatError(f"{path}: {kind}; expected a spectral library")
+        raise FormatError(f"{path}: {kind}", expected="a spectral library", code="file-not-found")
     try:
         return _by_content(path, options)
     except StoreError:
         raise
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise FormatError(
+            f"{path}: cannot be read ({error.strerror or error})", code="file-unreadable"
+        ) from error
 
 
 def _by_content(path: Path, options: _Options) -> xr.Dataset:
@@ -284,9 +299,18 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     problems = Problems("the files cannot be made one library", FormatError)
     for path, library in opened:
         if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
-            problems.add(f"{path.name} has {_grid(library)}, expected {_grid(first)} like {first_path.name}")
+            problems.add(
+                f"{path.name} has {_grid(library)}",
+                expected=f"{_grid(first)} as in {first_path.name}",
+                code="grid-mismatch",
+            )
         if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)):
-            problems.add(f"{path.name} has {', '.join(more)}; open it by itself")
+            problems.add(
+                f"{path.name} has {', '.join(more)}",
+                expected="one spectrum a paint",
+                mend="open it alone",
+                code="library-not-plain",
+            )
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
             break
     problems.raise_if_any()
@@ -361,12 +385,14 @@ def _read_store(path: Any) -> xr.Dataset:
     groups = list_groups(path)
     if "" not in groups:
         named = ", ".join(f"{path}/{group}" for group in groups) or "none"
-        raise FormatError(f"{path} holds no paint library at its root; groups found: {named}")
+        raise FormatError(
+            f"{path} holds no paint library at its root (groups: {named})", code="library-missing"
+        )
     library = with_new_names(open_store(path, ""))
     rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):
         reasons = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
-        raise FormatError(f"{path} holds no paint library: {reasons}")
+        raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
     return library

@@ -181,7 +181,11 @@ def read_parquet_library(path: Path) -> xr.Dataset:
             rows = _rows(file, path.name)
             is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
     except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"{path.name} cannot be read as Parquet: {error!s:.200}; copy it again") from error
+        raise FormatError(
+            f"{path.name} cannot be read as Parquet: {error!s:.200}",
+            mend="copy it again",
+            code="file-unreadable",
+        ) from error
     if is_ours and metadata_path(path).exists():
         return _restored(path, rows)
     return library_of(_spectra(path.name, rows))
@@ -198,16 +202,22 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
     missing = [name for name in _WANTED if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
-            f"{source}: columns {', '.join(missing)} are missing; expected those of OpenSpecLib"
+            f"{source}: columns {', '.join(missing)} are missing",
+            expected="the columns of OpenSpecLib",
+            code="column-missing",
         )
     if not 0 < file.metadata.num_rows <= _MOST_ROWS:
-        raise FormatError(f"{source}: {file.metadata.num_rows} rows, expected 1 to {_MOST_ROWS}")
+        raise FormatError(
+            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MOST_ROWS}", code="file-too-large"
+        )
     rows: list[dict[str, Any]] = []
     values = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
         values += sum(len(each.flatten()) for each in batch.columns if hasattr(each, "flatten"))
         if values > _MOST_VALUES:
-            raise FormatError(f"{source}: more than {_MOST_VALUES} values; split it")
+            raise FormatError(
+                f"{source}: more than {_MOST_VALUES} values", mend="split the file", code="file-too-large"
+            )
         lists = ("spectral_data.wavelengths", "spectral_data.values")
         plain = {name: batch.column(name) for name in _WANTED}
         for at in range(batch.num_rows):
@@ -235,12 +245,18 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
             )
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"{path.name}: row {at} does not say what it is; write the library anew"
+                f"{path.name}: row {at} names no variable, paint and place",
+                mend="write the library again",
+                code="record-unmatched",
             ) from error
         keys.append(key)
     names = [str(row["name"]) for row, key in zip(rows, keys, strict=True) if key[0] == CENTRE]
     if sorted({key[1] for key in keys}) != list(range(len(names))) or any(key[2] < -1 for key in keys):
-        raise FormatError(f"{path.name}: numbers of its paints have gaps; write the library anew")
+        raise FormatError(
+            f"{path.name}: the numbers of the paints have gaps",
+            mend="write the library again",
+            code="record-unmatched",
+        )
     wavelength, values = _stacked(path.name, rows)
     check_wavelengths(wavelength, path.name)
     return restored(path, names, keys, {"wavelength": wavelength}, [(0, values.astype(np.float32))], {})
@@ -255,10 +271,14 @@ def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
                 f"{row['spectral_data.wavelengths'].size} wavelengths in row {at}, {first.size} in the first"
             )
             raise FormatError(
-                f"{source}: rows have different wavelengths ({found}); choose rows of one instrument first"
+                f"{source}: rows have different wavelengths ({found})",
+                mend="choose rows of one instrument",
+                code="grid-mismatch",
             )
         if row["spectral_data.values"].shape != first.shape:
-            raise FormatError(f"{source}: row {at} has another number of values than wavelengths")
+            raise FormatError(
+                f"{source}: row {at} has not as many values as wavelengths", code="length-mismatch"
+            )
     return first, np.stack([row["spectral_data.values"] for row in rows])
 
 
@@ -268,11 +288,16 @@ def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
     kinds = {str(row["spectral_data.type"]) for row in rows}
     if kinds != {"reflectance"}:
         raise FormatError(
-            f"{source}: it holds {', '.join(sorted(kinds))}, expected reflectance; filter it first"
+            f"{source}: it holds {', '.join(sorted(kinds))}",
+            expected="reflectance",
+            mend="select rows of reflectance",
+            code="quantity-wrong",
         )
     if len(units) != 1 or not units <= {*_NM_PER_UNIT, "cm-1"}:
         raise FormatError(
-            f"{source}: wavelengths are in {', '.join(sorted(units))}, expected one of nm, um, cm-1"
+            f"{source}: wavelengths are in {', '.join(sorted(units))}",
+            expected="one of nm, um, cm-1",
+            code="units-unknown",
         )
     axis, values = _stacked(source, rows)
     unit = units.pop()

@@ -115,7 +115,11 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
             # where the next line fits none, it is reported: no line of numbers is taken for a heading
             dialect = fitting[0] if fitting else rows[0][0]
             return at, dialect, next(len(row) for d, row in rows if d == dialect)
-    raise FormatError(f"{source}: no table of numbers, expected a wavelength and one or more values a line")
+    raise FormatError(
+        f"{source}: no table of numbers",
+        expected="a wavelength and one or more values a line",
+        code="table-missing",
+    )
 
 
 def _check_order(wavelength: Floats, source: str) -> None:
@@ -124,7 +128,10 @@ def _check_order(wavelength: Floats, source: str) -> None:
     back = min(int((steps < 0).sum()), int((steps > 0).sum()))
     if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
         raise FormatError(
-            f"{source}: the first column rises and falls, expected wavelengths; spectra belong in columns"
+            f"{source}: the first column rises and falls",
+            expected="wavelengths",
+            mend="spectra belong in columns",
+            code="wavelength-order",
         )
 
 

@@ -69,19 +69,33 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
         wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
         numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)
         if variables[name].dtype.kind not in numeric:
-            problems.add(f"{name!r} is {variables[name].dtype}, expected {kind}")
+            problems.add(f"{name!r} is {variables[name].dtype}", expected=str(kind), code="type-wrong")
     if CENTRE in variables and not variables[CENTRE].size:
-        problems.add(f"reflectance is {dict(variables[CENTRE].sizes)}, expected a paint and a band at least")
+        problems.add(
+            f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
+            expected="at least one paint and one band",
+            code="empty-input",
+        )
     for other, array in library.variables.items():
         if {SIGNATURE, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
-            problems.add(f"{other!r} has dims {array.dims}, expected one beside paint and band at most")
+            problems.add(
+                f"{other!r} has dims {array.dims}",
+                expected="one beside paint and band at most",
+                code="dims-wrong",
+            )
     for name in ("wavelength", "fwhm", "good"):
         if name in variables and variables[name].dims != (BAND,):
-            problems.add(f"{name!r} has dims {variables[name].dims}, expected one value a band")
+            problems.add(
+                f"{name!r} has dims {variables[name].dims}", expected="one value a band", code="dims-wrong"
+            )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        raise SchemaError("wavelengths of the library are not all finite and above 0; drop those with .isel")
+        raise SchemaError(
+            "wavelengths of the library are not all finite and above 0",
+            mend="drop those bands with .isel",
+            code="wavelength-range",
+        )
     return library.assign_coords({n: v for n, v in variables.items() if n in library.coords}).assign(
         {n: v for n, v in variables.items() if n not in library.coords}
     )
@@ -103,9 +117,13 @@ def names_of(library: xr.Dataset) -> list[str]:
     names: list[Any] = library[SIGNATURE].values.tolist()
     for at, name in enumerate(names):
         if not isinstance(name, str):
-            problems.add(f"paint {at} is named {name!r}, expected text")
+            problems.add(f"paint {at} is named {name!r}", expected="text", code="type-wrong")
         elif any(unicodedata.category(character) in _CONTROL for character in name):
-            problems.add(f"paint {at} is named {name[:60]!r}, expected no line breaks or control characters")
+            problems.add(
+                f"paint {at} is named {name[:60]!r}",
+                expected="no line breaks or control characters",
+                code="name-unwritable",
+            )
         if len(problems) == _MOST_SHOWN:
             break
     problems.raise_if_any()
@@ -196,16 +214,24 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
         paint = np.array([keys[at][1] for at in records], np.int64)
         inner = np.array([keys[at][2] for at in records], np.int64)
         if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
-            raise FormatError(f"{source}: a record of {variable!r} is there twice; write the library anew")
+            raise FormatError(
+                f"{source}: a record of {variable!r} occurs twice",
+                mend="write the library again",
+                code="record-duplicate",
+            )
         if len(set((inner < 0).tolist())) > 1 or (inner[0] < 0 and len(records) != paints):
             raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} for {paints} paints; write it anew"
+                f"{source}: {len(records)} records of {variable!r} for {paints} paints",
+                mend="write the library again",
+                code="length-mismatch",
             )
         places = () if inner[0] < 0 else (int(inner.max()) + 1,)
         cells = paints * bands * (places or (1,))[0]
         if cells > _most_cells(len(records) * bands):
             raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
+                f"{source}: {len(records)} records of {variable!r} would need {cells} cells",
+                mend="check whether the file is damaged",
+                code="file-too-large",
             )
         values = np.full((paints, *places, bands), np.nan, np.float32)
         by_variable[variable] = Placement(records, paint, inner, values)
@@ -230,7 +256,7 @@ def restored(
     metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
         text = f"{path.name}: {sidecar.name} is missing: names and columns are those of the file, units lost"
-        warnings.warn(text, PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
     for first, lot in rows:
         for placement in placed.values():
             placement.put(first, lot)
@@ -239,7 +265,7 @@ def restored(
     written = {} if metadata is None else table_columns(library)
     if edited := [name for name, cells in columns.items() if list(cells) != written.get(name, cells)]:
         text = f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is taken; delete it to "
-        warnings.warn(f"{text}take the table", PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(f"{text}take the table", code="metadata-differ"), stacklevel=6)
     # numbers of the table of variables would come without their units
     taken = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {name: (SIGNATURE, _column(cells)) for name, cells in columns.items() if name not in taken}
@@ -277,20 +303,26 @@ def with_metadata(
     for name, values in data.items():
         dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
         if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
-            problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
+            problems.add(
+                f"{name!r} has {values.ndim} dims", expected=f"{dims}, as in the metadata", code="dims-wrong"
+            )
             continue
         if clash := sorted(set(dims) & data.keys()):
-            problems.add(f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}")
+            problems.add(
+                f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}", code="name-clash"
+            )
             continue
         if values.ndim == 3 and metadata is not None:
             values = _widened(values, metadata.sizes.get(dims[1]))
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name!r} is {values.shape}, expected {dict(library.sizes)}")
+            problems.add(
+                f"{name!r} is {values.shape}", expected=str(dict(library.sizes)), code="grid-mismatch"
+            )
             continue
         library[name] = (dims, values, attrs)
     if metadata is not None:
         for missing in sorted(metadata.spectra.keys() - data.keys()):
-            problems.add(f"{missing[:60]!r} has no record in the file")
+            problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
     problems.raise_if_any()
     coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
@@ -304,14 +336,22 @@ def _with_variables(
 ) -> xr.Dataset:
     clash = metadata.variables.keys() & library.variables.keys()
     for name in sorted(clash):
-        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata")
+        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata", code="name-clash")
     for name, (dims, values, _) in metadata.variables.items():
         if name in coords and name != SIGNATURE and not np.array_equal(values, coords[name][1]):
-            problems.add(f"{name!r} differs; they are of two libraries")
+            problems.add(
+                f"{name!r} of the file and of the metadata differ",
+                mend="put the files of one library together",
+                code="grid-mismatch",
+            )
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(library.sizes)}")
+            problems.add(
+                f"{name[:60]!r} is {values.shape} on {dims}",
+                expected=str(dict(library.sizes)),
+                code="grid-mismatch",
+            )
         if name in library.dims and dims != (name,):
-            problems.add(f"{name!r} names a dim, expected it on that dim alone")
+            problems.add(f"{name!r} is the name of a dim", expected=f"dims ({name},)", code="dims-wrong")
     problems.raise_if_any()
     missing = {name: coord for name, coord in coords.items() if name not in metadata.variables}
     library = library.assign(metadata.variables).assign_coords(missing)

@@ -164,9 +164,17 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     terms = {term.name: term for term in TERMS}
     for name, word in words.items():
         if name != "title" and name not in terms:
-            raise SchemaError(f"there is no term {name!r}", expected=f"one of {', '.join(terms)}, title")
+            raise SchemaError(
+                f"there is no term {name!r}",
+                expected=f"one of {', '.join(terms)}, title",
+                code="choice-unknown",
+            )
         if name in terms and terms[name].words and word not in terms[name].words:
-            raise SchemaError(f"{name} is {word!r}", expected=f"one of {', '.join(terms[name].words)}")
+            raise SchemaError(
+                f"{name} is {word!r}",
+                expected=f"one of {', '.join(terms[name].words)}",
+                code="choice-unknown",
+            )
     library = with_new_names(library)
     said = library_terms(library)
     attrs = {name: UNKNOWN for name in terms if said[name] is None}

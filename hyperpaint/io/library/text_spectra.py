@@ -31,7 +31,12 @@ def lines_of(path: Path, expected: str) -> list[str]:
     """
     raw = read_limited_text(path, MOST_BYTES, expected)
     if b"\0" in raw:
-        raise FormatError(f"{path}: holds NUL bytes, expected {expected}; UTF-16 text must be saved as UTF-8")
+        raise FormatError(
+            f"{path}: holds NUL bytes",
+            expected=expected,
+            mend="save UTF-16 text as UTF-8",
+            code="text-unreadable",
+        )
     return _BREAK.split(decoded_text(raw))
 
 
@@ -53,7 +58,11 @@ def numbers_of_lines(
             continue
         row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
         if row is None or len(row) != columns:
-            problems.add(f"line {at}: {line.strip()[:60]!r}, expected {columns} number{'s'[: columns - 1]}")
+            problems.add(
+                f"line {at}: {line.strip()[:60]!r}",
+                expected=f"{columns} number{'s'[: columns - 1]}",
+                code="row-unreadable",
+            )
             if len(problems) == _MOST_SHOWN:
                 break
         else:
@@ -87,7 +96,12 @@ def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float
     if _NANOMETRE.search(text):
         return 1.0, ""
     if other_unit := _OTHER.search(text):
-        raise FormatError(f"{source}: x in {other_unit[0]!r}, expected nm or um; pass wavelength=")
+        raise FormatError(
+            f"{source}: x in {other_unit[0]!r}",
+            expected="nm or um",
+            mend="pass wavelength=",
+            code="units-unknown",
+        )
     if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
         return 1e3, "no wavelength units: values below 100 taken as micrometres"
     return 1.0, "no wavelength units: values taken as nanometres"

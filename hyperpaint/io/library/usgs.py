@@ -52,16 +52,23 @@ def read_usgs(
     heading = record[3].strip() if record else title.strip()
     name, spectrometer, measurement = _parts(heading)
     if is_usgs_axis(title):
-        raise FormatError(f"{source}: {heading[:60]!r} is no spectrum; pass the file as wavelength= or fwhm=")
+        raise FormatError(
+            f"{source}: {heading[:60]!r} holds no spectrum",
+            expected="reflectance",
+            mend="pass the file as wavelength= or fwhm=",
+            code="quantity-wrong",
+        )
     if measurement == "TRAN":
-        raise FormatError(f"{source}: {heading[:60]!r} is a transmittance, expected reflectance")
+        raise FormatError(
+            f"{source}: {heading[:60]!r} is a transmittance", expected="reflectance", code="quantity-wrong"
+        )
     notes: list[str] = []
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
         raise FormatError(
-            f"{source}: no file of {values.size} wavelengths beside it or in the folders above; pass "
-            "wavelength=, the library's file '..._Wavelengths_...txt' of its spectrometer"
-            f"{' ' + spectrometer if spectrometer else ''}"
+            f"{source}: no file of {values.size} wavelengths beside it or in the folders above",
+            mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
+            code="wavelength-missing",
         )
     width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
     columns = {"spectrometer": spectrometer, "measurement": measurement}
@@ -87,7 +94,11 @@ def _column(path: Path) -> tuple[str, Floats]:
     lines = lines_of(path, "a file of the USGS spectral library")
     values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
     if values.size < 2:
-        raise FormatError(f"{path.name}: {values.size} values, expected a title and one value a line")
+        raise FormatError(
+            f"{path.name}: {values.size} values",
+            expected="a title and one value a line",
+            code="table-missing",
+        )
     return lines[0], values
 
 
@@ -99,7 +110,7 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     title, values = _column(path)
     factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
     if not np.isfinite(values).all():
-        raise FormatError(f"{path.name}: not all of its {values.size} values are finite")
+        raise FormatError(f"{path.name}: not all of its {values.size} values are finite", code="not-finite")
     return in_nanometres(values, factor), note
 
 
@@ -119,7 +130,11 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
     if len({values.tobytes() for values, _ in axes.values()}) > 1:
         listed = ", ".join(sorted(file.name for file in axes))
         option = "wavelength=" if kind == "wave" else "fwhm="
-        raise FormatError(f"{path.name}: {listed} have {count} values each; pass {option}, the right one")
+        raise FormatError(
+            f"{path.name}: {listed} have {count} values each",
+            mend=f"pass the right one as {option}",
+            code="wavelength-ambiguous",
+        )
     for file, (values, note) in axes.items():
         notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
         return values

@@ -143,11 +143,15 @@ def write_library(
     if chosen not in _WRITERS:
         given = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr"
+            given,
+            expected=f"format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr",
+            code="choice-unknown",
         )
     kinds = _CURVES[chosen]
     if curves is not None and curves not in kinds:
-        raise SchemaError(f"curves={curves!r}, expected {' or '.join(kinds)} for {chosen}")
+        raise SchemaError(
+            f"curves={curves!r}", expected=f"{' or '.join(kinds)} for {chosen}", code="choice-unknown"
+        )
     path = _named(path, chosen)
     library = checked_library(with_whole_numbers(library, LIBRARY_VARIABLES))
     if (curves or kinds[0]) == "centre":
