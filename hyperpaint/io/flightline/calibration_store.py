@@ -146,14 +146,17 @@ def _read(
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
     if is_path and not input_path(Path(source), f"a {what} in a Zarr store or netCDF file").exists():
-        raise FormatError(f"{source}: no such {what}; expected a Zarr store or a netCDF file")
+        raise FormatError(
+            f"{source}: no such {what}", expected="a Zarr store or a netCDF file", code="file-not-found"
+        )
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
     except Exception as error:  # numpy and the netCDF engines each have their own
-        hint = "" if zarr else "; netCDF-4 needs: python -m pip install h5netcdf"
+        hint = "" if zarr else "install for netCDF-4: python -m pip install h5netcdf"
         raise FormatError(
-            f"{source}: not a readable Zarr store or netCDF file "
-            f"({type(error).__name__}: {error!s:.200}){hint}"
+            f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
+            mend=hint,
+            code="file-unreadable",
         ) from error
 
 
@@ -178,19 +181,27 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         try:
             arrays[name] = _variable(dataset, name)
         except (SchemaError, UnitsError) as error:
-            problems.add(str(error))
+            problems.add_error("", error)
     for name, array in arrays.items():
         _check_values(name, array.values, problems)
     if shape is not None and shape not in SRF_SHAPES:
-        problems.add(f"attribute srf_shape {shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+        problems.add(
+            f"attribute srf_shape {shape!r}",
+            expected=f"one of {', '.join(SRF_SHAPES)}",
+            code="choice-unknown",
+        )
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
     if any(size == 0 for size in sizes.values()):
-        problems.add(f"sizes {sizes}: nothing in it")
+        problems.add(f"sizes {sizes}", expected="at least one element", code="empty-input")
     problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
         warnings.warn(
-            f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", PaintWarning, stacklevel=2
+            PaintWarning(
+                f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed",
+                code="srf-shape-missing",
+            ),
+            stacklevel=2,
         )
     for other, array in dataset.data_vars.items():
         in_table = str(other) in VARIABLES
@@ -207,16 +218,22 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(
-            f"{name!r} is missing: {spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]"
+            f"{name!r} is missing",
+            expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
+            code="variable-missing",
         )
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
     if not allowed:
         expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
-        raise SchemaError(f"{name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}")
+        raise SchemaError(
+            f"{name!r} has dims ({', '.join(map(str, array.dims))})",
+            expected=expected,
+            code="dims-wrong",
+        )
     kinds = "biu" if spec.dtype == "bool" else "fiu"
     if array.dtype.kind not in kinds:
-        raise SchemaError(f"{name!r} has dtype {array.dtype}, expected {spec.dtype}")
+        raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
         # float64 until the factor is in, rounded once
@@ -231,26 +248,38 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
         if not gains.size:
             problems.add(
-                "'radiance_gain' is NaN everywhere, expected a gain for the elements that are not bad"
+                "'radiance_gain' is NaN everywhere",
+                expected="a gain for the elements that are not bad",
+                code="not-finite",
             )
         elif bad:
-            problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
+            problems.add(
+                f"'radiance_gain' is zero, negative or infinite in {bad} elements",
+                expected="positive gains, and NaN for bad elements",
+                code="value-out-of-range",
+            )
     elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
         if not (finite and (values > 0).all()):
-            problems.add(f"{name!r} is not finite and positive everywhere")
+            problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
     elif name in _LARGEST:
         largest, unit = _LARGEST[name]
         if not (finite and (np.abs(values) < largest).all()):
-            problems.add(f"{name!r} is not finite and below {largest:g} {unit} everywhere")
+            problems.add(
+                f"{name!r} is not finite and below {largest:g} {unit} everywhere", code="value-out-of-range"
+            )
     elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
         if (values < 0).any():
-            problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
+            problems.add(
+                f"{name!r} is negative in places",
+                expected="a standard uncertainty",
+                code="value-out-of-range",
+            )
     elif name in ("read_noise", "srf"):
         levels = values[~np.isnan(values)] if name == "read_noise" else values
         if not (np.isfinite(levels).all() and (levels >= 0).all()):
-            problems.add(f"{name!r} is not finite and at least zero everywhere")
+            problems.add(f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range")
     elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
-        problems.add("'srf_offset' does not increase strictly")
+        problems.add("'srf_offset' does not increase strictly", code="axis-order")
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
@@ -313,7 +342,11 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
         held = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
-        raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {held}")
+        raise FormatError(
+            f"{path}: holds {held}",
+            expected="a lab sweep with 'counts' (step, band, cross_track)",
+            code="counts-missing",
+        )
     names = [name for name in SWEEP_VARIABLES if name in opened.variables]
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
 
@@ -329,8 +362,10 @@ def saturation_of(given: float | None, bit_depth: int, calibration: xr.Dataset |
         return calibration["saturation_count"].reset_coords(drop=True)
     if given is None:
         if not 1 <= bit_depth <= 16:
-            raise SchemaError(f"bit_depth {bit_depth}, expected 1 to 16")
+            raise SchemaError(f"bit_depth {bit_depth}", expected="1 to 16", code="value-out-of-range")
         given = 2**bit_depth - 1
     if not 0 < given <= 65535:
-        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
+        raise SchemaError(
+            f"saturation_count {given}", expected="a count up to 65535", code="value-out-of-range"
+        )
     return label(xr.DataArray(np.float32(given)), "saturation_count")

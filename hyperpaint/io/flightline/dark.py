@@ -97,8 +97,12 @@ def open_dark(
 
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
-            'no dark reference; give dark cubes, or dark="none" where the counts are dark-corrected '
-            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+            "no dark reference",
+            mend=(
+                'pass dark=, or dark="none" where the counts are dark-corrected '
+                '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+            ),
+            code="dark-missing",
         )
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
@@ -123,7 +127,7 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     if not np.isfinite(counts.values).any():
-        raise SchemaError(f"dark_counts of {name} are not finite anywhere")
+        raise SchemaError(f"dark_counts of {name} are nowhere finite", code="not-finite")
     times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
@@ -137,8 +141,10 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
 def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
     if shape is not None and actual != shape:
         raise SchemaError(
-            f"{name}: {actual[0]} bands x {actual[1]} columns, the cube has {shape[0]} x {shape[1]};"
-            " give the dark of this camera and binning"
+            f"{name}: {actual[0]} bands x {actual[1]} columns",
+            expected=f"{shape[0]} x {shape[1]}, as the cube",
+            mend="give the dark of this camera and binning",
+            code="grid-mismatch",
         )
 
 
@@ -156,7 +162,9 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         opened, name = open_envi(path, unsaid="counts"), path.name
     if "counts" not in opened:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
-        raise FormatError(f"{name}: holds {held}, expected a dark cube of raw counts")
+        raise FormatError(
+            f"{name}: holds {held}", expected="a dark cube of raw counts", code="counts-missing"
+        )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
@@ -198,7 +206,10 @@ def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> 
             times = line_times(path, lines, beside).time
             return _middle(times[~np.isnat(times)])
         except PaintError as error:
-            warnings.warn(f"dark {path.name}: time unknown; {error}", PaintWarning, stacklevel=2)
+            warnings.warn(
+                PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
+                stacklevel=2,
+            )
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
@@ -238,7 +249,10 @@ def _combine(references: list[_Reference]) -> Dark:
             f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
             for ref in references
         )
-        raise SchemaError(f"dark cubes of different exposures and unknown times cannot be averaged: {shown}")
+        raise SchemaError(
+            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {shown}",
+            code="exposure-conflict",
+        )
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)

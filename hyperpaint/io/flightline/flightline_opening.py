@@ -340,26 +340,40 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
         if "values" in opened and opened["values"].dtype.kind in "iu":
             raise FormatError(
-                f"{path}: integers, and neither header nor dark says that they are counts; give dark=, or "
-                "quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), or radiance_units"
+                f"{path}: integers that neither header nor dark declares as counts",
+                mend=(
+                    "pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
+                    "or radiance_units="
+                ),
+                code="quantity-ambiguous",
             )
-        raise FormatError(f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)")
+        raise FormatError(
+            f"{path}: holds {held}",
+            expected="raw counts, or radiance with radiance_units",
+            code="quantity-wrong",
+        )
     cube = opened[name]
     if set(cube.dims) != set(CUBE):
         raise FormatError(
-            f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
+            f"{path}: dims {tuple(map(str, cube.dims))}",
+            expected=f"{CUBE} (sensor geometry, not a map)",
+            code="dims-wrong",
         )
     if not all(cube.sizes.values()):
-        raise FormatError(f"{path}: empty, {dict(cube.sizes)}")
+        raise FormatError(f"{path}: an empty cube of sizes {dict(cube.sizes)}", code="empty-input")
     if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
         raise FormatError(
-            f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
+            f"{path}: samples are {cube.dtype}",
+            expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
+            code="type-wrong",
         )
     if name == "radiance":
         units = inputs.radiance_units or cube.attrs.get("units")
         if units is None:
             raise FormatError(
-                f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
+                f"{path}: radiance without units",
+                mend="give radiance_units, for example 'mW cm-2 sr-1 um-1'",
+                code="units-missing",
             )
         cube = cube.assign_attrs(units=units)
         # a wrong unit is reported now, with the other problems
@@ -411,16 +425,25 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
     line = inputs.path.name
     if inputs.calibration is None:
         if required:
-            raise SchemaError(f"{line}: no calibration; raw counts need one (calibration=)")
+            raise SchemaError(
+                f"{line}: no calibration of the raw counts",
+                mend="pass calibration=",
+                code="calibration-missing",
+            )
         if cube is not None and "wavelength" not in cube.coords:
-            raise SchemaError(f"{line}: no wavelengths in the header; give the calibration of this camera")
+            raise SchemaError(
+                f"{line}: no wavelengths in the header",
+                mend="give the calibration of this camera",
+                code="wavelength-missing",
+            )
         return None
     calibration = open_calibration(inputs.calibration)
     gain = calibration["radiance_gain"]
     if cube is not None and any(cube.sizes[dim] != size for dim, size in gain.sizes.items()):
         raise SchemaError(
-            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)};"
-            " give the calibration of this camera and binning"
+            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)}",
+            mend="give the calibration of this camera and binning",
+            code="grid-mismatch",
         )
     return calibration
 
@@ -438,7 +461,10 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
     if not set(declared) <= declarable:
         wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))
         raise SchemaError(
-            f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
+            f"convention has {wrong}",
+            expected=f"some of {right}",
+            mend="give angles in degree, and stamp= as an argument of its own",
+            code="key-unknown",
         )
     meant = Convention(**{"stamp_reference": timing.stamp, **declared})
     assumed = [name for name in ASSUMED if name not in declared]
@@ -471,7 +497,10 @@ def _coordinates(
         apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if apart > _WAVELENGTH_TOLERANCE_NM:
             message = f"{path.name}: wavelengths of header and calibration are up to {apart:.3g} nm apart"
-            warnings.warn(f"{message}; those of the calibration are used", PaintWarning, stacklevel=4)
+            warnings.warn(
+                PaintWarning(f"{message}; those of the calibration are used", code="wavelength-conflict"),
+                stacklevel=4,
+            )
     along = {"time": times.time, "frame": times.frame, **times.place}
     coords |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
     return coords

@@ -128,7 +128,9 @@ class GrowingLine:
         if self._header is None:
             source = self._own_header() or self._header_of_dark()
             if source is None:
-                raise FormatError(f"{self._cubes[0]}: no header yet, nor one of a dark cube")
+                raise FormatError(
+                    f"{self._cubes[0]}: no header yet, and no dark cube with one", code="header-missing"
+                )
             with open_input(source, "an ENVI header") as file:
                 text = file.read(4 * 2**20).decode("utf-8", "replace")
             self._header_text = _LINES.sub("", text)
@@ -138,8 +140,9 @@ class GrowingLine:
             header = read_header(path)
             if header.interleave not in _AXES or header.dtype.kind != "u":
                 raise FormatError(
-                    f"{source}: {header.interleave} of {header.dtype}; a line can be followed in raw counts "
-                    "without a sign, stored line by line (bil or bip)"
+                    f"{source}: {header.interleave} of {header.dtype}",
+                    expected="unsigned raw counts stored line by line (bil or bip)",
+                    code="type-wrong",
                 )
             self._header = header
         return self._header

@@ -78,14 +78,18 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
             value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
         except (ValueError, UnitsError) as error:
             raise FormatError(
-                f"{source}: {key} = {text[:40]!r}, expected a number and a unit of time in the brackets"
+                f"{source}: {key} = {text[:40]!r}",
+                expected="a number, and a unit of time in the brackets",
+                code="number-unreadable",
             ) from error
         if not (np.isfinite(value) and value > 0):
-            raise FormatError(f"{source}: {key} = {text}, expected a positive exposure")
+            raise FormatError(
+                f"{source}: {key} = {text}", expected="a positive exposure", code="value-out-of-range"
+            )
         exposures[key] = value
     if len(set(exposures.values())) > 1:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
-        raise FormatError(f"{source}: contradictory exposures {stated}")
+        raise FormatError(f"{source}: contradictory exposures {stated}", code="exposure-conflict")
     return next(iter(exposures.values()), None)
 
 
@@ -121,10 +125,16 @@ def find_exposure(
         lines = opened.sizes.get(ALONG_TRACK)
         if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
             raise SchemaError(
-                f"{name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
+                f"{name}: exposure_time has shape {given.shape}",
+                expected=f"a scalar or {lines} lines",
+                code="length-mismatch",
             )
         if not (np.isfinite(given).all() and (given > 0).all()):
-            raise SchemaError(f"{name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number")
+            raise SchemaError(
+                f"{name}: exposure_time {given.min() * 1000.0:g} ms",
+                expected="a positive number",
+                code="value-out-of-range",
+            )
     stated: dict[str, float] = {}
     for source, pairs in exposure_sources(cube, opened):
         try:
@@ -139,18 +149,21 @@ def find_exposure(
     if given is not None:
         if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in stated.values()):
             message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {words}"
-            warnings.warn(f"{name}: {message}", PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
         return given, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:
-            warnings.warn(f"{name}: {words}; the first is used", PaintWarning, stacklevel=4)
+            warnings.warn(
+                PaintWarning(f"{name}: {words}; the first is used", code="exposure-conflict"), stacklevel=4
+            )
         return np.array(value), source
     # an unread header is another problem, not a missing exposure
     if required and opened.sizes:
         raise SchemaError(
-            f"{name}: no exposure in settings.txt beside the cube nor in the header's comments;"
-            " give exposure_time [s] (exposure_time_ms in collect.toml)"
+            f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
+            mend="give exposure_time= [s] (in collect.toml: exposure_time_ms)",
+            code="exposure-missing",
         )
     return None, ""
 
@@ -186,13 +199,16 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     if name is None:
         name = next((column for column in table.columns if column != "frame#"), "")
     if not name:
-        raise FormatError(f"{path}: one column only, expected 'Frame#' and 'Timestamp' or 'Time'")
+        raise FormatError(
+            f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"
+        )
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
         wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
         raise FormatError(
-            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}"
+            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}",
+            code="frame-order",
         )
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
@@ -210,7 +226,9 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
     wrong = rows[1:][np.diff(stamp) <= 0]
     if wrong.size:
         raise TimeError(
-            f"{subject} repeats or runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+            f"{subject} repeats or runs backwards in {name_rows(wrong)}",
+            mend="delete or reorder these rows",
+            code="time-order",
         )
 
 
@@ -230,7 +248,9 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
         micros_of_day[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
     if wrong:
         raise FormatError(
-            f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
+            f"{table.name}: column {name!r} is unreadable in {name_rows(wrong)}",
+            expected="'HH:MM:SS microseconds'",
+            code="time-unreadable",
         )
     # a step back by more than half a day is midnight
     days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY // 2)])
@@ -240,13 +260,15 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
 def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
     if len(np.unique(stamp)) < 3:
         raise TimeError(
-            f"{subject}: whole seconds, fewer than three of them; give start_time and frame_period"
+            f"{subject}: fewer than three different whole seconds",
+            mend="pass start_time= and frame_period=",
+            code="frame-rate-unknown",
         )
     x = (frame - frame[0]).astype(np.float64)
     y = (stamp - stamp[0]) + 0.5 * _SECOND  # a truncated second is half a second late on average
     slope, offset = np.polyfit(x, y, 1)
     if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
-        raise TimeError(f"{subject}: stamps of whole seconds that no steady frame rate explains")
+        raise TimeError(f"{subject}: whole seconds that fit no steady frame rate", code="frame-rate-unknown")
     straight: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
     return straight
 
@@ -308,9 +330,16 @@ def match_frames(
             row[index.frame[start : start + length] - begin] = np.arange(start, start + length)
             return frame, row
     raise FormatError(
-        f"{cube.name} has {lines} lines; {index.name} has {rows} rows, frames {first} to {last}"
-        f" ({last - first + 1} by number): neither fits; give the frame index of this cube"
-        " (a cube cut short in flight: keep_whole_lines=True, or keep_whole_lines = true in collect.toml)"
+        (
+            f"{cube.name} has {lines} lines, {index.name} has {rows} rows, frames {first} to "
+            f"{last} ({last - first + 1} by number)"
+        ),
+        expected="as many lines as rows, or as frames",
+        mend=(
+            "give the frame index of this cube, or keep_whole_lines=True for a cube cut short in flight "
+            "(in collect.toml: keep_whole_lines = true)"
+        ),
+        code="frame-index-mismatch",
     )
 
 
@@ -349,11 +378,13 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     """
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:
-        problems.add(f"dims {tuple(map(str, counts.dims))}, expected {CUBE}")
+        problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
-        problems.add("no lines")
+        problems.add("the cube has no lines", code="empty-input")
     if counts.dtype.kind != "u" or counts.dtype.itemsize > 2:
-        problems.add(f"dtype {counts.dtype}, expected raw counts of 8 or 16 bits without a sign")
+        problems.add(
+            f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
+        )
     problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)

@@ -85,7 +85,9 @@ def _columns(line: xr.Dataset) -> dict[str, Any]:
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:
         raise SchemaError(
-            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
+            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}",
+            mend="give a flight line",
+            code="dim-missing",
         )
     names += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
     order = {name: place for place, name in enumerate(_FIRST)}

@@ -84,15 +84,21 @@ def utc_of(value: Any, what: str) -> np.datetime64:
             value = datetime.datetime.fromisoformat(value.strip())
         except ValueError as error:
             raise TimeError(
-                f"{what} {value[:60]!r} is not a time; expected one like '2024-06-01T12:00:00Z'"
+                f"{what} {value[:60]!r} is not a time",
+                expected="a time such as '2024-06-01T12:00:00Z'",
+                code="time-unreadable",
             ) from error
     if not isinstance(value, datetime.datetime) or value.tzinfo is None:
         raise TimeError(
-            f"{what} {value!s:.60} has no zone; write '2024-06-01T12:00:00Z', or '-05:00' at the end"
+            f"{what} {value!s:.60} has no zone",
+            mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
+            code="zone-missing",
         )
     if not 1980 <= value.year <= 2200:
         raise TimeError(
-            f"{what} {value!s:.60} is not a time of this camera; expected a year from 1980 to 2200"
+            f"{what} {value!s:.60} is out of range",
+            expected="a year from 1980 to 2200",
+            code="value-out-of-range",
         )
     utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
     return np.datetime64(utc, "ns")
@@ -158,12 +164,20 @@ def line_times(
 def _check(timing: Timing, exposure_s: float) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
     if timing.stamp not in STAMP_TO_MID_EXPOSURES:
-        problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
+        problems.add(
+            f"stamp {timing.stamp!r}",
+            expected="'start', 'mid' or 'end' of the exposure",
+            code="choice-unknown",
+        )
     if exposure_s > _LONGEST_EXPOSURE_S:
-        problems.add(f"an exposure of {exposure_s:g} s, expected at most {_LONGEST_EXPOSURE_S:g} s")
+        problems.add(
+            f"an exposure of {exposure_s:g} s",
+            expected=f"at most {_LONGEST_EXPOSURE_S:g} s",
+            code="value-out-of-range",
+        )
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
         if seconds is not None and not 0 < seconds <= _LONGEST:
-            problems.add(f"{name} {seconds} s, expected a positive number")
+            problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
     problems.raise_if_any()
 
 
@@ -174,23 +188,34 @@ def _clock(
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
-                f"{cube.name}: start_time, and a navigation record that holds UTC; give one of them"
+                f"{cube.name}: both start_time and a navigation record with UTC",
+                mend="give one of them",
+                code="option-conflict",
             )
         start = utc_of(timing.start_time, "start_time").astype(np.int64)
         if index is None and not timing.frame_period:
-            raise TimeError(f"{cube.name}: start_time without frame_index or frame_period; give one of them")
+            raise TimeError(
+                f"{cube.name}: start_time without frame_index or frame_period",
+                mend="give one of them",
+                code="argument-missing",
+            )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
         raise TimeError(
-            f"{cube.name}: no line times; give frame_index and nav, or start_time and frame_period"
-            f"{_found_beside(cube)}"
+            f"{cube.name}: no line times",
+            mend=f"give frame_index and nav, or start_time and frame_period{_found_beside(cube)}",
+            code="time-missing",
         )
     if index.clock == "time of day" and timing.gps_time is not None:
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
         return _from_date(timing)
     if nav is None:
-        raise TimeError(f"{cube.name}: {index.name} holds no UTC; give nav (imu_gps.txt), or start_time")
+        raise TimeError(
+            f"{cube.name}: {index.name} holds no UTC",
+            mend="give nav (imu_gps.txt), or start_time",
+            code="time-missing",
+        )
     return nav.clock_for(index)
 
 
@@ -208,10 +233,15 @@ def _from_date(timing: Timing) -> Clock:
     except ValueError:
         midnight = None
     if midnight is None or not "1980" <= text < "2200":
-        raise TimeError(f"date {text[:40]!r}, expected one like '2024-06-01'")
+        raise TimeError(f"date {text[:40]!r}", expected="a date such as '2024-06-01'", code="time-unreadable")
     if timing.clock_offset_s is None:
         raise TimeError(
-            "date without clock_offset_s: UTC = the computer's clock + clock_offset_s (0.0 if it ran on UTC)"
+            "date without clock_offset_s",
+            mend=(
+                "pass clock_offset_s, where UTC = the computer's clock + clock_offset_s (0.0 if it "
+                "ran on UTC)"
+            ),
+            code="clock-offset-missing",
         )
     utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
     return _steady(0, int(utc[0]), "date and time of day")
@@ -233,25 +263,37 @@ def _check_rate(
     """Warn where stated period, exposure and stamps contradict each other."""
     if index.fitted:
         message = f"{index.name} holds whole seconds: line times are a straight line through them"
-        warnings.warn(f"{cube.name}: {message}", PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(f"{cube.name}: {message}", code="time-rounded"), stacklevel=3)
     if len(rows) < 2:
         return
     period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
     stated = timing.frame_period
     if stated and abs(period / stated - 1.0) > 0.05:
         message = f"frame_period {stated * 1e3:g} ms, but {index.name} steps by {period * 1e3:.4g} ms a frame"
-        warnings.warn(f"{cube.name}: {message}; the stamps are used", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"{cube.name}: {message}; the stamps are used", code="frame-rate-conflict"),
+            stacklevel=3,
+        )
     longest = float(np.max(exposure_time))
     if longest > 1.01 * period:
         message = f"exposure {longest * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
-        warnings.warn(f"{cube.name}: {message}; is its unit right?", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"{cube.name}: {message}; is its unit right?", code="exposure-too-long"),
+            stacklevel=3,
+        )
 
 
 def _report_outside(cube: Path, outside: NDArray[np.bool_], clock: Clock) -> None:
     if not outside.any():
         return
     if outside.all():
-        raise TimeError(f"{cube.name}: no line lies inside {clock.source}; give the record of this flight")
+        raise TimeError(
+            f"{cube.name}: no line lies inside {clock.source}",
+            mend="give the record of this flight",
+            code="time-uncovered",
+        )
     lines = np.flatnonzero(outside)
     message = f"{len(lines)} of {len(outside)} lines ({lines[0]} to {lines[-1]}) lie outside {clock.source}"
-    warnings.warn(f"{cube.name}: {message}: no time, no place", PaintWarning, stacklevel=3)
+    warnings.warn(
+        PaintWarning(f"{cube.name}: {message}: no time, no place", code="time-uncovered"), stacklevel=3
+    )
