@@ -63,13 +63,21 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
     days = np.array(list(LEAP_SECONDS), "datetime64[ns]").astype(np.int64)
     place = np.searchsorted(days + offsets * NS_PER_S, gps, side="right") - 1
     if np.any(place < 0):
-        raise TimeError("times before 1980-01-06, when GPS time began; is this clock GPS time?")
+        raise TimeError(
+            "times before 1980-01-06, when GPS time began",
+            mend="check that this clock counts GPS time",
+            code="time-before-gps",
+        )
     expiry = np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)
     if np.any(gps > expiry):
         warnings.warn(
-            f"the table of leap seconds is promised until {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for"
-            " later times: check, and give gps_leap_seconds",
-            PaintWarning,
+            PaintWarning(
+                (
+                    f"leap seconds are known until {LEAP_SECONDS_EXPIRY}, and {offsets[-1]} s is used for "
+                    "later times; check it, and pass gps_leap_seconds"
+                ),
+                code="leap-seconds-expired",
+            ),
             stacklevel=2,
         )
     utc: NDArray[np.int64] = gps - offsets[place] * NS_PER_S
@@ -117,7 +125,11 @@ def refuse_backwards(
     wrong = np.flatnonzero(np.diff(stamp) < 0) + 1
     if wrong.size:
         numbers = wrong + 1 if rows is None else rows[wrong]
-        raise TimeError(f"{name}: time runs backwards in {name_rows(numbers, row)}; delete or re-order them")
+        raise TimeError(
+            f"{name}: time runs backwards in {name_rows(numbers, row)}",
+            mend="delete or reorder them",
+            code="time-order",
+        )
 
 
 @dataclass(frozen=True)
@@ -132,10 +144,14 @@ class ClockCorrection:
     def __post_init__(self) -> None:
         if not abs(self.offset_s) <= _MAX_OFFSET_S:
             raise TimeError(
-                f"clock offset {self.offset_s} s, expected at most {_MAX_OFFSET_S:g} s either way"
+                f"clock offset {self.offset_s} s",
+                expected=f"at most {_MAX_OFFSET_S:g} s either way",
+                code="value-out-of-range",
             )
         if self.time_scale not in ("utc", "gps"):
-            raise TimeError(f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'")
+            raise TimeError(
+                f"time_scale {self.time_scale!r}", expected="'utc' or 'gps'", code="choice-unknown"
+            )
 
     def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return UTC in nanoseconds since 1970-01-01."""
@@ -197,7 +213,11 @@ def tie_clock(
     steps = np.flatnonzero(np.abs(drift) > _CLOCK_STEP)
     if steps.size:
         raise TimeError(
-            f"{source}: UTC steps by {drift[steps[0]] / NS_PER_S:+.3f} s against the clock of the stamps in"
-            f" {name_rows(rows[steps + 1])} (a receiver that learnt its leap seconds?); cut the record there"
+            (
+                f"{source}: UTC steps by {drift[steps[0]] / NS_PER_S:+.3f} s against the clock of the "
+                f"stamps in {name_rows(rows[steps + 1])} (the receiver applied leap seconds?)"
+            ),
+            mend="cut the record there",
+            code="clock-step",
         )
     return Clock(stamp, utc, source, daily)

@@ -106,7 +106,11 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
     if len(rows) < 2 or len(rows) > _MOST_ROWS:
-        raise FormatError(f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}")
+        raise FormatError(
+            f"{path}: {max(len(rows) - 1, 0)} points",
+            expected=f"a header and 1 to {_MOST_ROWS}",
+            code="table-missing",
+        )
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
     cells = _cells(rows[0][1], mark)
     headings = [column_heading(cell) for cell in cells]
@@ -114,11 +118,18 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
     for name in _NUMBERS:
         if header.count(name) != 1:
-            problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
+            problems.add(
+                f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
+                expected="one",
+                code="column-missing",
+            )
     for name, cell in zip(header, cells, strict=True):
         if name.endswith("_track") and _ONE_BASED.search(cell):
             problems.add(
-                f"column {name!r} is {cell.strip()[:40]!r}, expected pixels counted from 0; subtract 1"
+                f"column {name!r} is {cell.strip()[:40]!r}",
+                expected="pixels counted from 0",
+                mend="subtract 1",
+                code="pixel-origin",
             )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
@@ -134,7 +145,10 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     }
     for name, values in numbers.items():
         if np.isnan(values).any():
-            problems.add(f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}")
+            problems.add(
+                f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}",
+                code="not-finite",
+            )
     problems.raise_if_any()
     keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
     texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}
@@ -174,7 +188,11 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
         axes = []
     units = {(axis.unit_name, axis.unit_conversion_factor) for axis in axes}
     if len(units) != 1:
-        problems.add(f"crs {crs[:80]!r} names no map whose unit PROJ knows, expected such as 'EPSG:32617'")
+        problems.add(
+            f"crs {crs[:80]!r} is unknown, or PROJ knows no unit of it",
+            expected="a CRS such as 'EPSG:32617'",
+            code="crs-unreadable",
+        )
         return None
     return units.pop()
 
@@ -208,7 +226,11 @@ def metres_of(name: str, unit: str, problems: Problems) -> float:
     """Return the metres of one unit of a column; 1 where none is given, or one of something else."""
     metres = _metres(unit or "m")
     if metres is None:
-        problems.add(f"column {name!r} in {unit!r:.40}, expected a unit of length, such as [m] or [ft]")
+        problems.add(
+            f"column {name!r} in {unit!r:.40}",
+            expected="a unit of length, such as [m] or [ft]",
+            code="units-unknown",
+        )
     return metres or 1.0
 
 
@@ -227,7 +249,9 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
     """Return the metres, pixels, or units of a map's axis, of one unit of a column; 1 where none is given."""
     if name.endswith("_track"):
         if unit.lower() not in _PIXELS:
-            problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
+            problems.add(
+                f"column {name!r} in {unit!r:.40}", expected="pixels, counted from 0", code="units-unknown"
+            )
         return 1.0
     if axis is None or not unit:
         return metres_of(name, unit, problems)
@@ -239,7 +263,11 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
         if unit.lower() != of_axis.lower() and not (
             of_axis == "degree" and unit.lower().startswith(("deg", "°"))
         ):
-            problems.add(f"column {name!r} in {unit!r:.40}, expected {of_axis!r}, the unit of the crs")
+            problems.add(
+                f"column {name!r} in {unit!r:.40}",
+                expected=f"{of_axis!r}, the unit of the crs",
+                code="units-conflict",
+            )
         return 1.0
     factor = metres_of(name, unit, problems) / size
     return 1.0 if abs(factor - 1.0) < _SAME_UNIT else factor

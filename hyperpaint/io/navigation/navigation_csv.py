@@ -103,7 +103,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
     if not has_time.any():
-        raise FormatError(f"{path}: no row with a time")
+        raise FormatError(f"{path}: no row with a time", code="time-missing")
     timed_stamps = stamp[has_time]
     if clock == "week":
         timed_stamps = unwrap_weeks(timed_stamps)
@@ -139,8 +139,10 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
     if len(cells) > _MOST_COLUMNS or not any(column.key in _ALIASES for column in header):
         shown = head.strip()[:80] if names is None else ", ".join(cells)[:80]
         raise FormatError(
-            f"{path}: expected a header that names {', '.join(POSE)} and a time, found {shown!r}; "
-            "those of a table without one are given as columns="
+            f"{path}: the header is {shown!r}",
+            expected=f"names of {', '.join(POSE)} and a time",
+            mend="pass columns= for a table without a header",
+            code="header-missing",
         )
     first = start + (names is None)
     rows = (
@@ -183,7 +185,9 @@ def _declared(
             try:
                 declared[name] = float(value)
             except ValueError:
-                problems.add(f"comment {key!r} is {value[:40]!r}, expected a number")
+                problems.add(
+                    f"comment {key!r} is {value[:40]!r}", expected="a number", code="number-unreadable"
+                )
         elif name in names:
             declared[name] = value
     said: dict[str, Any] = {}
@@ -194,17 +198,25 @@ def _declared(
         if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= most:
             said[name] = int(text)
         else:
-            problems.add(f"comment {name!r} is {text[:40]!r}, expected a whole number up to {most}")
+            problems.add(
+                f"comment {name!r} is {text[:40]!r}",
+                expected=f"a whole number up to {most}",
+                code="value-out-of-range",
+            )
     if "time_scale" in comments:
         if comments["time_scale"].lower() in ("gps", "utc"):
             said["time_scale"] = comments["time_scale"].lower()
         else:
-            problems.add(f"comment 'time_scale' is {comments['time_scale'][:40]!r}, expected 'gps' or 'utc'")
+            problems.add(
+                f"comment 'time_scale' is {comments['time_scale'][:40]!r}",
+                expected="'gps' or 'utc'",
+                code="choice-unknown",
+            )
     convention = Convention()
     try:
         convention = Convention(**declared)
     except SchemaError as error:
-        problems.add(str(error))
+        problems.add_error("", error)
     unsaid = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
     assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in unsaid]
     return convention, assumed, said
@@ -220,18 +232,26 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
     for name in (*POSE, "time"):
         if name not in columns_by_name:
             names = _CLOCKS if name == "time" else [key for key, value in _ALIASES.items() if value == name]
-            problems.add(f"no column of {name}; expected one named {' or '.join(map(repr, list(names)[:4]))}")
+            problems.add(
+                f"no column of {name}",
+                expected=f"one named {' or '.join(map(repr, list(names)[:4]))}",
+                code="column-missing",
+            )
         elif len(columns_by_name[name]) > 1:
             shown = ", ".join(repr(column.shown) for column in columns_by_name[name])
-            problems.add(f"{shown} are all {name}; keep one of them")
+            problems.add(f"{shown} are all {name}", mend="keep one of them", code="column-duplicate")
         elif name != "time" and columns_by_name[name][0].unit is None:
             one, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
-            problems.add(f"column {one!r} has no unit; call it for example '{one} [{unit}]'")
+            problems.add(
+                f"column {one!r} has no unit",
+                mend=f"call it for example '{one} [{unit}]'",
+                code="units-missing",
+            )
         elif name != "time":
             try:
                 conversion_factor(str(columns_by_name[name][0].unit), "m" if name == "altitude" else "degree")
             except UnitsError as error:
-                problems.add(f"column {columns_by_name[name][0].shown!r}: {error}")
+                problems.add_error(f"column {columns_by_name[name][0].shown!r}", error)
     return {name: columns[0] for name, columns in columns_by_name.items()}
 
 
@@ -241,7 +261,11 @@ def _angle_unit(
     radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
     unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
     if declared and convention.angle_unit != unit:
-        problems.add(f"comment 'angle_unit' is {convention.angle_unit!r}, the header says {unit!r}; drop one")
+        problems.add(
+            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+            mend="drop one",
+            code="units-conflict",
+        )
     return unit
 
 
@@ -273,19 +297,26 @@ def _stamps(
         if wrong.size:
             zone = " with a zone (or '# time_scale: utc')" if zoned else ""
             problems.add(
-                f"column {column.shown!r} is not like '2024-06-01T12:00:00.5Z'{zone} in {name_rows(wrong)}"
+                f"column {column.shown!r} is unreadable in {name_rows(wrong)}",
+                expected=f"times such as '2024-06-01T12:00:00.5Z'{zone}",
+                code="time-unreadable",
             )
         return stamp, has_time, clock if clock == "gps" else ""
     if clock in ("", "utc"):
         problems.add(
-            f"column {column.shown!r} holds numbers: from when do they count? Call it 'gps_time [s]' (from "
-            "1980-01-06), 'time_of_week [s]' or 'unix_time [s]'"
+            f"column {column.shown!r} holds numbers without an origin",
+            mend="name it 'gps_time [s]' (from 1980-01-06), 'time_of_week [s]' or 'unix_time [s]'",
+            code="time-origin-unknown",
         )
         return stamp, has_time, clock
     try:
         factor = conversion_factor(str(column.unit or "no unit"), "s")
     except UnitsError:
-        problems.add(f"column {column.shown!r} has no unit of time; call it for example '{column.key} [s]'")
+        problems.add(
+            f"column {column.shown!r} has no unit of time",
+            mend=f"name it for example '{column.key} [s]'",
+            code="units-missing",
+        )
         return stamp, has_time, clock
     return _counted(table, column, [cell or "0" for cell in cells], factor, clock, problems, has_time)
 
@@ -303,7 +334,10 @@ def _counted(
         return np.zeros(len(cells), np.int64), has_time, clock
     has_time = has_time & ~np.isnan(seconds)
     if (seconds < 0.0).any():
-        problems.add(f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}")
+        problems.add(
+            f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}",
+            code="value-out-of-range",
+        )
     stamp = nanoseconds(np.where(has_time & (seconds >= 0.0), seconds, 0.0))
     if clock == "gps" and has_time.any() and (seconds[has_time] <= 2.0 * WEEK_S).all():
         clock = "week"

@@ -88,12 +88,14 @@ def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
         count, rest = divmod(size, _SBET_RECORD.itemsize)
         if rest or not count:
             raise FormatError(
-                f"{path}: {size} bytes, expected records of {_SBET_RECORD.itemsize} bytes: "
-                f"{count} whole ones and {rest} bytes more; it is cut short, or of another kind: copy it"
+                f"{path}: {size} bytes",
+                expected=f"whole records of {_SBET_RECORD.itemsize} bytes",
+                mend="copy the file again, or check its format",
+                code="file-truncated",
             )
         records = np.fromfile(file, _SBET_RECORD, count)
     if records.size != count:
-        raise FormatError(f"{path}: became shorter while it was read")
+        raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
     return records
 
 
@@ -123,29 +125,30 @@ def read_lcf(path: str | Path) -> PoseRecord:
         for name in _LCF_COLUMNS
     }
     seconds = values.pop("time")
-    if problem := _lcf_time_problem(seconds, table):
-        problems.add(problem)
+    wrong = table.rows[~(seconds >= 0.0)]
+    in_week = seconds <= 2.0 * WEEK_S
+    if wrong.size:
+        problems.add(
+            f"time is negative or unknown in {name_rows(wrong)}",
+            expected="seconds of GPS time",
+            code="value-out-of-range",
+        )
+    elif in_week.any() and not in_week.all():
+        minority = table.rows[in_week] if 2 * in_week.sum() < in_week.size else table.rows[~in_week]
+        problems.add(
+            f"time has another origin in {name_rows(minority)} than in the other rows",
+            code="time-origin-conflict",
+        )
     if not len(problems):  # the same cells would be named twice
         check_poses(values, "radian", problems, "row")
     problems.raise_if_any()
-    weekly = bool((seconds <= 2.0 * WEEK_S).all())
+    weekly = bool(in_week.all())
     stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
     refuse_backwards(path.name, stamp, row="row")
     return PoseRecord(
         path.name, "Resonon lcf", stamp, "week" if weekly else "1970", values, _LCF_CONVENTION,
         assumed=("euler_order",),
     )  # fmt: skip
-
-
-def _lcf_time_problem(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], table: Table) -> str:
-    wrong = table.rows[~(seconds >= 0.0)]
-    if wrong.size:
-        return f"time is negative or unknown in {name_rows(wrong)}, expected seconds of GPS time"
-    weekly = seconds <= 2.0 * WEEK_S
-    if weekly.any() and not weekly.all():
-        lesser = table.rows[weekly] if 2 * weekly.sum() < weekly.size else table.rows[~weekly]
-        return f"time counts from elsewhere in {name_rows(lesser)} than in the other rows"
-    return ""
 
 
 def _lcf_table(path: Path) -> Table:
@@ -192,7 +195,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
     if stored.size != header.lines * header.bands:
-        raise FormatError(f"{data_path}: became shorter while it was read")
+        raise FormatError(f"{data_path}: became shorter during reading", code="file-truncated")
     # one sample a line leaves lines and bands
     by_bands = header.interleave == "bsq"
     table = stored.reshape((header.bands, header.lines)).T if by_bands else stored.reshape(header.lines, -1)
@@ -216,15 +219,22 @@ def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     if not is_eph_att(header):
         names = ", ".join(header.band_names)[:120]
-        problems.add(f"band names are {names!r}, expected {', '.join(_EPH_ATT_BANDS)}")
+        problems.add(f"band names are {names!r}", expected=", ".join(_EPH_ATT_BANDS), code="column-missing")
     if header.samples != 1:
-        problems.add(f"samples is {header.samples}, expected 1: a row of navigation is a line")
+        problems.add(
+            f"samples is {header.samples}", expected="1 (a row of navigation is a line)", code="dims-wrong"
+        )
     if header.dtype.kind != "f":
-        problems.add(f"values are {header.dtype}, expected float64 (data type 5)")
+        problems.add(f"values are {header.dtype}", expected="float64 (data type 5)", code="type-wrong")
     stored_bytes = data.stat().st_size
     expected_bytes = header.header_offset + header.lines * header.line_bytes
     if stored_bytes != expected_bytes or stored_bytes > _MAX_EPH_ATT_BYTES:
-        problems.add(f"{data.name} has {stored_bytes} bytes, its header says {expected_bytes}; copy it again")
+        problems.add(
+            f"{data.name} has {stored_bytes} bytes",
+            expected=f"{expected_bytes}, as its header says",
+            mend="copy it again",
+            code="file-size-mismatch",
+        )
     problems.raise_if_any()
 
 

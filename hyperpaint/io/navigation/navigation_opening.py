@@ -152,17 +152,23 @@ def open_navigation(
         return _stored(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
-        raise FormatError("no navigation file given, expected one or more")
+        raise FormatError("no navigation file is given", expected="one or more", code="empty-input")
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
     source.check()
     if format is not None and format not in get_args(NavigationFormat):
         raise SchemaError(
-            f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
+            f"format {format!r:.40}",
+            expected=", ".join(map(repr, get_args(NavigationFormat))),
+            code="choice-unknown",
         )
     parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
     if columns is not None and format not in (None, "csv"):
-        raise SchemaError(f"columns= name those of a table without a header, found format {format!r}")
+        raise SchemaError(
+            f"columns= with format {format!r}",
+            expected="format 'csv', a table without a header",
+            code="option-conflict",
+        )
     for path in files:
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
@@ -220,7 +226,11 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         return "csv"
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
     what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
-    raise FormatError(f"{path}: {what}, no known kind of navigation; give format=, one of {formats}")
+    raise FormatError(
+        f"{path}: {what}, no known kind of navigation",
+        mend=f"give format=, one of {formats}",
+        code="format-unknown",
+    )
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
@@ -231,15 +241,26 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
     problems = Problems(f"{path} holds no navigation record", FormatError)
     for name in (NAVIGATION_TIME, *POSE):
         if name not in record.variables:
-            problems.add(f"{name!r} is missing; there are {', '.join(map(str, record.variables))[:200]}")
+            problems.add(
+                f"{name!r} is missing among {', '.join(map(str, record.variables))[:200]}",
+                code="variable-missing",
+            )
         elif record[name].dims != (NAVIGATION_TIME,):
-            problems.add(f"{name!r} has dims {record[name].dims}", expected=f"({NAVIGATION_TIME!r},)")
+            problems.add(
+                f"{name!r} has dims {record[name].dims}",
+                expected=f"({NAVIGATION_TIME!r},)",
+                code="dims-wrong",
+            )
         elif name != NAVIGATION_TIME and "units" not in record[name].attrs:
-            problems.add(f"{name!r} has no units", expected="those that open_navigation gives it")
+            problems.add(
+                f"{name!r} has no units", expected="those that open_navigation gives it", code="units-missing"
+            )
     problems.raise_if_any()
     time = record[NAVIGATION_TIME].values
     if time.dtype.kind != "M" or not time.size or np.isnat(time).any():
-        raise TimeError(f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]")
+        raise TimeError(
+            f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
+        )
     utc = time.astype("datetime64[ns]").astype(np.int64)
     refuse_backwards(str(path), utc, row="sample")
     declared = Convention.from_attrs(record.attrs) or Convention()
@@ -282,8 +303,12 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
         record = record.dated_at(int(source.midnight or 0))
     if record.utc is None or not record.utc.size:
         raise TimeError(
-            f"{path.name} holds no date; give gps_time= (gps_time.txt of the same flight), or date= and "
-            "clock_offset_s= (UTC = the computer's clock + clock_offset_s)"
+            f"{path.name} holds no date",
+            mend=(
+                "pass gps_time= (gps_time.txt of the same flight), or date= and clock_offset_s= (UTC "
+                "= the computer's clock + clock_offset_s)"
+            ),
+            code="date-missing",
         )
     refuse_backwards(path.name, record.utc, record.rows)
     return PoseRecord(
@@ -313,16 +338,32 @@ class TimeSource:
         problems = Problems("the clock of the navigation cannot be as described", TimeError)
         week, leap = self.week, self.leap_seconds
         if week is not None and not (_is_whole(week) and 0 <= week <= _LAST_WEEK):
-            problems.add(f"week {week!r:.40}, expected the number of weeks since 1980-01-06, such as 2158")
+            problems.add(
+                f"week {week!r:.40}",
+                expected="the number of weeks since 1980-01-06, such as 2158",
+                code="value-out-of-range",
+            )
         if leap is not None and not (_is_whole(leap) and 0 <= leap <= 100):
-            problems.add(f"leap_seconds {leap!r:.40}, expected GPS minus UTC in whole seconds, such as 18")
+            problems.add(
+                f"leap_seconds {leap!r:.40}",
+                expected="GPS minus UTC in whole seconds, such as 18",
+                code="value-out-of-range",
+            )
         if self.time_scale not in (None, "gps", "utc"):
-            problems.add(f"time_scale {self.time_scale!r:.40}, expected 'gps' or 'utc'")
+            problems.add(
+                f"time_scale {self.time_scale!r:.40}", expected="'gps' or 'utc'", code="choice-unknown"
+            )
         if self.date is not None and self.midnight is None:
-            problems.add(f"date {str(self.date)!r:.40}, expected one like '2024-06-01'")
+            problems.add(
+                f"date {str(self.date)!r:.40}", expected="a date such as '2024-06-01'", code="time-unreadable"
+            )
         offset = self.clock_offset_s
         if offset is not None and not abs(offset) <= 1e9:
-            problems.add(f"clock_offset_s {offset!r:.40}, expected seconds, at most 1e9 either way")
+            problems.add(
+                f"clock_offset_s {offset!r:.40}",
+                expected="seconds, at most 1e9 either way",
+                code="value-out-of-range",
+            )
         problems.raise_if_any()
 
     @property
@@ -383,8 +424,9 @@ def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
     first = int(record.stamp[0]) // NS_PER_S
     day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[first // 86_400 % 7]
     raise TimeError(
-        f"{record.name} counts seconds of a GPS week (from {first} s: a {day}) and does not say which week; "
-        "give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight"
+        f"{record.name} counts seconds of an unknown GPS week (from {first} s: a {day})",
+        mend="give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
+        code="gps-week-missing",
     )
 
 
@@ -392,11 +434,18 @@ def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> 
     problems = Problems(f"{record.name} is of another day than was given", TimeError)
     shown = np.datetime64(first // NS_PER_S, "s")
     if source.midnight is not None and abs(first - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
-        problems.add(f"it begins at {shown}, date is {source.date}; correct the one that is wrong")
+        problems.add(
+            f"it begins at {shown}, but date is {source.date}",
+            mend="correct the wrong one",
+            code="date-conflict",
+        )
     if source.week is not None and record.counts_from != "week":
         stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
         if stamp_week != source.week:
-            problems.add(f"it begins at {shown}, in week {stamp_week}; week is {source.week}")
+            problems.add(
+                f"it begins at {shown}, in week {stamp_week}, but week is {source.week}",
+                code="gps-week-conflict",
+            )
     problems.raise_if_any()
 
 
@@ -410,11 +459,20 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
             first.format, first.convention, set(first.others),
         ):  # fmt: skip
             raise FormatError(
-                f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
+                (
+                    f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format "
+                    "or convention"
+                ),
+                mend="open them apart",
+                code="formats-mixed",
             )
         if utc[0] <= earlier[-1]:
             end, start = (np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier[-1], utc[0]))
-            raise TimeError(f"{before.name} ends at {end}, after {record.name} begins at {start}; give one")
+            raise TimeError(
+                f"{before.name} ends at {end}, after {record.name} begins at {start}",
+                mend="give one of them",
+                code="time-overlap",
+            )
 
 
 def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
@@ -425,13 +483,21 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
     else:
         unknown = set(given) - set(record.convention.__dataclass_fields__)
         if unknown:
-            raise SchemaError(f"convention has no {', '.join(map(repr, sorted(unknown)))}; see Convention")
+            raise SchemaError(
+                f"convention has no {', '.join(map(repr, sorted(unknown)))}",
+                mend="see Convention",
+                code="key-unknown",
+            )
         meant = record.convention.replace(**given)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
         held = record.convention.angle_unit
         raise SchemaError(
-            f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) holds "
-            f"{held}; give Convention(angle_unit={held!r}, ...), or a mapping of what differs"
+            (
+                f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) "
+                f"holds {held}"
+            ),
+            mend=f"give Convention(angle_unit={held!r}, ...), or a mapping of the fields that differ",
+            code="units-conflict",
         )
     return meant
 

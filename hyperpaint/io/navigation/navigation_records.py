@@ -98,7 +98,11 @@ def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: 
             wrong = np.flatnonzero(~(np.abs(values[name]) <= most) & ~np.isnan(values[name]))
         if wrong.size:
             where = name_rows(wrong + 1, row)
-            problems.add(f"{name} is {values[name][wrong[0]]:g} in {where}, expected within +-{most:.4g}")
+            problems.add(
+                f"{name} is {values[name][wrong[0]]:g} in {where}",
+                expected=f"within +-{most:.4g}",
+                code="value-out-of-range",
+            )
 
 
 def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems: Problems, row: str) -> None:
@@ -106,8 +110,10 @@ def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems
     wrong = np.flatnonzero(~((seconds >= 0.0) & (seconds <= most)))
     if wrong.size:
         problems.add(
-            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}, expected 0 to {most:g} s; "
-            f"is {name} of this format?"
+            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}",
+            expected=f"0 to {most:g} s",
+            mend=f"check that {name} is of this format",
+            code="value-out-of-range",
         )
 
 
@@ -147,8 +153,12 @@ class Navigation:
             return tie_clock(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
         held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
         raise TimeError(
-            f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which"
-            f" {self.name} does not cover ({held}); give the navigation of this flight, or gps_time or date"
+            (
+                f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which "
+                f"{self.name} does not cover ({held})"
+            ),
+            mend="give the navigation of this flight, or gps_time or date",
+            code="time-uncovered",
         )
 
     def dated_by(self, clock: Clock) -> Navigation:
@@ -187,7 +197,11 @@ class Navigation:
         Raises TimeError: The record has no UTC, or it runs backwards.
         """
         if self.utc is None:
-            raise TimeError(f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s")
+            raise TimeError(
+                f"{self.name} holds no UTC",
+                mend="give gps_time, or date and clock_offset_s",
+                code="time-missing",
+            )
         refuse_backwards(self.name, self.utc, self.rows)
         new = np.concatenate([[True], np.diff(self.utc) > 0])
         knots = self.utc[new]
@@ -240,12 +254,12 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
     if unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
-        warnings.warn(message, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
     if utc is None:
         return record
     keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
     if not keep.any():
-        raise FormatError(f"{path}: no row with a date")
+        raise FormatError(f"{path}: no row with a date", code="date-missing")
     return replace(
         record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
     )._where(keep)
@@ -267,7 +281,10 @@ def limited_numbers(
         numbers[["_" in cell for cell in cells]] = np.inf
     wrong = table.rows[np.abs(numbers) > limit]
     if wrong.size:
-        problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
+        problems.add(
+            f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}",
+            code="value-out-of-range",
+        )
     return numbers
 
 
@@ -284,7 +301,9 @@ def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[n
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
         raise FormatError(
-            f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
+            f"{table.name}: column {column!r} is unreadable in {name_rows(wrong)}",
+            expected="times such as '2021/07/23 12:34:56.789'",
+            code="time-unreadable",
         )
     return dates.astype(np.int64)
 
@@ -351,12 +370,17 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
     if not lines:
-        raise FormatError(f"{path}: no rows of computer time, tab, receiver date and time")
+        raise FormatError(
+            f"{path}: no rows of computer time, tab, receiver date and time", code="table-missing"
+        )
     rows = np.array([number for number, _ in lines], np.int64)
     pairs = [line.split("\t") for _, line in lines]
     wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
     if wrong:
-        raise FormatError(f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time")
+        raise FormatError(
+            f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time",
+            code="row-unreadable",
+        )
     table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
     utc = _dates(table, "pos", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)

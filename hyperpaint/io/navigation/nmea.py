@@ -64,13 +64,24 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     for fields in _sound_sentences(path, text):
         log.take(fields)
         if len(log.rows) > _MOST_POSITIONS:
-            raise FormatError(f"{path}: over {_MOST_POSITIONS} positions, expected a log of hours; cut it")
+            raise FormatError(
+                f"{path}: over {_MOST_POSITIONS} positions",
+                expected="a log of hours",
+                mend="cut the log to the flight",
+                code="file-too-large",
+            )
     log.problems.raise_if_any()
     if not log.rows:
-        raise FormatError(f"{path}: no position with a fix, expected GGA sentences of NMEA 0183")
+        raise FormatError(
+            f"{path}: no position with a fix", expected="GGA sentences of NMEA 0183", code="position-missing"
+        )
     day = log.first_day if log.first_day is not None else midnight
     if day is None:
-        raise TimeError(f"{path.name} holds no date (RMC or ZDA); give date='YYYY-MM-DD' of its first row")
+        raise TimeError(
+            f"{path.name} holds no date (RMC or ZDA)",
+            mend="give date='YYYY-MM-DD' of its first row",
+            code="date-missing",
+        )
     seconds = np.array(list(log.rows))
     stamp = np.rint(seconds * NS_PER_S).astype(np.int64) + day
     names = (*POSE, "separation")
@@ -84,7 +95,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ("roll", "pitch", "heading")):
         text = f"{path.name} holds positions alone: no roll, pitch or heading (PASHR, HDT or THS)"
-        warnings.warn(text, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
     return PoseRecord(
         path.name, "NMEA 0183", stamp, "1970", values, Convention(height_reference=height),
         assumed=("roll_positive", "pitch_positive", "euler_order"), time_scale="utc",
@@ -101,10 +112,14 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
         else:
             damaged += 1
     if damaged > _MOST_DAMAGED * total:
-        raise FormatError(f"{path}: {damaged} of {total} sentences have a wrong checksum; copy it again")
+        raise FormatError(
+            f"{path}: {damaged} of {total} sentences have a wrong checksum",
+            mend="copy it again",
+            code="checksum-wrong",
+        )
     if damaged:
         message = f"{path.name}: {damaged} of {total} sentences have a wrong checksum, and are left out"
-        warnings.warn(message, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(message, code="checksum-wrong"), stacklevel=4)
 
 
 class _Log:
@@ -130,7 +145,9 @@ class _Log:
             self._readers[kind](fields)
         except (ValueError, LookupError):
             if len(self.problems) < 5:  # a few tell what is wrong
-                self.problems.add(f"sentence {','.join(fields)[:60]!r} is not as the standard has it")
+                self.problems.add(
+                    f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
+                )
 
     def _take_gga(self, fields: list[str]) -> None:
         if int(fields[6] or 0) not in _FIXES or not fields[2]:
