@@ -206,12 +206,18 @@ _FOLDERS = (
 def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
     problems = Problems("no DIRSIG scene can be written", SchemaError)
     if not isinstance(max_curves, int) or max_curves < 1:
-        problems.add(f"max_curves={max_curves!r}, expected a whole number above 0")
+        problems.add(
+            f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
+        )
     if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
-        problems.add(f"texture_m={texture_m!r}, expected 0.001 to 10000 m")
+        problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
     three = np.asarray(origin, np.float64)
     if three.shape != (3,) or not np.isfinite(three).all() or not (abs(three[:2]) <= [90.0, 360.0]).all():
-        problems.add(f"origin={origin!r}, expected latitude and longitude [degree] and height [m]")
+        problems.add(
+            f"origin={origin!r}",
+            expected="latitude and longitude [degree] and height [m]",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
 
 
@@ -223,7 +229,9 @@ def _surfaces(
     materials, instances = scene.materials, scene.instances
     names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
     for key in repaint.keys() - names:
-        problems.add(f"repaint[{key!r}] names no instance, material or spectrum of the scene")
+        problems.add(
+            f"repaint[{key!r}] names no instance, material or spectrum of the scene", code="key-unknown"
+        )
     problems.raise_if_any()
     pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
     distinct, face_pair = np.unique(pair, return_inverse=True)
@@ -249,7 +257,9 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
     for number, surface in enumerate(surfaces):
         owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
         if owner is None:
-            problems.add(f"spectrum {surface.spectrum!r} of the scene is in no library")
+            problems.add(
+                f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
+            )
         else:
             shares[owner].append((number, places[owner][surface.spectrum]))
     problems.raise_if_any()

@@ -69,7 +69,12 @@ def export_folder(
     there; or it cannot be written. Also for whatever the disk refuses inside.
     """
     if _URL.match(os.fspath(folder)):
-        raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")
+        raise StoreError(
+            f"{os.fspath(folder)!r} is a URL",
+            expected="a folder",
+            mend="write to a folder and copy it",
+            code="folder-is-url",
+        )
     place = Path(os.path.abspath(folder))
     with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
         for name in inside:
@@ -217,7 +222,11 @@ def write_dirsig(
     """
     kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
     if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
-        raise SchemaError(f"max_curves={max_curves!r}, expected a whole number above 0, or None")
+        raise SchemaError(
+            f"max_curves={max_curves!r}",
+            expected="a whole number above 0, or None",
+            code="value-out-of-range",
+        )
     coat = coat_of(library, specular)
     axis = Axis(library)
     choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
@@ -264,27 +273,45 @@ def _checked(
     names = {"reflectance", "wavelength", CURVES.get(kind, "reflectance")} & {*map(str, library.variables)}
     require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
     if kind not in CURVES:
-        problems.add(f"curves={curves!r}, expected {', '.join(CURVES)}")
+        problems.add(f"curves={curves!r}", expected=", ".join(CURVES), code="choice-unknown")
     elif CURVES[kind] not in library.variables:
-        problems.add(f"curves={kind!r} needs {CURVES[kind]}, which the library has not; pass curves='centre'")
+        problems.add(
+            f"curves={kind!r} needs {CURVES[kind]}, which the library lacks",
+            mend="pass curves='centre'",
+            code="variable-missing",
+        )
     elif library[CURVES[kind]].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
-        problems.add(f"{CURVES[kind]} is {library[CURVES[kind]].dtype}, expected numbers")
+        problems.add(
+            f"{CURVES[kind]} is {library[CURVES[kind]].dtype}", expected="numbers", code="type-wrong"
+        )
     if not library.sizes[SIGNATURE]:
-        problems.add("the library has no paints")
+        problems.add("the library has no paints", code="empty-input")
     if wavelength_range is not None and not _is_range(wavelength_range):
         problems.add(
-            f"wavelength_range={wavelength_range!r}, expected two wavelengths such as (400, 1000) [nm]"
+            f"wavelength_range={wavelength_range!r}",
+            expected="two wavelengths such as (400, 1000) [nm]",
+            code="value-out-of-range",
         )
     if gaps not in (None, *GAPS):
-        problems.add(f"gaps={gaps!r}, expected {' or '.join(GAPS)}")
+        problems.add(f"gaps={gaps!r}", expected=" or ".join(GAPS), code="choice-unknown")
     if surface not in SURFACES:
-        problems.add(f"surface={surface!r}, expected {' or '.join(SURFACES)}")
+        problems.add(f"surface={surface!r}", expected=" or ".join(SURFACES), code="choice-unknown")
     elif surface == "SimpleReflectance" and specular != 0.0:
-        problems.add("SimpleReflectance has no specular term; leave specular away, or use ClassicEmissivity")
+        problems.add(
+            "SimpleReflectance has no specular term",
+            mend="leave specular out, or use ClassicEmissivity",
+            code="option-conflict",
+        )
     if not (rad_solver.isascii() and rad_solver.isalnum()):
-        problems.add(f"rad_solver={rad_solver!r}, expected a name such as 'Classic'")
+        problems.add(
+            f"rad_solver={rad_solver!r}", expected="a name such as 'Classic'", code="value-out-of-range"
+        )
     if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(_is_number, thermal.values()))):
-        problems.add(f"thermal={dict(thermal)!r}, expected numbers for all of {', '.join(THERMAL)}")
+        problems.add(
+            f"thermal={dict(thermal)!r}",
+            expected=f"numbers for all of {', '.join(THERMAL)}",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     return kind
 
@@ -345,7 +372,7 @@ def write_spectra(
             try:
                 spectra = curves_of(axis, centre, curves, choices)
             except PaintProblemError as error:
-                problems.append(Problem(f"{record['paint']!r}: {error}"))
+                problems.append(error.about(repr(record["paint"])).problem)
                 continue
             mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
             fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
@@ -359,8 +386,16 @@ def write_spectra(
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
-        more = [Problem(f"and {len(problems) - _MOST_SHOWN} more paints")] if problems[_MOST_SHOWN:] else []
-        raise SchemaError("paints cannot be written for DIRSIG", problems=problems[:_MOST_SHOWN] + more)
+        more = (
+            [Problem(f"and {len(problems) - _MOST_SHOWN} more paints", code="paint-unwritable")]
+            if problems[_MOST_SHOWN:]
+            else []
+        )
+        raise SchemaError(
+            "paints cannot be written for DIRSIG",
+            problems=problems[:_MOST_SHOWN] + more,
+            code="paint-unwritable",
+        )
 
 
 def _write_paint(
@@ -430,7 +465,10 @@ def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
         if number and not (gaps_said and "interpolated" in key):
             messages.append(f"{number} {what} (in {paints} of {len(records)} paints)")
     if messages:
-        warnings.warn(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
+            stacklevel=3,
+        )
 
 
 def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:

@@ -79,7 +79,10 @@ class ColumnText:
         steps = itertools.pairwise(zip(map(float, written), written, strict=True))
         if equal := next((one[1] for one, other in steps if other[0] <= one[0]), ""):
             raise SchemaError(
-                f"two wavelengths at or below {equal} um in turn, expected them to ascend; keep one of them"
+                f"two successive wavelengths at or below {equal} um",
+                expected="ascending wavelengths",
+                mend="keep one of them",
+                code="wavelength-order",
             )
         head = f"{title}\n" if title else ""
         rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in written]
@@ -170,9 +173,17 @@ def _parse(data: bytes, name: str) -> Emissivity:
     match = _COUNT.fullmatch(lines[0])
     count = int(match[1]) if match else 0
     if not 1 <= count <= MOST_CURVES:
-        problems.add(f"line 1: {_shown(lines[0])}, expected a number of curves, 1 to {MOST_CURVES}")
+        problems.add(
+            f"line 1: {_shown(lines[0])}",
+            expected=f"a number of curves, 1 to {MOST_CURVES}",
+            code="number-unreadable",
+        )
     if len(lines) < _ANGLES + 2:
-        problems.add(f"{len(lines) - 1} lines, expected the number of curves, {_ANGLES} weights and curves")
+        problems.add(
+            f"{len(lines) - 1} lines",
+            expected=f"the number of curves, {_ANGLES} weights and curves",
+            code="file-truncated",
+        )
         problems.raise_if_any()
     weights = _weights(lines[1:-1], problems)
     problems.raise_if_any()
@@ -184,12 +195,20 @@ def _parse(data: bytes, name: str) -> Emissivity:
 def _weights(lines: list[bytes], problems: Problems) -> Floats:
     wrong = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
     for angle in wrong[:_MOST_SHOWN]:
-        problems.add(f"line {angle + 2}: {_shown(lines[angle])}, expected the weight of {angle} degrees")
+        problems.add(
+            f"line {angle + 2}: {_shown(lines[angle])}",
+            expected=f"the weight of {angle} degrees",
+            code="number-unreadable",
+        )
     if wrong:
         return np.ones(_ANGLES)
     weights = np.array([float(line) for line in lines])
     if not (np.isfinite(weights).all() and weights.min() >= 0.0):
-        problems.add("a weight of a view angle is negative or beyond numbers, expected 0 or more")
+        problems.add(
+            "a weight of a view angle is negative or not finite",
+            expected="0 or more",
+            code="value-out-of-range",
+        )
     return weights
 
 
@@ -201,28 +220,44 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
     if not new and not _OLD_MARK.match(body, start):
         line = _ANGLES + 2 + body.count(b"\n", 0, start)
         first = body[start : body.find(b"\n", start)]
-        problems.add(f"line {line}: {_shown(first)}, expected {CURVE_BEGIN} or the number 0 of a curve")
+        problems.add(
+            f"line {line}: {_shown(first)}",
+            expected=f"{CURVE_BEGIN} or the number 0 of a curve",
+            code="row-unreadable",
+        )
         return "", []
     layout, mark = ("new", _NEW_MARK) if new else ("old", _OLD_MARK)
     marks = list(mark.finditer(body, start))
     if len(marks) != count:
-        problems.add(f"{len(marks)} curves, expected the {count} of line 1; is the file cut off?")
+        problems.add(
+            f"{len(marks)} curves",
+            expected=f"{count}, as line 1 says",
+            mend="check whether the file is cut off",
+            code="length-mismatch",
+        )
         return layout, []
     curves = []
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
     line = _ANGLES + 3 + body.count(b"\n", 0, start)
     for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):
         if not new and int(heading[1]) != number:
-            problems.add(f"line {line - 1}: curve {int(heading[1])}, expected {number}")
+            problems.add(
+                f"line {line - 1}: curve {int(heading[1])}", expected=str(number), code="row-unreadable"
+            )
         rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
             axis, emissivity = table.T.copy()
             if wrong := (_wavelength_problem(axis) if new else _wavenumber_problem(axis)):
-                problems.add(f"curve {number}, from line {line}: {wrong}")
+                problems.add(f"curve {number}, from line {line}: {wrong}", code="wavelength-order")
             elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
                 problems.add(
-                    f"curve {number}, from line {line}: emissivity from {emissivity.min():g} to "
-                    f"{emissivity.max():g}, expected 0 to 1; is it percent?"
+                    (
+                        f"curve {number}, from line {line}: emissivity from {emissivity.min():g} to "
+                        f"{emissivity.max():g}"
+                    ),
+                    expected="0 to 1",
+                    mend="divide percent by 100",
+                    code="value-out-of-range",
                 )
             else:
                 curves.append(Curve(axis if new else 1e4 / axis, emissivity))
@@ -237,11 +272,15 @@ def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():
-        problems.add(f"line {line}: a curve without rows, expected wavelength and emissivity")
+        problems.add(
+            f"line {line}: a curve without rows", expected="wavelength and emissivity", code="table-missing"
+        )
         return None
     lines = rows.rstrip(b" \t\n").split(b"\n")
     wrong = next((number for number, row in enumerate(lines) if not _ONE_ROW.fullmatch(row)), 0)
-    problems.add(f"line {line + wrong}: {_shown(lines[wrong])}, expected two numbers")
+    problems.add(
+        f"line {line + wrong}: {_shown(lines[wrong])}", expected="two numbers", code="row-unreadable"
+    )
     return None
 
 
@@ -287,7 +326,10 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     wavelength = file.curves[0].wavelength
     if not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves):
         raise FormatError(
-            f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
+            f"{place}: curves on different wavelengths",
+            expected="the same for all",
+            mend="read each curve with read_emissivity",
+            code="grid-mismatch",
         )
     members = 1.0 - np.array([curve.emissivity for curve in file.curves])
     centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)

@@ -162,9 +162,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
     counts = Counter(material.id for material in materials)
     for token in [token for token, count in counts.items() if count > 1][:_MOST_SHOWN]:
-        problems.add(f"ID {token[:40]!r} is there twice, expected another for every material")
+        problems.add(f"ID {token[:40]!r} occurs twice", expected="one ID a material", code="id-duplicate")
     if not top:
-        problems.add(f"no section, expected some {_ENTRY} {{ ... }}")
+        problems.add("no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
     problems.raise_if_any()
     return tuple(materials)
 
@@ -186,20 +186,26 @@ def _parse(text: str, problems: Problems) -> list[Section]:
         elif name and (pair := _VARIABLE.fullmatch(line) or (name == "LUT" and _LOOK_UP.fullmatch(line))):
             items.append((pair[1], pair[2]))
         else:
-            problems.add(f"line {number}: {line[:60]!r}, {_expected(line, len(opened))}")
+            problems.add(
+                f"line {number}: {line[:60]!r}",
+                expected=_expected(line, len(opened)),
+                code="row-unreadable",
+            )
             if len(problems) >= _MOST_SHOWN:
                 return []
     for name, number, _ in opened[1:][:_MOST_SHOWN]:
-        problems.add(f"line {number}: section {name} is not closed, expected a line '}}' for it")
+        problems.add(
+            f"line {number}: section {name} is not closed", expected="a line '}' for it", code="section-open"
+        )
     return opened[0][2]
 
 
 def _expected(line: str, depth: int) -> str:
     if line == "}":
-        return "expected no bracket: none is open"
+        return "no bracket, since none is open"
     if depth > _DEEPEST:
-        return f"expected sections at most {_DEEPEST} deep"
-    return "expected 'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
+        return f"sections at most {_DEEPEST} deep"
+    return "'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
 
 
 def _material(entry: Section, number: int, problems: Problems) -> Material:
@@ -208,26 +214,30 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
     who = f"material {number} ({token[:40]!r})"
     if len(problems) < _MOST_SHOWN:
         if not _TOKEN.fullmatch(token):
-            problems.add(f"{who}: expected an ID without blanks")
+            problems.add(f"{who} has no ID", expected="an ID without blanks", code="id-missing")
         if not name:
-            problems.add(f"{who}: no NAME")
-        for text in _section_problems(entry):
-            problems.add(f"{who}: {text}")
+            problems.add(f"{who} has no NAME", code="name-missing")
+        for found, code in _section_problems(entry):
+            problems.add(f"{who}: {found}", code=code)
         fraction = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         if fraction is not None and not _is_fraction(fraction):
-            problems.add(f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}, expected 0 to 1")
+            problems.add(
+                f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}", expected="0 to 1", code="value-out-of-range"
+            )
     return Material(token, name, entry)
 
 
-def _section_problems(section: Section) -> Iterator[str]:
-    """Yield what is wrong in a section: what is there twice, and names without what they name."""
+def _section_problems(section: Section) -> Iterator[tuple[str, str]]:
+    """Yield message and code of each duplicate key, and of each solver or property without its section."""
     keys = Counter(item[0] if isinstance(item, tuple) else item.name for item in section.items)
-    yield from (f"{key} is there twice in {section.name}" for key, count in keys.items() if count > 1)
+    for key, count in keys.items():
+        if count > 1:
+            yield f"{key} occurs twice in {section.name}", "key-duplicate"
     inside = {item.name for item in section.sections()}
     for key in sorted(keys.keys() - inside):
         part = key.removesuffix("_NAME")
         if part != key and part.endswith(("_SOLVER", "_PROP")) and part not in inside:
-            yield f"{key} without a section {part}"
+            yield f"{key} without a section {part}", "section-missing"
     for item in section.sections():
         yield from _section_problems(item)
 

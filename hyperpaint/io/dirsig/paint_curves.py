@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
@@ -71,18 +71,30 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     try:
         declared = mirror_reflection(library)
     except SchemaError as error:
-        problems.add(str(error))
+        problems.add_error("", error)
     # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
     mirror = declared or INCLUDED
     if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
-        problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
+        problems.add(
+            f"specular={specular!r}", expected="0 to below 1, or 'library'", code="value-out-of-range"
+        )
     if specular == "library" and not apart:
-        problems.add("specular='library', but the library has no specular_reflectance (signature, band)")
+        problems.add(
+            "specular='library', but the library has no specular_reflectance (signature, band)",
+            code="variable-missing",
+        )
     elif specular != 0.0 and mirror == INCLUDED:
         problems.add(
-            f"specular={specular!r}, but the reflectance holds the mirrored light already: the clear coat "
-            "would count twice; leave it away, or pass body reflectance (remove_mirrored_sky, or signatures "
-            f"--specular-sky), with reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
+            (
+                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear "
+                "coat would count twice"
+            ),
+            mend=(
+                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
+            ),
+            option="leave specular out, or give body reflectance (signatures --specular-sky)",
+            code="coat-counted-twice",
         )
     problems.raise_if_any()
     return Coat(mirror, declared is not None, specular)
@@ -106,7 +118,7 @@ _BLOCK_BYTES = 8 * 2**20
 """Of curves held at a time."""
 
 
-class PaintProblemError(Exception):
+class PaintProblemError(PaintError):
     """One paint cannot be written; the message says why, and how to mend it."""
 
 
@@ -154,7 +166,10 @@ class Axis:
         is_finite = np.isfinite(wavelength).all() and wavelength.size
         if not (is_finite and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
             raise SchemaError(
-                f"a wavelength is unknown or far off, expected {SHORTEST:g} to {LONGEST:g} nm; drop the band"
+                "a wavelength is unknown or out of range",
+                expected=f"{SHORTEST:g} to {LONGEST:g} nm",
+                mend="drop the band",
+                code="wavelength-range",
             )
         self.order = np.argsort(wavelength, kind="stable")
         self.wavelength = wavelength[self.order]
@@ -164,11 +179,16 @@ class Axis:
                 "wavelengths fall at the joins of detectors: bands are sorted, so that curves of overlapping "
                 "detectors alternate; keep one detector a wavelength, as open_svc(overlap='trim') does"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=3)
+            warnings.warn(PaintWarning(msg, code="wavelength-order"), stacklevel=3)
         written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
             shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
-            raise SchemaError(f"two bands at {shown} nm, expected one; keep one detector there")
+            raise SchemaError(
+                f"two bands at {shown} nm",
+                expected="one",
+                mend="keep one detector there",
+                code="wavelength-duplicate",
+            )
         good = arrays["good"].values.astype(bool) if "good" in arrays else np.ones(len(written), bool)
         self.good = good[self.order]
 
@@ -211,7 +231,9 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     curves = curves[np.isfinite(curves).any(axis=1)]
     usable = np.flatnonzero(np.isfinite(centre))
     if usable.size < 2:
-        raise PaintProblemError("fewer than two bands have a value, expected a spectrum; leave the paint out")
+        raise PaintProblemError(
+            "fewer than two bands have a value", mend="leave the paint out", code="value-missing"
+        )
     if not len(curves):  # a paint of which no member was kept
         curves = centre[np.newaxis]
     measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
@@ -220,7 +242,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     wavelength = axis.wavelength[chosen]
     if np.median(centre[usable]) > 1.0:
         raise PaintProblemError(
-            f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
+            f"median reflectance {np.median(centre[usable]):g}",
+            expected="0 to 1",
+            mend="divide percent by 100",
+            code="value-out-of-range",
         )
     curves = curves[:, chosen]
     whole = np.isfinite(curves[:, [0, -1]]).all(axis=1)
@@ -228,9 +253,9 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     if choices.gaps == "refuse":
         if missing.any():
             which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
-            raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
+            raise _hole_error(which, wavelength[missing.any(axis=0)])
         if holes.any():
-            raise PaintProblemError(_holes("the centre has", wavelength[holes]))
+            raise _hole_error("the centre has", wavelength[holes])
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
     if whole.any():
         curves, missing = curves[whole], missing[whole]
@@ -290,12 +315,15 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
     below, above = low < measured[0], high > measured[1]
     if low >= measured[1] or high <= measured[0]:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm"
+            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm",
+            code="wavelength-uncovered",
         )
     if (below or above) and not choices.extrapolate:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm, {low:g} to {high:g} nm are asked for; ask for "
-            "less, or pass extrapolate=True to hold the ends constant"
+            f"measured {measured[0]:g} to {measured[1]:g} nm",
+            expected=f"{low:g} to {high:g} nm",
+            mend="narrow wavelength_range, or pass extrapolate=True to hold the ends constant",
+            code="wavelength-uncovered",
         )
     return below, above
 
@@ -310,10 +338,11 @@ def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None
     return slice(first, last + 1)
 
 
-def _holes(which: str, at: Array) -> str:
-    """Return the message about bands [nm] without values inside the range."""
+def _hole_error(subject: str, at: Array) -> PaintProblemError:
+    """Return the error about bands [nm] without values inside the range."""
     shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
-    return (
-        f"{which} no value at {shown} nm, inside the range; leave gaps away to fill them in, or pass "
-        "a wavelength_range without them"
+    return PaintProblemError(
+        f"{subject} no value at {shown} nm, inside the range",
+        mend="omit gaps= to fill them in, or pass a wavelength_range without them",
+        code="value-missing",
     )
