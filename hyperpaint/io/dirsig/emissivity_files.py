@@ -82,7 +82,7 @@ class ColumnText:
                 f"two successive wavelengths at or below {equal} um",
                 expected="ascending wavelengths",
                 mend="keep one of them",
-                code="wavelength-order",
+                code="wavelength-unordered",
             )
         head = f"{title}\n" if title else ""
         rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in written]
@@ -248,7 +248,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
         if (table := _table(rows, line, problems)) is not None:
             axis, emissivity = table.T.copy()
             if wrong := (_wavelength_problem(axis) if new else _wavenumber_problem(axis)):
-                problems.add(f"curve {number}, from line {line}: {wrong}", code="wavelength-order")
+                problems.add(f"curve {number}, from line {line}: {wrong}", code="wavelength-unordered")
             elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
                 problems.add(
                     (

@@ -179,7 +179,7 @@ class Axis:
                 "wavelengths fall at the joins of detectors: bands are sorted, so that curves of overlapping "
                 "detectors alternate; keep one detector a wavelength, as open_svc(overlap='trim') does"
             )
-            warnings.warn(PaintWarning(msg, code="wavelength-order"), stacklevel=3)
+            warnings.warn(PaintWarning(msg, code="wavelength-unordered"), stacklevel=3)
         written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
             shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])

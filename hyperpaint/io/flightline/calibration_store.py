@@ -279,7 +279,7 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         if not (np.isfinite(levels).all() and (levels >= 0).all()):
             problems.add(f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range")
     elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
-        problems.add("'srf_offset' does not increase strictly", code="axis-order")
+        problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:

@@ -208,7 +208,7 @@ def read_frame_index(path: str | Path) -> FrameIndex:
         wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
         raise FormatError(
             f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}",
-            code="frame-order",
+            code="frame-unordered",
         )
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
@@ -228,7 +228,7 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
         raise TimeError(
             f"{subject} repeats or runs backwards in {name_rows(wrong)}",
             mend="delete or reorder these rows",
-            code="time-order",
+            code="time-unordered",
         )
 
 

@@ -99,7 +99,7 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
                 f"{header.dtype.itemsize} bytes after {header.header_offset})"
             ),
             mend="copy it again",
-            code="file-size-mismatch",
+            code="file-size",
         )
     problems.raise_if_any()
 

@@ -131,7 +131,7 @@ def _check_order(wavelength: Floats, source: str) -> None:
             f"{source}: the first column rises and falls",
             expected="wavelengths",
             mend="spectra belong in columns",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
 
 

@@ -128,7 +128,7 @@ def refuse_backwards(
         raise TimeError(
             f"{name}: time runs backwards in {name_rows(numbers, row)}",
             mend="delete or reorder them",
-            code="time-order",
+            code="time-unordered",
         )
 
 

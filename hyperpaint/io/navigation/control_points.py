@@ -191,7 +191,7 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
         problems.add(
             f"crs {crs[:80]!r} is unknown, or PROJ knows no unit of it",
             expected="a CRS such as 'EPSG:32617'",
-            code="crs-unreadable",
+            code="crs-unknown",
         )
         return None
     return units.pop()

@@ -233,7 +233,7 @@ def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:
             f"{data.name} has {stored_bytes} bytes",
             expected=f"{expected_bytes}, as its header says",
             mend="copy it again",
-            code="file-size-mismatch",
+            code="file-size",
         )
     problems.raise_if_any()
 

@@ -174,7 +174,7 @@ def _table(name: str, lines: list[str]) -> _Table:
         raise FormatError(
             f"{name}: the wavelengths do not increase",
             mend="export the spectra again",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
     values = np.ascontiguousarray(values)
     wavelength.flags.writeable = values.flags.writeable = False

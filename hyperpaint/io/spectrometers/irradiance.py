@@ -334,7 +334,7 @@ def _from_xarray(
         raise SchemaError(
             f"{origin}: {wavelength.name!r} does not increase",
             mend="sort by it and drop repeats",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
     count = array.sizes[time.name]
     values = array.values.astype(np.float64)
@@ -539,7 +539,7 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
         raise TimeError(
             "irradiance times repeat, run backwards or are missing",
             mend="sort them and drop repeats",
-            code="time-order",
+            code="time-unordered",
         )
     flown = time[~np.isnat(time)]
     if not flown.size or not stamps.size or stamps[-1] < flown.min() or stamps[0] > flown.max():

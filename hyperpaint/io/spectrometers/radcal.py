@@ -180,6 +180,6 @@ def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, 
     if not np.isfinite(values).all() or (np.diff(at) <= 0).any():
         problems.add(
             f"[{name}] has wavelengths that do not increase, or values that are not finite",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
     return values

@@ -80,7 +80,8 @@ def _table(
         problems.add(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing")
     elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
         problems.add(
-            "wavelengths do not increase from line to line, or a value is not finite", code="wavelength-order"
+            "wavelengths do not increase from line to line, or a value is not finite",
+            code="wavelength-unordered",
         )
     elif not _WAVELENGTHS[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTHS[1]:
         problems.add(

@@ -236,7 +236,7 @@ def _measurement(
         raise FormatError(
             f"{file.name}: its detectors do not follow one another in wavelength",
             mend="copy the file again",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
     return SvcMeasurement(
         file=file, path=path, overlap=overlap, wavelength=file.wavelength[used], values=values[used],

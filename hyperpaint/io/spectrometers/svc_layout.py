@@ -187,7 +187,7 @@ def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
             f"{name}: the wavelengths step back {len(starts) - 1} times",
             expected=f"at most {_MOST_DETECTORS - 1} times, where detectors overlap",
             mend="copy the file again",
-            code="wavelength-order",
+            code="wavelength-unordered",
         )
     return starts
 

@@ -190,7 +190,7 @@ def test_text_is_what_formatting_one_by_one_gives(wavelength, count, random) -> 
 
 
 def test_wavelengths_that_are_written_alike_are_refused() -> None:
-    with pytest.raises(SchemaError, match="wavelength-order"):
+    with pytest.raises(SchemaError, match="wavelength-unordered"):
         ColumnText([400.0, 400.00001])
 
 

@@ -232,7 +232,7 @@ def test_a_record_of_another_time_is_refused(folder: Path) -> None:
         away = sky.assign_coords(irradiance_time=sky["irradiance_time"] + np.timedelta64(hours, "h"))
         with pytest.raises(TimeError, match="utc_offset_h"):
             open_line(folder, irradiance=away)
-    with pytest.raises(TimeError, match="time-order"):
+    with pytest.raises(TimeError, match="time-unordered"):
         open_line(folder, irradiance=sky.isel(irradiance_time=slice(None, None, -1)))
 
 

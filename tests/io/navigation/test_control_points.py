@@ -122,7 +122,7 @@ def test_east_and_north_come_in_the_unit_of_their_map(
     [
         ("EPSG:4326", "m", "'east'.*units-conflict"),
         ("EPSG:2263", "degree", "'east'.*units-unknown"),
-        ("EPSG:0", "ft", "'EPSG:0'.*crs-unreadable"),
+        ("EPSG:0", "ft", "'EPSG:0'.*crs-unknown"),
     ],
 )
 def test_units_that_are_not_of_the_map_are_refused(tmp_path: Path, crs: str, unit: str, problem: str) -> None:

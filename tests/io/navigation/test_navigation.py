@@ -152,8 +152,8 @@ def test_a_record_that_never_aligned_is_told(tmp_path: Path) -> None:
         ({"utc": "2021/Foo/30 00:00:00.0"}, FormatError, "line 4"),
         ({"stamp": 10_500}, TimeError, "line 4"),
         ({"stamp": 7}, TimeError, "line 4"),
-        ({"utc": T0 - MS}, TimeError, "line 4.*time-order"),
-        ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, "time-order"),
+        ({"utc": T0 - MS}, TimeError, "line 4.*time-unordered"),
+        ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, "time-unordered"),
     ],
 )
 def test_damaged_rows_are_named(

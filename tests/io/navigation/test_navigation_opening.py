@@ -134,7 +134,7 @@ def test_sbet_of_part_records_is_refused(tmp_path: Path, size: int) -> None:
 
 
 def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(TimeError, match=r"record 3.*time-order"):
+    with pytest.raises(TimeError, match=r"record 3.*time-unordered"):
         hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
 
 

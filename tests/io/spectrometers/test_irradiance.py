@@ -385,7 +385,7 @@ def test_what_is_no_series_is_refused():
         open_irradiance(sky([1.0, 2.0]), fwhm_nm=3)
     with pytest.raises(TimeError, match="in hours"):
         open_irradiance(sky(times), fwhm_nm=3, utc_offset_h=-18000)
-    with pytest.raises(SchemaError, match="wavelength-order"):
+    with pytest.raises(SchemaError, match="wavelength-unordered"):
         open_irradiance(sky(times).isel(wavelength=slice(None, None, -1)), fwhm_nm=3)
     with pytest.raises(TimeError, match="time-duplicate"):
         open_irradiance(sky(times[[0, 0]]), fwhm_nm=3)

@@ -38,7 +38,7 @@ def test_a_real_calibration(shared_data: Path) -> None:
     [
         ("!RADCAL", "!ANGDATA", "format-unknown"),
         ("[END_OF_LAMPDATA]", "", "table-missing"),
-        ("500 0 4.0 1.0", "300 0 4.0 1.0", "wavelength-order"),
+        ("500 0 4.0 1.0", "300 0 4.0 1.0", "wavelength-unordered"),
         ("410 1e-4", "410 broken", "line 16.*row-unreadable"),
         ("2.0 1.0", "nan 1.0", "not finite"),
     ],

@@ -316,7 +316,7 @@ def test_what_cannot_be_asked(write) -> None:
         ({"data": "comm= other\r\ndata="}, "'comm'.*key-duplicate"),
         ({"wavelength": GRID[:1], "panel": PANEL[:1], "surface": SURFACE[:1]}, "table-missing"),
         ({"wavelength": -GRID}, "wavelength-range"),
-        ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "wavelength-order"),
+        ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "wavelength-unordered"),
         ({"separator": "; "}, "row-unreadable"),
         ({"instrument": "HI: 1152050 (HR-1024i)"}, "file-truncated"),
     ],
@@ -333,7 +333,7 @@ def test_detectors_in_no_order(write) -> None:
     grid = np.array([3000.0, 3010.0, 965.0, 970.0])
     path = write(wavelength=grid, panel=grid, surface=grid / 2)
     assert open_svc(path).sizes["wavelength"] == 4
-    with pytest.raises(FormatError, match="wavelength-order"):
+    with pytest.raises(FormatError, match="wavelength-unordered"):
         open_svc(path, overlap="trim")
 
 
