@@ -1,4 +1,4 @@
-"""A whole scene of triangles for the simulator DIRSIG: geometry, materials with populations, maps, lists."""
+"""Scenes of triangles as DIRSIG files: geometry, materials with populations, texture maps, lists."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    """What faces are made of: a spectrum, under a coat of a refractive index and roughness, or none (0)."""
+    """Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness."""
 
     spectrum: str
     coat_index: float
@@ -224,7 +224,7 @@ def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
 def _surfaces(
     scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
-    """Return what faces are made of, and which of it every face is (face,)."""
+    """Return the distinct surfaces, and the surface of every face (face,)."""
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
     names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
@@ -250,7 +250,7 @@ def _surfaces(
 
 
 def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    """Return, of every library, the surfaces that it paints: their numbers, and places of their paints."""
+    """Return for every library its surfaces: their numbers, and the places of their paints."""
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
     places = [{str(name): place for place, name in enumerate(each[SIGNATURE].values)} for each in libraries]
@@ -271,7 +271,7 @@ def _write_materials(
     surfaces: Sequence[_Surface], choices: Choices, *, coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Write the spectra of all surfaces, and return their records, which say of which ``surface``."""
+    """Write the spectra of all surfaces; return their records, with the number of their ``surface``."""
     records: list[dict[str, Any]] = []
     for library, share in zip(libraries, shares, strict=True):
         if not share:
@@ -301,7 +301,7 @@ def _write_materials(
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    """Return a library whose coats mirror so much (signature,) [1]: beside the body, or as a BRDF with it."""
+    """Return a library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF."""
     import xarray as xr
 
     plain = library.drop_vars(_SPECULAR, errors="ignore")
@@ -322,7 +322,7 @@ def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Da
 
 
 def _fit_of(build: Path, record: Mapping[str, Any], surface: _Surface) -> str:
-    """Return the ``.fit`` file of a coated paint, whose centre, coat included, is written already."""
+    """Return the ``.fit`` file of a coated paint, from its written centre, which includes the coat."""
     micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
     body = np.maximum(whole - surface.mirrored, 0.0)
     return fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
@@ -363,7 +363,7 @@ def _attrs(
 
 
 def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
-    """Write a picture for every population, and name it in its record."""
+    """Write a texture picture for every population, and name it in the record."""
     for record in records:
         record["texture"] = ""
         if record["curves"] < 2:
@@ -377,7 +377,6 @@ def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequ
 
 
 def _mean(curve: Any, window: Sequence[float]) -> float:
-    """Return the mean reflectance of a curve over wavelengths [nm]."""
     grid = np.linspace(window[0], window[1], 301)
     return float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
 

@@ -1,4 +1,4 @@
-"""A paint library as materials of the simulator DIRSIG, in a folder of its own."""
+"""A paint library as a folder of materials of the simulator DIRSIG."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 def export_folder(
     folder: str | os.PathLike[str], *, overwrite: bool, inside: Sequence[str] = (EMISSIVITY, REFLECTANCE)
 ) -> Iterator[Path]:
-    """Yield a folder to write an export to, which gets its place when the block ends well.
+    """Yield a folder for an export, moved to its place when the block ends without error.
 
     ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced;
     ``inside``: folders to make in it.
@@ -265,7 +265,7 @@ def _checked(
     thermal: Mapping[str, float] | None,
     specular: float | str,
 ) -> str:
-    """Return the kind of curves; refuse a call that makes no sense."""
+    """Return the kind of curves; refuse invalid arguments."""
     problems = Problems("no DIRSIG materials can be written", SchemaError)
     kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are judged without reading values: an empty library has them, too
@@ -329,7 +329,7 @@ def _is_number(value: Any) -> bool:
 
 
 def paint_records(library: xr.Dataset, taken: Collection[Material]) -> list[dict[str, Any]]:
-    """Return the beginning of every paint's record: what it is called, where its files are, what is known.
+    """Return the first part of every paint's record: names, files, and columns of the library.
 
     IDs and names of materials that are ``taken`` are not used again.
     """
@@ -363,7 +363,7 @@ def write_spectra(
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write the files of all paints, and complete their records; after a problem only look for others."""
+    """Write the files of all paints and complete their records; after a fault, only check the rest."""
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in blocks_of(library, choices):
@@ -438,21 +438,20 @@ def _write_paint(
 
 
 def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    """Return red, green and blue for DIRSIG's editor: reflectance there, brightened; white where unknown."""
+    """Return red, green and blue for DIRSIG's editor, brightened; white where unknown."""
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
 
 
 def _source(library: xr.Dataset) -> dict[str, str]:
-    """Return what the library says of itself."""
     texts = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
             if name in library.attrs}  # fmt: skip
     return {f"library_{name}": str(value) for name, value in texts.items()}
 
 
 def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
-    """Tell what was done to the spectra that their reader would not expect."""
+    """Warn of changes to the spectra."""
     messages = []
     for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
                       ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),

@@ -46,7 +46,7 @@ _ANGLES = 91
 
 
 def emissivity_head(count: int) -> bytes:
-    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for every degree.
+    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for each degree.
 
     The weights are 1, as nearly all files have them: what an imager measured holds for its own view only.
 
@@ -142,7 +142,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Emissivity:
-    """What an ``.ems`` file holds."""
+    """Content of an ``.ems`` file."""
 
     weights: Floats  # Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
     curves: tuple[Curve, ...]  # At least one
@@ -213,7 +213,7 @@ def _weights(lines: list[bytes], problems: Problems) -> Floats:
 
 
 def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
-    """Return the layout and the curves of what follows the weights."""
+    """Return the layout and the curves that follow the weights."""
     blank = len(body) - len(body.lstrip(b" \t\n"))
     start = body.rfind(b"\n", 0, blank) + 1
     new = _NEW_MARK.match(body, start) is not None
@@ -268,7 +268,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
 
 
 def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
-    """Return rows of two numbers (row, 2), None where they are anything else."""
+    """Return rows of two numbers (row, 2), None for any other text."""
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():

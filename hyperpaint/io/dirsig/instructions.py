@@ -1,4 +1,4 @@
-"""What goes with the spectra: the materials, a fragment of a geometry list, and how to use them."""
+"""Materials, a fragment of a geometry list, and instructions beside the spectra of an export."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def glist_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def readme_text(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, str]) -> str:
-    """Return how to add the paints to a scene, and what was done to their spectra."""
+    """Return the README: how to add the paints to a scene, and the changes to their spectra."""
     first = records[0]
     return f"""Paints for DIRSIG
 =================
@@ -157,7 +157,7 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 
 def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return how many curves were left out for their number."""
+    """Return the sentence on curves left out by ``max_curves``."""
     rows = [f"{each['id']} {each['thinned']}" for each in records if each["thinned"]]
     text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
     return text + ", ".join(rows) + "." if rows else ""
@@ -167,7 +167,7 @@ _MOST_GAPS = 12
 
 
 def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return where curves had gaps, paint by paint."""
+    """Return the gaps of the curves, paint by paint."""
     rows = []
     for record in records:
         gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MOST_GAPS]] + ["..."] * (

@@ -35,7 +35,7 @@ _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt"
 
 
 def plain_name(name: str) -> str:
-    """Return a name in ASCII without what the tag format gives a meaning.
+    """Return a name in ASCII without the signs of the tag format.
 
     Umlauts become two letters, other accents are dropped, and what is left becomes an underscore.
 
@@ -51,7 +51,7 @@ def plain_name(name: str) -> str:
 
 
 def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a plain name for every name, no two alike.
+    """Return a distinct plain name for every name.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[st
 
 
 def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a token for every name, no two alike on any file system: it also names the paint's files.
+    """Return a token for every name, distinct on every file system, which also names the paint's files.
 
     Examples
     --------
@@ -101,11 +101,11 @@ class Section:
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
-        """Return the value of a key, None where it is not there."""
+        """Return the value of a key, None without one."""
         return next((item[1] for item in self.items if isinstance(item, tuple) and item[0] == key), None)
 
     def section(self, name: str) -> Section | None:
-        """Return the section of a name, None where there is none."""
+        """Return the section of a name, None without one."""
         return next((item for item in self.sections() if item.name == name), None)
 
     def sections(self) -> Iterator[Section]:
@@ -123,17 +123,17 @@ class Material:
 
     @property
     def emissivity_file(self) -> str | None:
-        """Path in the file of an emissivity, as written; never followed here."""
+        """Path of the emissivity file, as written; not opened."""
         return self._of("EMISSIVITY_PROP", "FILENAME")
 
     @property
     def reflectance_file(self) -> str | None:
-        """Path in the file of a two-column reflectance, as written."""
+        """Path of the two-column reflectance file, as written."""
         return self._of("REFLECTANCE_PROP", "TXT_FILENAME")
 
     @property
     def specular_fraction(self) -> float | None:
-        """Share of reflectance that is specular, None where it is not told."""
+        """Share of reflectance that is specular, None where not stated."""
         text = self._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         return None if text is None else float(text)
 
@@ -170,7 +170,6 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
 
 
 def _parse(text: str, problems: Problems) -> list[Section]:
-    """Return the sections of a text; what is wrong is noted."""
     # innermost last; the list of an open section grows until its bracket closes
     opened: list[tuple[str, int, list[Any]]] = [("", 0, [])]
     for number, raw in enumerate(text.split("\n"), start=1):

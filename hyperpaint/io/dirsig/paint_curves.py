@@ -1,4 +1,4 @@
-"""From a paint library's reflectance to DIRSIG's: ascending, without holes, the clear coat counted once."""
+"""Reflectance of a paint library as DIRSIG takes it: ascending, without gaps, the clear coat counted once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Coat:
-    """What becomes of the light that a clear coat mirrors."""
+    """Treatment of the light mirrored by the clear coat."""
 
     mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
     is_declared: bool  # Whether the library says so
@@ -32,7 +32,7 @@ class Coat:
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Attributes that say what was done."""
+        """Attributes on the treatment."""
         source = "told by the library" if self.is_declared else "not told by the library, taken to be so"
         term = (
             "none: reflectance is diffuse"
@@ -46,7 +46,7 @@ class Coat:
         }
 
     def fraction(self, centre: npt.NDArray[Any], mirror: npt.NDArray[Any] | None) -> float:
-        """Return the specular fraction of a paint [1], to the decimals that are written.
+        """Return the specular fraction of a paint [1], rounded as it is written.
 
         ``centre``, ``mirror``: reflectance of body and coat (band,) [1]; NaN where a band is not to be used.
         """
@@ -60,7 +60,7 @@ class Coat:
 
 
 def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
-    """Return what becomes of a library's mirrored light.
+    """Return the treatment of a library's mirrored light.
 
     Raises `SchemaError`: The attribute ``mirror_reflection`` is neither of both; the specular fraction is not
     from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
@@ -119,12 +119,12 @@ _BLOCK_BYTES = 8 * 2**20
 
 
 class PaintProblemError(PaintError):
-    """One paint cannot be written; the message says why, and how to mend it."""
+    """One paint cannot be written."""
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the caller chose of the curves."""
+    """Choices of the caller for the curves."""
 
     curves: str  # A key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
@@ -135,7 +135,7 @@ class Choices:
 
 @dataclass(frozen=True, eq=False)
 class PaintCurves:
-    """A paint as it is written."""
+    """Curves of one paint as written."""
 
     wavelength: Array  # Ascending (wavelength,) [nm]
     centre: Array  # Reflectance (wavelength,) [1]
@@ -194,7 +194,7 @@ class Axis:
 
 
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
-    """Yield a library's values block by block of paints, so that memory does not grow with it.
+    """Yield a library's values in blocks of paints, so that memory stays bounded.
 
     Yields the paints of the block; ``centre`` (signature, band) and ``curves`` (signature, curve, band) [1],
     in the library's own order of bands.
@@ -218,7 +218,7 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
 
 
 def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
-    """Return one paint as it is written.
+    """Return the curves of one paint as written.
 
     ``axis``: the bands; ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order;
     a curve of nothing but NaN is none; ``choices``: what the caller chose.
@@ -287,7 +287,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
 
 
 def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
-    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in their order.
+    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in order.
 
     They stand at even ranks of the curves' means, so that brightness keeps its distribution; complete curves
     alone are taken where they suffice.
@@ -329,7 +329,7 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
 
 
 def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
-    """Return the bands of a range, with the next ones outside, so that all of it is covered."""
+    """Return the bands of a range and the next ones outside, so that the range is covered."""
     first, last = int(usable[0]), int(usable[-1])
     if wanted is not None:
         low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1

@@ -161,7 +161,7 @@ def _read(
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
-    """Return a calibration in the units, dims and dtypes of the table, or say all that is wrong with it.
+    """Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
 
     ``dataset``: see `open_calibration`; ``subject``: names it in messages.
 
@@ -214,7 +214,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable as the table has it, without coordinates."""
+    """Return a variable in the units, dims and dtype of the table, without coordinates."""
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(
@@ -283,7 +283,7 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
+    """Return the variables of a calibration that a line keeps; for radiance, line shape and look angles."""
     if calibration is None:
         return {}
     left = {
@@ -310,13 +310,13 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
-    """Return what the calibration says of the counts and the scale that its gain holds for."""
+    """Return the attributes on linearity and absolute scale, for which the gain holds."""
     names = ("linearity", "linearity_on", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
 def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
-    """Open a lab sweep, lazily where it is a Zarr store; what it must hold is checked when it is calibrated.
+    """Open a lab sweep, lazily from a Zarr store; its content is checked at calibration.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
 
 
 def saturation_of(given: float | None, bit_depth: int, calibration: xr.Dataset | None) -> xr.DataArray:
-    """Return ``saturation_count``: as given, that of the calibration, or the converter's last count.
+    """Return ``saturation_count``: the argument, else the calibration's, else the converter's last count.
 
     Raises `SchemaError`: The count or the converter's bits are out of range.
     """

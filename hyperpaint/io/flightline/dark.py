@@ -69,8 +69,6 @@ class Dark:
 
 @dataclass(frozen=True)
 class _Reference:
-    """One dark cube."""
-
     name: str
     frames: DarkFrames
     time: np.datetime64 | None
@@ -149,7 +147,6 @@ def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: s
 
 
 def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
-    """Sum one dark cube, and read its time and exposure from the files beside it."""
     import xarray as xr
 
     from hyperpaint.io.envi.envi_cubes import open_envi
@@ -184,7 +181,7 @@ def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
 
 
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
-    """Return UTC at the middle of a dark cube, None where it is unknown."""
+    """Return UTC at the middle of a dark cube, None where unknown."""
     if "time" in opened.coords:
         stamps = opened["time"].values.astype("datetime64[ns]")
         stamps = stamps[~np.isnat(stamps)]
@@ -263,7 +260,7 @@ def _combine(references: list[_Reference]) -> Dark:
 
 
 def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
-    """Return the variance of a dark count (band, cross_track) from few lines; None of one line each.
+    """Return the variance of a dark count (band, cross_track) from few lines; None from one line each.
 
     That of an element is leant on the mean of all, with as many lines as would make it a measure by itself.
     """

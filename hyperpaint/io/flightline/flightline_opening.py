@@ -1,4 +1,4 @@
-"""One flight line, from its instruments' files: counts and everything needed to calibrate them, lazily."""
+"""One flight line from its instruments' files: counts and all inputs of their calibration, lazily."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BLANK_COUNT = np.uint16(65535)
 
 @dataclass(frozen=True, kw_only=True)
 class FlightlineInputs:
-    """What `assemble` needs; the fields are the arguments of `open_flightline`."""
+    """Inputs of `assemble`; the fields are the arguments of `open_flightline`."""
 
     cube: Path | xr.Dataset
     timing: Timing | Unavailable
@@ -58,7 +58,7 @@ class FlightlineInputs:
 
     @property
     def path(self) -> Path:
-        """The cube's path, or what names it in messages where it is a Dataset."""
+        """Path of the cube, or the name of its Dataset in messages."""
         if isinstance(self.cube, Path):
             return self.cube
         return Path(self.name or str(self.cube.attrs.get("source", "cube")))
@@ -96,7 +96,7 @@ def open_flightline(
     name: str | None = None,
     keep_whole_lines: bool = False,
 ) -> xr.Dataset:
-    """Open a flight line with all that calibrates it, without reading the cube.
+    """Open a flight line with all inputs of its calibration, without reading the cube.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def open_flightline(
 
 
 def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
-    """Open every input, noting in ``findings`` what is wrong with any; return the line if nothing is.
+    """Open every input, noting errors in ``findings``; return the line, empty after an error.
 
     Steps whose input failed are left out, so that every problem is found once.
     """
@@ -319,7 +319,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 
 
 def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
-    """Open the cube's file, or give the dims of a Dataset the names of their roles."""
     from hyperpaint.io.envi.envi_cubes import open_envi
 
     if isinstance(inputs.cube, Path):
@@ -382,7 +381,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
 
 
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
-    """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
+    """Chunk the cube, convert it, and blank its dropped lines, without reading samples."""
     name = str(cube.name)
     cube = cube.drop_vars(list(cube.coords)).drop_encoding()
     dropped = np.flatnonzero(~times.recorded)
@@ -407,7 +406,7 @@ def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -
 def _blank(
     block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
 ) -> NDArray[Any]:
-    """Return a block of lines without what stands in the dropped ones."""
+    """Return a block of lines with its dropped lines blanked."""
     start, stop = (block_info or {})[0]["array-location"][0]
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
     if inside.size:
@@ -453,7 +452,7 @@ def _shape(sizes: Mapping[Any, int]) -> str:
 
 
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    """Return what the poses of a line mean, and what of that is assumed, not declared.
+    """Return the convention of the poses as attributes, and the names of its assumed fields.
 
     Raises `SchemaError`: A declaration that does not exist.
     """

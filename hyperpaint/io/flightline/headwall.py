@@ -94,7 +94,7 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
 
 
 def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
-    """Return focal length [mm] and pixel pitch [um] that the comment lines of a header state, if any.
+    """Return focal length [mm] and pixel pitch [um] from the comment lines of a header, if stated.
 
     None also where pixels are binned: which of rows and columns lie across the track is not said.
     """
@@ -109,7 +109,7 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield what may state the exposure of a cube: ``settings.txt`` beside it, the header's comments."""
+    """Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments."""
     settings = None if cube is None else find_settings(cube)
     if settings is not None:
         yield "settings.txt", read_settings(settings)
@@ -119,7 +119,7 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
 def find_exposure(
     exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """Return seconds and where they come from: the argument, ``settings.txt``, the header's comments."""
+    """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
     given = None if exposure_time is None else np.asarray(exposure_time, np.float64)
     if given is not None:
         lines = opened.sizes.get(ALONG_TRACK)
@@ -185,7 +185,7 @@ class FrameIndex:
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:
-    """Read ``frameIndex_<N>.txt``, whichever way its program stamps the frames.
+    """Read ``frameIndex_<N>.txt`` with any of the three kinds of time stamps.
 
     ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of the
     recording computer; or ``HH:MM:SS``: whole seconds, through which a straight line over the frame numbers
@@ -222,7 +222,7 @@ def read_frame_index(path: str | Path) -> FrameIndex:
 
 
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
-    """Raise TimeError naming the rows whose stamp does not exceed the one before."""
+    """Raise TimeError naming the rows whose stamp does not exceed the previous one."""
     wrong = rows[1:][np.diff(stamp) <= 0]
     if wrong.size:
         raise TimeError(
@@ -233,7 +233,7 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
-    """Return microseconds since midnight of the first row's day, and whether none has a fraction."""
+    """Return microseconds since midnight of the first row's day, and whether all are whole seconds."""
     micros_of_day = np.empty(len(table.rows), np.int64)
     wrong: list[int] = []
     whole = True
@@ -280,7 +280,7 @@ def cube_number(cube: Path) -> int | None:
 
 
 def frame_index_beside(cube: Path) -> Path | None:
-    """Return the frame index in the folder of a cube: the last that begins at its first frame or before."""
+    """Return the last frame index in the folder of a cube that begins at or before its first frame."""
     matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
     numbers = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
     first = cube_number(cube)
@@ -290,7 +290,7 @@ def frame_index_beside(cube: Path) -> Path | None:
 
 
 def navigation_beside(cube: Path) -> Path | None:
-    """Return ``imu_gps.txt`` of the folder of a cube, or of the one above; the only one of such a name."""
+    """Return the only ``imu_gps.txt`` in the folder of a cube or the one above."""
     for folder in (cube.parent, cube.parent.parent):
         records = [path for path in folder.iterdir() if _IMU_GPS.fullmatch(path.name)]
         if records:
@@ -301,7 +301,7 @@ def navigation_beside(cube: Path) -> Path | None:
 def match_frames(
     index: FrameIndex, lines: int, cube: Path, *, shortened: bool = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tell which frame each line of a cube is.
+    """Return the frame number and the row of the index of each line of a cube.
 
     ``index``: frame index of the cube, or of the whole flight; ``lines``: lines of the cube; ``cube``: its
     path: ``raw_<N>`` and its neighbours give the cube's part of a whole flight's index; ``shortened``: the
@@ -369,7 +369,7 @@ class DarkFrames:
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    """Add up the lines of a dark cube, a slab at a time.
+    """Sum the lines of a dark cube, a slab at a time.
 
     ``counts``: raw counts, (along_track, band, cross_track), lazily indexed; ``subject``: names the cube in
     messages.

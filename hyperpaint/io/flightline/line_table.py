@@ -1,4 +1,4 @@
-"""The lines of a flight as a table of text: time, place, attitude, and whatever else a line has one of."""
+"""Flight lines as a table of text: time, place, attitude, and every other variable of a line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FIRST = (
 
 @takes_quantities()
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write what a flight line has one of for each scan line as comma-separated values.
+    """Write the variables on ``along_track`` of a flight line as comma-separated values.
 
     `open_navigation` reads the file again where it holds the pose, and every number keeps its bits: what the
     angles mean is declared in its first lines.
@@ -80,7 +80,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
 
 
 def _columns(line: xr.Dataset) -> dict[str, Any]:
-    """Return the columns by what the header calls them."""
+    """Return the columns by their headings."""
     lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:

@@ -1,4 +1,4 @@
-"""When and where each line of a cube was exposed: frame index, clocks and navigation joined."""
+"""Time and place of the exposure of each line of a cube: frame index, clocks and navigation joined."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 @dataclass(frozen=True)
 class Timing:
-    """What is known of the clocks of one flight line; see `hyperpaint.open_flightline`."""
+    """Clock settings of one flight line; see `hyperpaint.open_flightline`."""
 
     frame_index: Path | None = None
     nav: Path | Navigation | None = None
@@ -47,7 +47,7 @@ class Timing:
 
     @property
     def correction(self) -> ClockCorrection:
-        """How the navigation's stamps become UTC."""
+        """Correction of the navigation's stamps to UTC."""
         return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
 
 
@@ -184,7 +184,7 @@ def _check(timing: Timing, exposure_s: float) -> None:
 def _clock(
     timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
 ) -> Clock:
-    """Choose the one source of UTC."""
+    """Return the clock of the one source of UTC."""
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
@@ -248,7 +248,7 @@ def _from_date(timing: Timing) -> Clock:
 
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
-    """Make a clock that runs true from one instant, over any flight."""
+    """Return a clock that runs true from one instant."""
     span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
 

@@ -1,4 +1,4 @@
-"""What the columns of a table of spectra are: reflectance, its spread, or another quantity taken for it."""
+"""Roles of the columns of a table of spectra: reflectance, its spread, or another quantity."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .text_spectra import other_quantity
 
 @dataclass(frozen=True)
 class QuantityRules:
-    """From where on numbers of a table are taken for something else than reflectance.
+    """Thresholds above which numbers of a table do not pass as reflectance.
 
     min_oxygen_depth
         Depth of the band of oxygen at 760 nm [1], below the lower of both sides, from which on
@@ -61,7 +61,7 @@ _TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivit
 
 
 def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
-    """Refuse a table whose headings or units say another quantity.
+    """Refuse a table whose headings or units name another quantity.
 
     preamble: Lines above the numbers; headings: names of the columns, as many as there are, or none.
 
@@ -95,7 +95,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
 
 
 def _foreign(text: str) -> str:
-    """Return the word or unit that says that values are no reflectance; empty where there is none."""
+    """Return the word or unit of another quantity than reflectance; empty without one."""
     if word := other_quantity(text):
         return word
     if "reflect" in text.lower():
@@ -105,7 +105,7 @@ def _foreign(text: str) -> str:
 
 
 def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure: bool) -> Ints:
-    """Return for each column the one that holds its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
+    """Return for each column the index of its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
 
     headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
     sure: Columns without headings are reflectance, whatever they look like.
@@ -146,7 +146,7 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
 
 
 def _bare(heading: str) -> str:
-    """Return a heading without the words that say what statistic of a spectrum it is."""
+    """Return a heading in lower case without words for mean and spread."""
     text = _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))
     return "".join(sign for sign in text if sign.isalnum())
 
@@ -159,7 +159,7 @@ def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
 
 
 def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Floats, Floats, list[str]]:
-    """Return wavelengths and values (band, spectrum) without repeats in a row, and notes of what was done.
+    """Return wavelengths and values (band, spectrum) with successive repeats merged, and notes on it.
 
     Rows that are the same count once; values that differ are averaged.
 

@@ -42,7 +42,7 @@ _MOST_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Tell from its beginning whether a text is such a library: paints, and wavelengths across."""
+    """Return whether a text begins as a paint library: names of paints, then wavelengths across."""
     row, end, _ = head.partition("\n")
     cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
@@ -94,7 +94,6 @@ def write_csv_library(
 
 
 def _line(cells: list[str]) -> str:
-    """Return cells as a line, quoted where they must be; a single empty one is no line."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="").writerow([*cells, ""])
     return buffer.getvalue()[:-1]
@@ -121,7 +120,7 @@ def read_csv_library(path: Path) -> xr.Dataset:
 
 
 class _Table(NamedTuple):
-    """What a file holds."""
+    """Content of one file."""
 
     wavelength: Floats
     names: list[str]  # of the paints
@@ -165,7 +164,7 @@ def _table(path: Path) -> _Table:
 
 
 class _Owner:
-    """Finds the paint that a row belongs to, also where two have one name: rows are in the paints' order."""
+    """Finds the paint of a row by name and order, since several paints may share a name."""
 
     def __init__(self) -> None:
         self._paints: dict[str, list[int]] = {}
@@ -191,7 +190,6 @@ class _Owner:
 
 
 def _cells(path: Path) -> Iterator[list[str]]:
-    """Yield the rows as texts."""
     try:
         opened = open_input(path, "a paint library", _MOST_BYTES)
         with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
@@ -201,7 +199,7 @@ def _cells(path: Path) -> Iterator[list[str]]:
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
-    """Yield rows without the unnamed first column in which pandas counts them from 0."""
+    """Yield rows without the unnamed index column of pandas."""
     for at, row in enumerate(rows):
         if row[0] != str(at):
             raise FormatError(
@@ -214,7 +212,7 @@ def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]
 
 
 def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
-    """Return the names of the columns before the wavelengths, and these."""
+    """Return the headings before the wavelengths, and the wavelengths."""
     first = len(row)
     while first and number(row[first - 1]) is not None:
         first -= 1
@@ -232,7 +230,7 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
 
 
 def _values(cells: list[str], bands: int) -> Floats32 | None:
-    """Return the numbers of a row, None where they are none or too many."""
+    """Return the numbers of a row, None where a cell is no number or the count is wrong."""
     plain = None
     if len(cells) != bands:
         return None

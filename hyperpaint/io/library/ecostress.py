@@ -55,7 +55,7 @@ _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re
 
 
 def is_ecostress(head: str) -> bool:
-    """Tell from its beginning whether a text is such a file."""
+    """Return whether a text begins as a file of the ECOSTRESS or ASTER library."""
     return re.match(r"\s*Name\s*:", head) is not None and "Number of X Values" in head
 
 
@@ -100,7 +100,6 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
 
 
 def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
-    """Return the fields, the index of the first line of numbers, and whether values wrap."""
     fields: dict[str, list[str]] = {}
     current, wrapped = "", False
     for at, line in enumerate(lines):
@@ -134,7 +133,6 @@ def _scale_of(units: str) -> float | None:
 
 
 def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
-    """Refuse another number of values than the header says; return what else does not fit it."""
     count = fields["Number of X Values"]
     if count != str(len(table)):
         raise FormatError(
@@ -153,7 +151,7 @@ def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
 
 
 def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
-    """Return what the header says of the sample, each as a column of one paint."""
+    """Return the header's fields on the sample, each as a column of one paint."""
     columns: dict[str, Any] = {
         re.sub(r"[^a-z]+", "_", key.lower()).strip("_"): text_column([fields[key]])
         for key in _KEYS[1:]
@@ -223,7 +221,7 @@ _SAMPLE = (
 def write_ecostress_library(
     library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
 ) -> None:
-    """Write the centre of every paint of a checked library to a text file of its own.
+    """Write the centre of every paint of a checked library to one text file each.
 
     Bands that are not good, and bands at which no paint has a value, are left out. What else the library says
     of its paints, in words or numbers, stands as JSON in "Additional Information".
@@ -283,7 +281,7 @@ def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
 
 
 def _file_names(names: Sequence[str]) -> list[str]:
-    """Return the stem of a file for each paint: plain letters, no two alike on any file system.
+    """Return one file stem for each paint: plain letters, distinct on every file system.
 
     Examples
     --------
@@ -304,7 +302,6 @@ def _file_names(names: Sequence[str]) -> list[str]:
 
 
 def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
-    """Return fields of the header that the library says once; those of single paints win."""
     mirrored = library[CENTRE].attrs.get("mirror_reflection")
     fields = {
         "origin": library.attrs.get("source"),
@@ -315,14 +312,12 @@ def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any
 
 
 def _range(micrometres: Floats) -> str:
-    """Return the words of the ECOSTRESS library for a range of wavelengths."""
     if micrometres.max() <= 3.0:
         return "VSWIR"
     return "TIR" if micrometres.min() >= 2.0 else "All"
 
 
 def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:
-    """Return a file; its header has the keys of the ECOSTRESS library, in their order."""
     about = dict(about)
     lines = [f"Name: {name}"]
     if "collection_date" not in about and about.get("time"):
@@ -351,6 +346,6 @@ def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats)
 
 
 def _encoded(text: str) -> bytes:
-    """Return latin-1, as these libraries use it; UTF-8 where that would not lead back."""
+    """Return latin-1, the coding of these libraries, or UTF-8 where latin-1 loses characters."""
     raw = text.encode("latin-1", "replace")
     return raw if decoded_text(raw) == text else text.encode()

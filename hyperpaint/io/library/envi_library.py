@@ -105,7 +105,7 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
-    """Yield the records of the data file, some at a time, each lot with the number of its first."""
+    """Yield blocks of records with the index of their first record."""
     step = max(1, _BLOCK_BYTES // header.line_bytes)
     with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
@@ -190,7 +190,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
 
 
 def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    """Return how many of the first records are wavelengths and bandwidths, as in libraries of the USGS."""
+    """Return the number of leading records that are wavelengths and bandwidths (USGS libraries)."""
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0
     axis = stored[0].astype(np.float64)
@@ -204,7 +204,7 @@ def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int
 def _with_error_bars(
     names: Sequence[str], values: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    """Return the indices of the spectra, and the errors that records after them hold."""
+    """Return the indices of the spectra, and the error bars from the records after them."""
     bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
     if bars.size:
         bars[0] = False
@@ -219,7 +219,7 @@ def _with_error_bars(
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
-    """Return the stored value of a reflectance of one, as the header has it."""
+    """Return the stored value of a reflectance of one, from the header."""
     factor = header.reflectance_scale_factor
     titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
@@ -248,7 +248,7 @@ def _scale(header: EnviHeader, source: str) -> float | None:
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of a table of classes beside the library; none where there is no such table.
+    """Return the columns of a table of classes beside the library; empty without such a table.
 
     EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
     """
@@ -298,7 +298,7 @@ _FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
 
 
 def _header_names(names: Sequence[str]) -> list[str]:
-    """Return names that a header can hold, no two alike.
+    """Return distinct names without the separators of a header.
 
     Examples
     --------
@@ -309,7 +309,7 @@ def _header_names(names: Sequence[str]) -> list[str]:
 
 
 def _record_name(paint: str, variable: str, inner: int) -> str:
-    """Return the name of a record.
+    """Return the name of a record from its paint, variable and place.
 
     Examples
     --------
@@ -323,7 +323,7 @@ def _record_name(paint: str, variable: str, inner: int) -> str:
 
 
 def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
-    """Return the names of the paints, and what each record is.
+    """Return the names of the paints, and the key of each record.
 
     text: The names of all records, as the header has them.
     count: Records of the file.

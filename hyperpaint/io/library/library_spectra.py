@@ -1,4 +1,4 @@
-"""What a file of spectra holds, and the paint library that it becomes."""
+"""Spectra of one file, and the paint library made from them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ to another spectrometer, some share of that."""
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra on one grid, as one file holds them."""
+    """Spectra of one file on one grid."""
 
     source: str  # file name
     form: str  # name of the format
@@ -100,20 +100,20 @@ def library_of(spectra: Spectra) -> xr.Dataset:
 
 
 def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
-    """Return a library whose counts, flags and angles are data, not coordinates, as the table has them."""
+    """Return a library whose counts, flags and angles are data variables, as in the table of variables."""
     rows = LIBRARY_VARIABLES
     return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    """Return texts of any length, as stores hold them."""
+    """Return texts as an array of objects, as stores hold them."""
     column = np.empty(len(texts), object)
     column[:] = list(texts)
     return column
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
-    """Refuse wavelengths that are none [nm].
+    """Refuse wavelengths [nm] that are missing, out of range or duplicate.
 
     Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or given twice.
     """
@@ -188,7 +188,7 @@ def reflectances(
 
 
 def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
-    """Replace by NaN what only stands for missing values, with a warning."""
+    """Replace markers of missing values by NaN, with a warning."""
     with np.errstate(over="ignore"):
         marks = np.isin(values, _MARKS) | (np.isfinite(values) & (values < _LEAST * (scale or 1.0)))
     if marks.any():
@@ -199,7 +199,7 @@ def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
 
 
 def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
-    """Refuse values that are no fractions, where nothing says their scale; warn of single spectra."""
+    """Refuse values without a scale that are no fractions; warn where single spectra are not."""
     finite = np.isfinite(values)
     magnitudes = np.abs(values[finite])
     advice = (
@@ -238,7 +238,7 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
 
 
 def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
-    """Warn where scaled values are no fractions, or all next to nothing: the scale is another."""
+    """Warn where scaled values exceed 1 or are all near 0, since the scale is then doubtful."""
     finite = values[np.isfinite(values)]
     if not finite.size or not finite.any():
         return

@@ -1,4 +1,4 @@
-"""What a paint library holds beside its spectra, as JSON: names, numbers, times, attributes.
+"""Metadata of a paint library as JSON: names, numbers, times, attributes.
 
 The file lies beside the spectra, ``<data file>.json``: strict JSON, one variable a line, so that people and
 version control can read it.
@@ -41,7 +41,7 @@ _TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9
 
 @dataclass
 class Metadata:
-    """Metadata of a library, read and checked."""
+    """Checked metadata of a library."""
 
     attrs: dict[str, Any] = field(default_factory=dict)  # of the dataset
     # Of the dims that its spectra have beside paint and band
@@ -53,7 +53,7 @@ class Metadata:
 
 
 def metadata_path(data: Path) -> Path:
-    """Return where the metadata of a data file lie."""
+    """Return the path of the metadata of a data file."""
     return data.with_name(data.name + ".json")
 
 
@@ -61,7 +61,7 @@ def metadata_path(data: Path) -> Path:
 
 
 def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
-    """Return everything of a library but the values of its spectra.
+    """Return all of a library except the values of its spectra, as JSON.
 
     Raises SchemaError: Attributes or values are nothing that JSON can hold; all are listed. Or they are too
         many.
@@ -102,7 +102,7 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
 
 
 def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
-    """Return what a library says of each paint, as texts and numbers; None for a number that is none."""
+    """Return the columns with one value a paint as texts and numbers; None stands for NaN and infinity."""
     columns: dict[str, list[Any]] = {}
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
@@ -123,7 +123,7 @@ _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
-    """Return what a library says of each paint as cells of a table, without line breaks."""
+    """Return the columns with one value a paint as cells of a table, without line breaks."""
     return {
         name: [" ".join(str("" if value is None else value).split()) for value in values]
         for name, values in paint_columns(library).items()
@@ -183,7 +183,6 @@ def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Pro
 
 
 def _without_nan(values: Any) -> Any:
-    """Return nested lists with null for NaN, which JSON does not know."""
     if isinstance(values, list):
         return [_without_nan(value) for value in values]
     return None if isinstance(values, float) and math.isnan(values) else values
@@ -230,7 +229,7 @@ def _refuse_constant(text: str) -> None:
 
 
 def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Return metadata of version 1 as version 2; what is damaged is left for `_read_document` to refuse."""
+    """Return metadata of version 1 as version 2; damage is left for `_read_document` to refuse."""
 
     def renamed(entry: Any) -> Any:
         dims = entry.get("dims") if isinstance(entry, dict) else None
@@ -331,7 +330,7 @@ def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | Non
 
 
 def typed_values(flat: list[Any], kind: str) -> Array:
-    """Return values that JSON held as those of a dtype.
+    """Return values read from JSON as an array of a dtype.
 
     Raises ValueError: One is of another kind, or out of range.
     """
@@ -363,7 +362,7 @@ def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
 
 
 def _times(flat: list[str]) -> Array:
-    """Return times as `metadata_text` writes them; years beyond datetime64[ns] would wrap around."""
+    """Return times written by `metadata_text`; years beyond datetime64[ns] are refused, since they wrap."""
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
             raise ValueError(f"{text[:40]!r} is no time like 2024-05-21T11:33:07.000000000 from 1700 to 2261")

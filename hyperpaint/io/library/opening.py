@@ -43,7 +43,7 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    """What the caller says that files do not."""
+    """Axes, scale and quantity given by the caller."""
 
     wavelength: Floats | None
     fwhm: Floats | None
@@ -51,7 +51,7 @@ class _Options:
     sure: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
-        """Refuse them where the library says all of it.
+        """Refuse them for a library of hyperpaint, which has its own.
 
         Raises FormatError: One is given.
         """
@@ -170,7 +170,7 @@ def open_library(
 
 
 def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
-    """Return wavelengths or bandwidths that the caller gives, as numbers or in a file."""
+    """Return wavelengths or bandwidths given as numbers or as a file."""
     if given is None:
         return None
     if isinstance(given, str | os.PathLike):
@@ -192,7 +192,7 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
 
 
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
-    """Return the files that are to hold spectra, in the order of their names; numbers count as such.
+    """Return the files that hold spectra, sorted by name with numbers in numeric order.
 
     Left out is what goes with spectra: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
     tables of classes.
@@ -217,7 +217,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
 
 
 def _goes_with_spectra(head: str) -> bool:
-    """Tell of wavelengths of USGS spectra, and of a table of classes of ENVI spectra."""
+    """Return whether a text holds wavelengths of USGS spectra, or the class table of ENVI spectra."""
     return is_usgs_axis(head) or head[:20].lower().startswith(("spectra names,", '"spectra names"'))
 
 
@@ -227,7 +227,6 @@ def _natural(text: str) -> list[tuple[int, str]]:
 
 
 def _head(path: Path) -> str:
-    """Return the beginning of a file as text; nothing of what is none."""
     return head_of(path, _HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
 
 
@@ -235,7 +234,6 @@ def _head(path: Path) -> str:
 
 
 def _opened(path: Path, options: _Options) -> xr.Dataset:
-    """Open one file, by what it holds."""
     if not path.is_file():
         kind = "no plain file" if os.path.lexists(path) else "no such file"
         raise FormatError(f"{path}: {kind}", expected="a spectral library", code="file-not-found")
@@ -268,7 +266,7 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
 
 
 def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    """Open a library of other programs, or ours in the format of ENVI."""
+    """Open a library of another program, or one of ours in ENVI format."""
     nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
@@ -286,7 +284,7 @@ _OF_BANDS = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
-    """Return one library of those that files hold, in their order; the coordinate `file` tells them apart.
+    """Return one library of several, in order; the coordinate `file` names the file of each paint.
 
     Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
         listed.
@@ -357,7 +355,7 @@ def _unknown(library: xr.Dataset) -> Array:
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    """Return a coordinate of the paints, empty or NaN for those whose file does not say."""
+    """Return a coordinate of the paints, empty or NaN where a file lacks it."""
     having = [library[name] for library in libraries if name in library.coords]
     kinds = {array.dtype.kind for array in having}
     attrs = having[0].attrs
@@ -375,7 +373,7 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 
 def _read_store(path: Any) -> xr.Dataset:
-    """Open a library lazily.
+    """Open a library of a Zarr store lazily.
 
     Raises FormatError: The store is whole but holds no paint library; groups that do are named.
     Raises StoreError: It is not whole, or no store.

@@ -48,7 +48,7 @@ _OPTIONAL_TEXTS = (
 
 
 def is_parquet(head: bytes) -> bool:
-    """Tell Parquet from its first bytes."""
+    """Return whether the first bytes of a file are those of Parquet."""
     return head[:4] == _MAGIC
 
 
@@ -114,7 +114,7 @@ def _schema() -> pa.Schema:
 
 
 def _common(library: xr.Dataset) -> dict[str, Any]:
-    """Return what all rows share."""
+    """Return the cells that all rows share."""
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     attrs = {**library.attrs, **library[CENTRE].attrs}
     fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
@@ -142,7 +142,7 @@ def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
 def _row(
     common: dict[str, Any], name: str, about: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
-    """Return the cells of a spectrum; ``key`` is its variable, its paint and its place within it."""
+    """Return the cells of one spectrum; ``key`` holds its variable, paint and place."""
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
@@ -198,7 +198,7 @@ _WANTED = (
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
-    """Return the rows of a file, of columns that are needed; refuse what would fill the memory."""
+    """Return the rows with the columns in use; refuse files that would fill the memory."""
     missing = [name for name in _WANTED if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
@@ -228,12 +228,10 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
 
 
 def _numbers(values: Any) -> Floats:
-    """Return a cell's numbers; NaN for those that are null, none for a null cell."""
     return np.empty(0) if values is None else np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
 
 
 def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
-    """Return the library that was written, with the metadata beside it."""
     keys: list[Key] = []
     for at, row in enumerate(rows):
         try:
@@ -263,7 +261,7 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
 
 
 def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    """Return the wavelengths that all rows have (band,), and their values (row, band)."""
+    """Return the common wavelengths (band,) and the values (row, band) of all rows."""
     first = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
         if not np.array_equal(row["spectral_data.wavelengths"], first):
@@ -283,7 +281,6 @@ def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
 
 
 def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
-    """Return rows of others as spectra."""
     units = {str(row["spectral_data.wavelength_unit"]) for row in rows}
     kinds = {str(row["spectral_data.type"]) for row in rows}
     if kinds != {"reflectance"}:

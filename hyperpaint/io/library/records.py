@@ -1,4 +1,4 @@
-"""The spectra of a paint library as rows of a file, and the way back.
+"""Spectra of a paint library as records of a file, and back.
 
 Every spectrum is one record: first the reflectance of all paints, then what else is known of each at every
 band, then their members. A record is told by its variable, its paint, and its place within the paint.
@@ -53,7 +53,7 @@ class Block:
 
 
 def checked_library(library: xr.Dataset) -> xr.Dataset:
-    """Return a library in the units of the table; its values are not looked at.
+    """Return a library in the units of the table; values are not checked.
 
     Raises SchemaError: It is no paint library: variables are missing, or have other dims or units; all are
         listed.
@@ -102,7 +102,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    """Tell of a count or a share without units, which a spectrum may not lack."""
+    """Return whether a variable is a count or a share without units, which only spectra must have."""
     units = LIBRARY_VARIABLES[name].units
     plain = name in library.variables and BAND not in library[name].dims
     return plain and units == "1" and "units" not in library[name].attrs
@@ -131,7 +131,7 @@ def names_of(library: xr.Dataset) -> list[str]:
 
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
-    """Return the names of what has a value at every band of a paint, sorted: centre first, members last.
+    """Return the names of the variables with a value at every band of a paint: centre first, members last.
 
     xarray gathers coordinates from sets: their order is another one in every process.
     """
@@ -144,7 +144,7 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
 
 
 def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
-    """Yield the records of variables, some 16 MiB at a time; padding beyond the last member is left out.
+    """Yield the records of variables in blocks of some 16 MiB; padding after the last member is left out.
 
     Lazy arrays are computed one chunk of paints at a time. ``progress`` counts the paints of all variables.
     """
@@ -171,7 +171,7 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
 
 
 def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
-    """Return ranges of paints: dask's own chunks, else as many as fit a block."""
+    """Return ranges of paints: the chunks of dask, else as many as fit a block."""
     if array.chunks is not None:
         edges = [0, *itertools.accumulate(array.chunks[0])]
     else:
@@ -185,7 +185,7 @@ def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the records of one variable belong."""
+    """Positions of the records of one variable in its array."""
 
     records: Ints  # (record), their numbers in the file, ascending
     paint: Ints  # (record), as in `Block`
@@ -193,7 +193,7 @@ class Placement:
     values: Floats32  # filled by `put`; NaN elsewhere
 
     def put(self, first: int, rows: Floats32) -> None:
-        """Place those of consecutive records, of which ``first`` is the first, that belong here."""
+        """Store the rows of consecutive records, of which ``first`` is the first, that belong here."""
         low, high = np.searchsorted(self.records, (first, first + len(rows)))
         taken = rows[self.records[low:high] - first]
         if self.values.ndim == 2:
@@ -203,7 +203,7 @@ class Placement:
 
 
 def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
-    """Return where every record belongs, by variable.
+    """Return the placement of the records of every variable.
 
     Raises FormatError: Records are given twice, or some are missing; or so few paints have so many members
         that the library would be mostly padding.
@@ -242,7 +242,7 @@ def restored(
     path: Path, names: Sequence[str], keys: Sequence[Key], axes: Mapping[str, Any],
     rows: Iterable[tuple[int, Floats32]], columns: Mapping[str, Sequence[str]],
 ) -> xr.Dataset:  # fmt: skip
-    """Return the library that was written to a file, with the metadata beside it.
+    """Return the library of a file of records, with the metadata beside it.
 
     names: Of the paints; keys: what each record is; axes: see `with_metadata`.
     rows: Records, some at a time, each lot with the number of its first.
@@ -273,13 +273,13 @@ def restored(
 
 
 def _column(cells: Sequence[str]) -> Array:
-    """Return cells as numbers, where all of them are or are empty; else as text."""
+    """Return cells as numbers where all are numbers or empty, else as text."""
     values = numbers(cell or "nan" for cell in cells)
     return text_column(cells) if values is None or not any(cells) else np.array(values)
 
 
 def _most_cells(stored: int) -> int:
-    """Return the cells that padding may blow stored ones up to: 64 times, of large files less."""
+    """Return the most cells that padding may make of stored ones: 64 times as many, fewer in large files."""
     return max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored))
 
 
@@ -287,7 +287,7 @@ def with_metadata(
     data: Mapping[str, Floats32], axes: Mapping[str, Any], names: Sequence[str], metadata: Metadata | None,
     source: str,
 ) -> xr.Dataset:  # fmt: skip
-    """Return spectra and their metadata as the library that was written.
+    """Return spectra and their metadata as a library.
 
     data: Values of the variables, (signature, band) or (signature, place, band).
     axes: Wavelengths and what else the file of spectra itself says of the bands.
@@ -371,7 +371,7 @@ def _dims_and_attrs(
 
 
 def _widened(values: Floats32, size: int | None) -> Floats32:
-    """Return members with the padding that they had; what would be out of proportion is left away."""
+    """Return members with their former padding, unless it is out of proportion."""
     if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
         return values
     widened = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)

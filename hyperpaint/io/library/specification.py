@@ -31,7 +31,7 @@ _MOST_NAMES = 5
 
 
 class Term(NamedTuple):
-    """A word that every library says, of all its paints or of each."""
+    """A declaration that every library makes, for all its paints or for each."""
 
     name: str
     words: tuple[str, ...]  #: those that there are; () where any text is one
@@ -64,7 +64,7 @@ _SPREADS = (
 
 @dataclass(frozen=True)
 class LibraryFinding:
-    """What departs from the specification."""
+    """One departure from the specification."""
 
     rule: str  #: name of the rule, as docs/paint-library.md has it
     found: str
@@ -76,7 +76,7 @@ class LibraryFinding:
 
 @dataclass(frozen=True)
 class LibraryReport:
-    """Whether a library is what the specification says."""
+    """Result of comparing a library with the specification."""
 
     source: str
     paints: int
@@ -85,7 +85,7 @@ class LibraryReport:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found."""
+        """Whether there is no finding."""
         return not self.findings
 
     def __str__(self) -> str:
@@ -140,7 +140,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
 
 
 def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
-    """Return a library that says all that the specification asks for; what nothing says is unknown.
+    """Return a library with all declarations of the specification; missing ones become ``unknown``.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 
 
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
-    """Return what a library says of each term: a list with a word a paint, one word for all, or None."""
+    """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
     said: dict[str, Any] = {}
     for term in TERMS:
@@ -202,7 +202,7 @@ def _finding(rule: str, found: str, expected: str) -> LibraryFinding:
 
 
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Yield what is missing, or on other dims."""
+    """Check that the required variables exist, on their dims."""
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
@@ -283,7 +283,7 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare spread and uncertainty: there or said to be unknown, never negative."""
+    """Check spread and uncertainty: present or declared unknown, never negative."""
     stated = False
     for name in _SPREADS:
         if name in library.variables:
@@ -324,7 +324,7 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare angles and times."""
+    """Check angles and times."""
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values = np.asarray(library[name].values, np.float64)
@@ -341,7 +341,7 @@ def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare words: version, title, and every term."""
+    """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):
         yield _finding(
@@ -379,7 +379,7 @@ def _is_word(word: Any, term: Term) -> bool:
 
 
 def _pairs(first: Any, second: Any) -> Iterator[tuple[str, str]]:
-    """Yield two words of every paint, each said of all or of each."""
+    """Yield the two words of every paint, each declared for all paints or for each."""
     size = max(len(each) if isinstance(each, list) else 1 for each in (first, second))
     lists = (each if isinstance(each, list) else [each] * size for each in (first, second))
     yield from zip(*([str(word) for word in words] for words in lists), strict=False)

@@ -44,7 +44,7 @@ def numbers_of_lines(
     lines: Sequence[str], first: int, columns: int, source: str,
     numbers_of: Callable[[str], list[float] | None] | None = None,
 ) -> Floats:  # fmt: skip
-    """Return lines of numbers, (line, column); empty lines are passed over.
+    """Return lines of numbers as an array (line, column); empty lines are skipped.
 
     first: Index of the first line of numbers.
     columns: Numbers of each line.
@@ -72,20 +72,20 @@ def numbers_of_lines(
 
 
 def in_nanometres(values: Floats, factor: float) -> Floats:
-    """Return wavelengths [nm]; those of a damaged file may become infinite, which is refused later."""
+    """Return wavelengths [nm]; overflow of a damaged file becomes infinity, which is refused later."""
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     return nanometres
 
 
 def other_quantity(text: str) -> str:
-    """Return the word that says that values are no reflectance; empty where there is none."""
+    """Return the word that names another quantity than reflectance; empty without one."""
     match = _OTHER_QUANTITY.search(text)
     return match[0] if match and "reflect" not in text.lower() else ""
 
 
 def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:
-    """Return the nanometres of one unit of the wavelengths, and a note where that is inferred.
+    """Return the nanometres of one unit of the wavelengths, and a note where the unit is inferred.
 
     text: What the file says of its wavelengths; may be empty.
     wavelength: Their numbers.

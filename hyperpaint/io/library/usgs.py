@@ -26,12 +26,12 @@ _LEVELS = 3  # chapters lie in folders of their own
 
 
 def is_usgs(head: str) -> bool:
-    """Tell from its first line whether a text is a file of the library."""
+    """Return whether the first line of a text is that of a USGS spectrum."""
     return _TITLE.match(head.partition("\n")[0]) is not None
 
 
 def is_usgs_axis(head: str) -> bool:
-    """Tell from its first line whether a file holds wavelengths or bandwidths."""
+    """Return whether the first line of a text is that of USGS wavelengths or bandwidths."""
     return _AXIS.match(head.partition("\n")[0]) is not None
 
 
@@ -82,7 +82,7 @@ def read_usgs(
 
 
 def _parts(heading: str) -> tuple[str, str, str]:
-    """Return the name, the spectrometer and the kind of measurement, such as AREF, that a heading says."""
+    """Return name, spectrometer and kind of measurement (such as AREF) of a heading."""
     words = heading.rsplit(None, 2)
     if len(words) < 3 or not _MEASUREMENT.fullmatch(words[2]):
         return heading, "", ""
@@ -90,7 +90,6 @@ def _parts(heading: str) -> tuple[str, str, str]:
 
 
 def _column(path: Path) -> tuple[str, Floats]:
-    """Return the title of a file and its values."""
     lines = lines_of(path, "a file of the USGS spectral library")
     values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
     if values.size < 2:
@@ -103,7 +102,7 @@ def _column(path: Path) -> tuple[str, Floats]:
 
 
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
-    """Return the wavelengths or bandwidths that a file of the library holds [nm], and a note on their units.
+    """Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
 
     Raises FormatError: The file is damaged, or holds something else.
     """
@@ -115,7 +114,7 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
 
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
-    """Return the wavelengths or bandwidths found near a spectrum; None where none has as many values."""
+    """Return the wavelengths or bandwidths from a file near a spectrum; None without one of equal length."""
     axes = {}
     for file in _candidates(path, kind):
         try:
@@ -142,7 +141,7 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 
 
 def _candidates(path: Path, kind: str) -> list[Path]:
-    """Return the files that may hold an axis, of the nearest folder that has any."""
+    """Return the files that may hold an axis, from the nearest folder with any."""
     words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
     folder = path.absolute().parent
     for above in [folder, *folder.parents][:_LEVELS]:

@@ -161,14 +161,14 @@ def write_library(
 
 
 def _centres(library: xr.Dataset) -> xr.Dataset:
-    """Return a library with one spectrum a paint, and what belongs to no other."""
+    """Return a library with the centres only."""
     others = [name for name in spectral_variables(library) if name != CENTRE]
     inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
     return library.drop_vars(others).drop_dims(inner, errors="ignore")
 
 
 def _named(path: Path, format: str) -> Path:
-    """Return the file that is written: under a name that is known again."""
+    """Return the path of the written file, with a suffix that `open_library` recognises."""
     if format == "envi":
         own = path.suffix.lower() in (".sli", ".hdr")
         return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")

@@ -44,7 +44,7 @@ _CLOCK_STEP = 200 * 1_000_000  # ns: no two clocks drift this far apart between 
 
 
 def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
-    """Turn GPS time into UTC.
+    """Convert GPS time to UTC.
 
     gps: Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
     leap_seconds: GPS minus UTC [s]; by default from `LEAP_SECONDS`.
@@ -85,14 +85,14 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
 
 
 def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return seconds, finite and below 1e10, as whole nanoseconds; the whole part keeps every digit."""
+    """Return seconds, finite and below 1e10, as whole nanoseconds without loss of digits."""
     whole = np.floor(seconds)
     whole_ns: NDArray[np.int64] = whole.astype(np.int64) * NS_PER_S
     return whole_ns + np.round((seconds - whole) * NS_PER_S).astype(np.int64)
 
 
 def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return nanoseconds of the week that count on where the seconds begin anew at the end of a week."""
+    """Return nanoseconds of the week that continue past the end of the week."""
     back = np.diff(stamp) < -(WEEK_S // 2) * NS_PER_S
     weeks = np.concatenate([np.zeros(1, np.int64), np.cumsum(back, dtype=np.int64)])
     unwrapped: NDArray[np.int64] = stamp + weeks * (WEEK_S * NS_PER_S)
@@ -100,7 +100,7 @@ def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
-    """Return texts like ``2024-06-01T12:00:00.5`` as times [ns]; NaT for what the calendar does not have."""
+    """Return texts like ``2024-06-01T12:00:00.5`` as times [ns]; NaT for dates outside the calendar."""
     try:
         return np.array(texts, "datetime64[ns]")
     except ValueError:  # the 31st of a shorter month, the 25th hour
@@ -134,7 +134,7 @@ def refuse_backwards(
 
 @dataclass(frozen=True)
 class ClockCorrection:
-    """How the time stamps of a navigation record become UTC."""
+    """Conversion of the time stamps of a navigation record to UTC."""
 
     offset_s: float = 0.0  # UTC = stamp + ``offset_s`` [s]
     # What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken
@@ -162,7 +162,7 @@ class ClockCorrection:
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock tied to UTC at knots, straight between them."""
+    """A clock tied to UTC at knots, linear between them."""
 
     stamp: NDArray[np.int64]  # microseconds of the clock, strictly increasing, (knot,)
     utc: NDArray[np.int64]  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
@@ -182,14 +182,14 @@ class Clock:
 
 
 def overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
-    """Tell whether the ranges of two arrays have something in common."""
+    """Return whether the ranges of two arrays overlap."""
     return bool(one.min() <= other.max() and one.max() >= other.min())
 
 
 def bracket(
     knots: NDArray[np.int64], at: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the knot before, the weight of the knot after, and what lies inside the knots."""
+    """Return the knot before, the weight of the knot after, and whether a time lies inside the knots."""
     inside = (at >= knots[0]) & (at <= knots[-1])
     place = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, max(len(knots) - 2, 0))
     after = np.minimum(place + 1, len(knots) - 1)
@@ -203,7 +203,7 @@ def tie_clock(
     stamp: NDArray[np.int64], utc: NDArray[np.int64], rows: NDArray[np.int64], source: str, *,
     daily: bool = False,
 ) -> Clock:  # fmt: skip
-    """Make a clock of rows, after checking that its stamps and UTC run together."""
+    """Return a clock from rows of stamps and UTC, checked to run together."""
     check_increasing(stamp, rows, source)
     refuse_backwards(f"{source}, UTC", utc, rows)
     # a receiver slower than the log repeats its time: a new value counts from its first row

@@ -1,4 +1,4 @@
-"""Ground control points: where a surveyed point is on the ground, and where in a picture it is seen."""
+"""Ground control points: surveyed coordinates, and the pixels where the points are visible."""
 
 from __future__ import annotations
 
@@ -170,14 +170,14 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
 
 def _crs(comments: list[str]) -> str | None:
-    """Return the map that comments name, the last where there are several."""
+    """Return the last CRS in the comments."""
     pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
     maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
     return maps[-1][:10_000] if maps else None
 
 
 def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
-    """Return the unit of a map's axes, and the metres, or radians, of one."""
+    """Return the unit of the axes of a CRS, and its size in metres or radians."""
     with needs_extra("pyproj", "geo", "the unit of a map of control points"):
         import pyproj
     try:
@@ -207,7 +207,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def column_heading(cell: str) -> tuple[str, str]:
-    """Return the name of a column, and the unit that follows it; empty without one, whatever else follows.
+    """Return the name of a column, and its unit, empty without one.
 
     Examples
     --------
@@ -223,7 +223,7 @@ def column_heading(cell: str) -> tuple[str, str]:
 
 
 def metres_of(name: str, unit: str, problems: Problems) -> float:
-    """Return the metres of one unit of a column; 1 where none is given, or one of something else."""
+    """Return the metres of one unit of a column; 1 without a unit, or with a wrong one, which is noted."""
     metres = _metres(unit or "m")
     if metres is None:
         problems.add(
@@ -246,7 +246,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
-    """Return the metres, pixels, or units of a map's axis, of one unit of a column; 1 where none is given."""
+    """Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit."""
     if name.endswith("_track"):
         if unit.lower() not in _PIXELS:
             problems.add(

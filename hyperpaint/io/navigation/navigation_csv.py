@@ -1,4 +1,4 @@
-"""Navigation as a plain table: a header that names columns and units, and comments that say the rest."""
+"""Navigation as a table of text: a header of names and units, and comments with the conventions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the header: its place, and the unit that follows its name."""
+    """One column of the header: its name and unit."""
 
     key: str
     shown: str
@@ -63,7 +63,7 @@ class _Column:
 
 
 def is_navigation_csv(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is such a table: its header names a place and an attitude."""
+    """Return whether the header of a file names position and attitude."""
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MOST_COLUMNS)}
@@ -122,7 +122,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
-    """Return comments, header and cells; cells of columns that nobody asks for are dropped."""
+    """Return comments, header and cells; unused columns are dropped."""
     text = read_text(path, _LARGEST, MOST_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
@@ -176,7 +176,7 @@ def _column(cell: str) -> _Column:
 def _declared(
     comments: Mapping[str, str], problems: Problems
 ) -> tuple[Convention, list[str], dict[str, Any]]:
-    """Return the convention, what of it is assumed, and what is said of the clock."""
+    """Return the convention, its assumed fields, and the clock settings in the comments."""
     names = {field.name for field in fields(Convention)}
     declared: dict[str, Any] = {}
     for key, value in comments.items():
@@ -223,7 +223,7 @@ def _declared(
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
-    """Return the columns of the pose and of the time; what is missing or doubled is noted."""
+    """Return the columns of pose and time; missing and duplicate ones are noted."""
     columns_by_name: dict[str, list[_Column]] = {}
     for column in header:
         name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
@@ -283,7 +283,7 @@ def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> N
 def _stamps(
     table: Table, column: _Column, said: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    """Return nanoseconds, which rows have a time, and what they count from."""
+    """Return nanoseconds, which rows have a time, and the origin of the stamps."""
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
@@ -325,7 +325,6 @@ def _counted(
     table: Table, column: _Column, cells: list[str], factor: float, clock: str, problems: Problems,
     has_time: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:  # fmt: skip
-    """Return the stamps of a column of numbers."""
     most = (2.0 * WEEK_S if clock == "week" else _LATEST_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})
     count = len(problems)
@@ -352,7 +351,7 @@ def _scale(said: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
 def _iso(
     cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return nanoseconds since 1970, and the lines whose cell is no stamp."""
+    """Return nanoseconds since 1970, and the lines with an unreadable stamp."""
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
     bad = np.zeros(len(cells), np.bool_)
     for place in np.flatnonzero(has_time).tolist():

@@ -1,4 +1,4 @@
-"""Navigation in the formats of vendors, each read into a `PoseRecord`.
+"""Navigation in formats of vendors, each read into a `PoseRecord`.
 
 Applanix SBET: a smoothed best estimate of trajectory, post-processed by POSPac. Records of 17 little-endian
 float64 and nothing else, so that only the size and the values can tell whether a file is one. Stamps are
@@ -174,7 +174,7 @@ _MAX_START_DIFFERENCE_S = 3600
 
 
 def is_eph_att(header: EnviHeader) -> bool:
-    """Tell whether the bands of an ENVI file are the columns of a navigation record."""
+    """Return whether the bands of an ENVI file are the columns of a navigation record."""
     return set(_EPH_ATT_BANDS) <= {name.lower() for name in header.band_names}
 
 
@@ -239,7 +239,7 @@ def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:
 
 
 def _week_of_name(name: str, first: int) -> int | None:
-    """Return the GPS week that a name's date and time say, where they agree with the first row's stamp."""
+    """Return the GPS week of the date and time in a file name, if it agrees with the first stamp."""
     match = _EPH_ATT_START.search(name)
     if match is None:
         return None

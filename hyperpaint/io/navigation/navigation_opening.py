@@ -1,4 +1,4 @@
-"""Navigation of any kind of file as one dataset, its stamps UTC and its meaning declared."""
+"""Navigation of any format as one dataset with UTC stamps and declared conventions."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def open_navigation(
     gps_time: str | os.PathLike[str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> xr.Dataset:
-    """Read a navigation record: where the platform was, how it was turned, and when.
+    """Read a navigation record: position, attitude and time of the platform.
 
     ==================  ===================================================================================
     ``imu_gps``         Headwall ``imu_gps.txt``, three generations; degree; UTC
@@ -203,7 +203,7 @@ def open_navigation(
 
 
 def navigation_format(path: str | Path) -> NavigationFormat:
-    """Tell from its name and first bytes which kind of navigation a file holds.
+    """Return the format of a navigation file, by its name and first bytes.
 
     Raises FormatError: It cannot be read, or is of none of them.
     """
@@ -234,7 +234,7 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    """Return a record that somebody stored as `open_navigation` had returned it."""
+    """Return a stored result of `open_navigation`."""
     from hyperpaint.io.store import load_unverified
 
     record = load_unverified(path)
@@ -276,7 +276,7 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
 def read_record(
     path: Path, format: NavigationFormat, columns: Sequence[str] | None = None, midnight: int | None = None
 ) -> PoseRecord:
-    """Read a file of any format but ``imu_gps``, its stamps as they are.
+    """Read a file of any format except ``imu_gps``, with uncorrected stamps.
 
     ``columns`` as of `open_navigation`; ``midnight`` as of `read_nmea`.
 
@@ -294,7 +294,7 @@ def read_record(
 
 
 def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
-    """Read ``imu_gps.txt``; its stamps stay as they are, for `utc_of_record` to correct."""
+    """Read ``imu_gps.txt`` with uncorrected stamps."""
     record: Navigation = read_imu_gps(path)
     own_clock = record.utc is None
     if own_clock and gps_time is not None:
@@ -322,7 +322,7 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
 
 @dataclass(frozen=True)
 class TimeSource:
-    """What the caller says of the clock of a navigation record; see `open_navigation`."""
+    """Clock settings of a navigation record given by the caller; see `open_navigation`."""
 
     week: int | None = None
     date: str | datetime.date | None = None
@@ -331,7 +331,7 @@ class TimeSource:
     clock_offset_s: float | None = None
 
     def check(self) -> None:
-        """Raise one error that lists what cannot be.
+        """Raise one error that lists all invalid settings.
 
         Raises TimeError: A week, date, number of leap seconds, time scale or offset that does not exist.
         """
@@ -368,7 +368,7 @@ class TimeSource:
 
     @property
     def midnight(self) -> int | None:
-        """Nanoseconds from 1970 to 0 h of the date; None where there is none, or it is no date."""
+        """Nanoseconds from 1970 to 0 h of the date; None without a valid date."""
         text = str(self.date)
         if self.date is None or not _DATE.fullmatch(text) or not "1980-01-06" <= text < "2199-12-25":
             return None
@@ -383,7 +383,7 @@ def _is_whole(value: Any) -> bool:
 
 
 def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that say how it came about.
+    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes on its origin.
 
     Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
         times before GPS time began.
@@ -412,7 +412,7 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    """Return the GPS week in which the stamps count, and who says so."""
+    """Return the GPS week of the stamps, and its source."""
     if source.week is not None:
         return int(source.week), "given"
     if source.midnight is not None:

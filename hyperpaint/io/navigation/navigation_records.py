@@ -1,4 +1,4 @@
-"""Navigation records: where the camera was, how it was turned, and what UTC its clocks showed.
+"""Navigation records: position, attitude, and clocks of the camera.
 
 A reader of any format fills a `PoseRecord`, which `navigation_opening` turns into UTC and labels. Of the
 files of Headwall, ``imu_gps.txt`` is read by its header names (three generations of the program), and
@@ -83,7 +83,7 @@ class PoseRecord:
 
 
 def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: Problems, row: str) -> None:
-    """Note positions and angles that are none, NaN allowed.
+    """Note positions and angles out of range; NaN is allowed.
 
     values: `POSE`: latitude and longitude [degree], altitude [m].
     unit: Of roll, pitch and heading: ``"degree"`` or ``"radian"``.
@@ -162,7 +162,7 @@ class Navigation:
         )
 
     def dated_by(self, clock: Clock) -> Navigation:
-        """Return the record with UTC from a clock of the recording computer; rows outside it are dropped."""
+        """Return the record with UTC from a clock of the recording computer; rows outside are dropped."""
         stamp = self.stamps.get("time of day")
         if self.utc is not None or stamp is None:
             return self
@@ -171,7 +171,7 @@ class Navigation:
         return replace(self, utc=utc)._where(utc != NAT)
 
     def dated_at(self, midnight: int) -> Navigation:
-        """Return the record with UTC of the recording computer's time of day.
+        """Return the record with UTC from the recording computer's time of day.
 
         midnight: 0 h of the first row's day on that clock [ns since 1970-01-01].
         """
@@ -226,7 +226,7 @@ class Navigation:
 
 
 def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
-    """Read ``imu_gps.txt``, whichever of its three generations it is.
+    """Read ``imu_gps.txt`` of any of its three generations.
 
     All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
     ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
@@ -268,7 +268,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
 def limited_numbers(
     table: Table, column: str, limit: float, problems: Problems, empty: str = ""
 ) -> NDArray[np.float64]:
-    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted.
+    """Return a column of numbers, NaN allowed; other cells and values beyond the limit are noted.
 
     empty: What an empty cell stands for, if for a number.
     """
@@ -296,7 +296,7 @@ def _number(cell: str) -> float:
 
 
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
+    """Return nanoseconds since 1970-01-01; NaT where an unaligned row has no date."""
     dates = instants([_iso(cell) for cell in table.columns[column]])
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
@@ -342,7 +342,7 @@ def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
 def _dated(
     utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Tell which rows have a date; of unaligned ones, a date that agrees with those of the aligned."""
+    """Return which rows have a date; an unaligned row needs one that agrees with the aligned rows."""
     dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
     aligned = dated & ~unaligned
     if stamp is None or not aligned.any():
@@ -357,7 +357,7 @@ def _dated(
 
 
 def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
-    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's date and time.
+    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's clock.
 
     path: The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
         for a header.

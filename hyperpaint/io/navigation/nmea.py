@@ -1,4 +1,4 @@
-"""Navigation as a receiver talks it: NMEA 0183 sentences in a log, with whatever else stands in its lines."""
+"""Navigation as NMEA 0183 sentences in a log, among other text."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MOST_DAMAGED = 0.5
 
 
 def is_nmea(head: bytes) -> bool:
-    """Tell from its first bytes whether a file holds positions in NMEA sentences."""
+    """Return whether the first bytes of a file hold positions in NMEA sentences."""
     return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
 
 
@@ -103,7 +103,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
 
 
 def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
-    """Yield the fields of sentences whose checksum is right."""
+    """Yield the fields of sentences with a correct checksum."""
     damaged = total = 0
     for match in _SENTENCE.finditer(text):
         total += 1
@@ -123,7 +123,7 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
 
 
 class _Log:
-    """What a log says so far."""
+    """Rows of a log, built from its sentences."""
 
     def __init__(self, path: Path) -> None:
         self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
@@ -139,7 +139,6 @@ class _Log:
         self._turned: dict[float, dict[str, float]] = {}  # attitudes whose position is still to come
 
     def take(self, fields: list[str]) -> None:
-        """Take one sentence."""
         kind = fields[0][-3:] if fields[0] != "PASHR" else "PASHR"
         try:
             self._readers[kind](fields)

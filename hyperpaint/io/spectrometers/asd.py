@@ -48,7 +48,7 @@ _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One spectrum in one quantity, wherever it was read from."""
+    """One spectrum in one quantity, from any kind of file."""
 
     source: str  # file name; for one of many in a file, with its column
     wavelength: Floats  # (wavelength), float64; [nm] and the units of the quantity
@@ -166,7 +166,7 @@ def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
 
 
 def _scale_of(spectra: Sequence[Spectrum]) -> dict[str, str]:
-    """Return what reflectance is relative to, as attributes."""
+    """Return the scale of reflectance, relative or absolute, as attributes."""
     panels = sorted({spectrum.panel for spectrum in spectra} - {""})
     if not panels:
         return {"reflectance_scale": "relative"}
@@ -190,7 +190,7 @@ def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> d
 
 
 def _name_of(spectrum: Spectrum) -> str:
-    """Return the name of a file without its ending, or of a column of one."""
+    """Return the name of a file without its suffixes, or of a column in it."""
     name = spectrum.source.rpartition(":")[2]
     while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
         name = name[:-4]
@@ -198,7 +198,7 @@ def _name_of(spectrum: Spectrum) -> str:
 
 
 def find_files(paths: Paths) -> list[Path]:
-    """Return the files that ``paths`` names: a file, a glob, a folder of spectra, or a list of these.
+    """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
 
     Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
 
@@ -264,7 +264,7 @@ def _read_file(path: Path) -> AsdFile | AsdText:
 
 
 def sniff(path: Path) -> Kind:
-    """Return what kind of spectra a file holds, by its first bytes; ``unknown`` also where there is none."""
+    """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
     head = head_of(path, _HEAD_BYTES)
     if is_asd(head):
         return "binary"
@@ -274,7 +274,7 @@ def sniff(path: Path) -> Kind:
 
 
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
-    """Return the quantity that all files say they are, or seem to be."""
+    """Return the common quantity of all files, declared or guessed."""
     quantity = common_quantity(
         (
             _QUANTITY_OF_DATA_TYPE.get(content.data_type)
@@ -347,7 +347,7 @@ def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
-    """Turn saturated and undefined samples, and empty spectra, into NaN, and say so."""
+    """Replace saturated and undefined samples, and empty spectra, by NaN, with a warning."""
     reasons: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
@@ -416,7 +416,7 @@ def _zoneless(silent: Sequence[Spectrum]) -> str:
 
 
 def _offset_hint(spectrum: Spectrum) -> str:
-    """Return what the GPS suggests, or the dark current: stamped in UTC, shortly before the spectrum."""
+    """Return a UTC offset suggested by the GPS, or by the dark current, which is stamped in UTC."""
     if spectrum.gps is not None and spectrum.local_time is not None:
         fix = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
         hours = round((spectrum.local_time - fix) / dt.timedelta(hours=1))
@@ -467,7 +467,7 @@ def _derived(
 
 
 def _panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
-    """Return the name of the panel whose reflectance makes that of the file absolute; empty without one."""
+    """Return the name of the panel for absolute reflectance; empty without one."""
     if "ABS" in external:
         return external["ABS"].name
     return file.calibrations["ABS"].name if "ABS" in file.calibrations else ""
@@ -476,7 +476,7 @@ def _panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
 def _needed_blocks(
     file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
 ) -> dict[str, tuple[Floats, float]]:
-    """Return values and integration time [ms] of the calibration blocks of some kinds."""
+    """Return values and integration time [ms] of the calibration blocks of the given kinds."""
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
@@ -513,7 +513,7 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
 
 
 def _splices(file: AsdFile) -> list[float]:
-    """Return the last wavelengths of VNIR and SWIR 1, infinite where there is no further detector."""
+    """Return the last wavelengths of VNIR and SWIR 1, infinite without a further detector."""
     return [splice if splice > 0 else np.inf for splice in file.splices]
 
 

@@ -55,7 +55,7 @@ _OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
 
 @dataclass(frozen=True, eq=False)
 class AsdFile:
-    """What one ``.asd`` file holds; arrays are (wavelength), float64 and read-only."""
+    """Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only."""
 
     name: str  # file name without its folder
     version: int  # 1 to 8
@@ -87,7 +87,7 @@ class AsdFile:
 
 
 def is_asd(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a binary ``.asd`` file."""
+    """Return whether the first bytes of a file are those of a binary ``.asd`` file."""
     return head[:3] in _VERSIONS and b"\0" in head[:HEADER_BYTES]
 
 
@@ -200,7 +200,7 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
-    """Return local time minus UTC of the white reference, which a file holds in both."""
+    """Return local time minus UTC [h] from the white reference, which is stamped in both."""
     if epoch_s <= 0 or not 0 < ole_days < 1e5:
         return None
     seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
@@ -218,7 +218,7 @@ _CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
 
 @dataclass(frozen=True, eq=False)
 class AsdGps:
-    """Position that the spectrometer's GPS gave."""
+    """Position of the spectrometer by its GPS."""
 
     latitude: float  # degrees, north and east positive (the file itself counts west positive)
     longitude: float
@@ -239,7 +239,7 @@ class AsdCalibration:
 
 
 def nominal_integration_ms(milliseconds: int) -> float:
-    """Return the integration time that a nominal whole number of milliseconds stands for.
+    """Return the integration time for a nominal whole number of milliseconds.
 
     The file says 8 or 9 where the instrument integrates for 8.5 ms; the longer times (17, 34, 68 ...) are
     exact.
@@ -261,65 +261,64 @@ class Cursor:
         self._at = 0
 
     def error(self, found: str, *, expected: str = "", mend: str = "", code: str) -> FormatError:
-        """Return an error that names the file."""
         return FormatError(f"{self._name}: {found}", expected=expected, mend=mend, code=code)
 
     @property
     def left(self) -> int:
-        """Bytes not read yet."""
+        """Number of bytes not read yet."""
         return len(self._data) - self._at
 
     @property
     def at_end(self) -> bool:
-        """True where nothing follows but what newer software appends."""
+        """True at the end of the file, or before the trailer of newer software."""
         return self.left == 0 or self._data[self._at :] == _TRAILER
 
-    def bytes(self, count: int, what: str) -> bytes:
-        """Read bytes; ``what`` names them in messages."""
+    def bytes(self, count: int, part: str) -> bytes:
+        """Read bytes; ``part`` names them in messages."""
         if count > self.left:
             raise self.error(
-                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left",
+                f"{part} needs {count} bytes at offset {self._at}, {self.left} are left",
                 mend="copy the file again from the instrument",
                 code="file-truncated",
             )
         self._at += count
         return self._data[self._at - count : self._at]
 
-    def values(self, fmt: str, what: str) -> tuple[Any, ...]:
+    def values(self, fmt: str, part: str) -> tuple[Any, ...]:
         """Read the values of a struct format, little-endian."""
-        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), what))
+        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), part))
 
-    def text(self, what: str) -> str:
-        """Read a text that its length precedes."""
-        (length,) = self.values("H", f"the length of {what}")
-        return _plain_text(self.bytes(length, what))
+    def text(self, part: str) -> str:
+        """Read a text with its length before it."""
+        (length,) = self.values("H", f"the length of {part}")
+        return _plain_text(self.bytes(length, part))
 
-    def array(self, count: int, dtype: np.dtype[Any], what: str) -> Floats:
+    def array(self, count: int, dtype: np.dtype[Any], part: str) -> Floats:
         """Read ``count`` numbers as read-only float64."""
-        raw = np.frombuffer(self.bytes(count * dtype.itemsize, what), dtype)
+        raw = np.frombuffer(self.bytes(count * dtype.itemsize, part), dtype)
         with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
             values = raw.astype(np.float64)
         values.flags.writeable = False
         return values
 
-    def safe_array(self, item_bytes: int, what: str) -> int:
-        """Read the head of an OLE SAFEARRAY and return how many items follow."""
-        (dims,) = self.values("H", what)
+    def safe_array(self, item_bytes: int, part: str) -> int:
+        """Read the head of an OLE SAFEARRAY and return the number of items that follow."""
+        (dims,) = self.values("H", part)
         if dims * 8 > self.left or dims > 60:
-            raise self.error(f"{what} has {dims} dimensions", code="file-damaged")
+            raise self.error(f"{part} has {dims} dimensions", code="file-damaged")
         count = 1 if dims else 0
         for _ in range(dims):
-            count *= self.values("Ii", what)[0]
+            count *= self.values("Ii", part)[0]
         if count * item_bytes > self.left:
             raise self.error(
-                f"{what} declares {count} items, more than the {self.left} bytes left can hold",
+                f"{part} declares {count} items, more than the {self.left} bytes left can hold",
                 code="file-damaged",
             )
         return count
 
 
 def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
-    """Read what versions 6, 7 and 8 added, and return the calibration blocks by kind."""
+    """Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind."""
     if version < 6 or (version == 6 and cursor.at_end):
         return {}
     _classifier(cursor)
@@ -376,7 +375,7 @@ def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
 
 
 def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
-    """Return the fix in the header's GPS block, None where there is none."""
+    """Return the fix in the header's GPS block, None without one."""
     values = struct.unpack("<5dhbbbbbh5sbb", block)
     _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
     if latitude == longitude == altitude == 0.0:

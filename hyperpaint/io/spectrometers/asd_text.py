@@ -35,7 +35,7 @@ _NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.
 
 @dataclass(frozen=True, eq=False)
 class AsdText:
-    """What one text export holds; arrays are float64 and read-only."""
+    """Content of one text export; arrays are float64 and read-only."""
 
     name: str  # file name without its folder
     spectra: tuple[str, ...]  # names of the spectra
@@ -56,12 +56,12 @@ class AsdText:
 
     @property
     def likely_quantity(self) -> str | None:
-        """The quantity that ``ymax`` goes with in files whose quantity is known; a guess."""
+        """Quantity guessed from ``ymax``, by files of known quantity."""
         return {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}.get(self.ymax or 0.0)
 
 
 def is_asd_text(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a text export of ASD spectra."""
+    """Return whether the first bytes of a file are a text export of ASD spectra."""
     return any(_TABLE.match(line) for line in _lines(head))
 
 
@@ -98,7 +98,7 @@ def _lines(data: bytes) -> list[str]:
 
 
 def _preamble(name: str, text: str) -> dict[str, Any]:
-    """Return the fields of `AsdText` that the sentences above the table give."""
+    """Return the fields of `AsdText` from the sentences above the table."""
 
     def parsed(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
         match = re.search(pattern, text, re.IGNORECASE)
@@ -184,7 +184,7 @@ def _table(name: str, lines: list[str]) -> _Table:
 def _rows(
     name: str, lines: list[str], separator: str, width: int, *, words: bool
 ) -> tuple[list[str], npt.NDArray[np.float64]]:
-    """Return the first cells of the table's rows, and the numbers in the others.
+    """Return the first cells of the rows of a table, and the numbers of the others.
 
     Lines that are no rows, such as ``x2bar``, are known above and below a table of columns, never inside it.
     """

@@ -1,4 +1,4 @@
-"""The record of a sky-pointing spectrometer as one series in UTC, whatever it was logged in."""
+"""The record of a sky-pointing spectrometer as one series in UTC."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MOST_SHOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """Samples as they were logged, before clocks and units are settled."""
+    """Samples as logged, before correction of clocks and units."""
 
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
@@ -413,7 +413,7 @@ def _refuse_duplicates(
 
 
 def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
-    """Return the ordered values in the units of the table; refuse numbers that only damage writes."""
+    """Return the ordered values in the units of the table; refuse values beyond float32."""
     raw = series.values[order]
     with np.errstate(over="ignore"):
         values: Floats = raw * factor
@@ -481,7 +481,7 @@ def _dataset(
 
 
 def _check_magnitude(wavelength: Floats, values: Floats) -> None:
-    """Refuse a series whose scale no daylight has: its units are others than those given.
+    """Refuse a series of a magnitude that daylight never has, as with wrong units.
 
     wavelength : (irradiance_wavelength,): [nm].
     values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
@@ -564,7 +564,6 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
 
 
 def _span(times: npt.NDArray[np.datetime64]) -> str:
-    """Return from when to when times are; empty where there is none."""
     return (
         "{} to {} UTC".format(*np.datetime_as_string([times.min(), times.max()], "s")) if times.size else ""
     )

@@ -1,4 +1,4 @@
-"""Irradiance series in files (comma-separated values, Zarr, netCDF), and widths that files do not state."""
+"""Irradiance series in files (comma-separated values, Zarr, netCDF), and default widths."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2
 
 @dataclass(frozen=True, eq=False)
 class IrradianceTable:
-    """What one file holds."""
+    """Content of one file."""
 
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
@@ -47,7 +47,7 @@ class IrradianceTable:
 
 
 def is_irradiance_csv(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is such a table."""
+    """Return whether the first bytes of a file are an irradiance table."""
     lines = head.decode("utf-8-sig", "replace").splitlines()
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     return first.split(",")[0].strip().strip('"').lower() == "time"
@@ -88,7 +88,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
 
 def _parse(name: str, text: str, commas: int) -> IrradianceTable:
-    """Return what a text with so many commas holds; its rows are split one at a time."""
+    """Return the table in a text with ``commas`` commas, row by row."""
     comments: dict[str, str] = {}
     rows = (
         (line_number, [cell.strip().strip('"') for cell in line.strip().split(",")])
@@ -134,7 +134,7 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
 
 
 def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a table with their numbers, and put its comments into a dict."""
+    """Yield the numbered lines of a table, and collect its comments in a dict."""
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
@@ -186,7 +186,7 @@ def is_store(path: Any) -> bool:
 
 
 def stored_series(path: Any) -> xr.Dataset:
-    """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
+    """Return the dataset with the series: the root, or the group irradiance of a collect."""
     from hyperpaint.io.store import list_groups, load_unverified
     from hyperpaint.io.store.reader import is_zarr
 
@@ -205,7 +205,7 @@ def stored_series(path: Any) -> xr.Dataset:
 
 
 def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    """Return a product of HYPERNETS (L1A to L1C, irradiance) with the names of a series; others as they are.
+    """Return a product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
 
     Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
     1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
@@ -242,7 +242,7 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
 
 
 def are_widths(value: Any) -> bool:
-    """Tell whether a width is a positive number, or pairs (n, 2) of wavelength and width."""
+    """Return whether a value is a positive number, or pairs (n, 2) of wavelength and width."""
     try:
         widths = np.asarray(value, np.float64)
     except (TypeError, ValueError):  # pairs of unlike lengths
@@ -254,13 +254,13 @@ def are_widths(value: Any) -> bool:
 
 
 def widths_at(wavelength: Floats, widths: Any) -> Any:
-    """Return a number as it is, pairs (n, 2) as a width for every channel [nm]."""
+    """Return a number unchanged, pairs (n, 2) as one width for each channel [nm]."""
     pairs = np.asarray(widths, np.float64)
     return np.interp(wavelength, pairs[:, 0], pairs[:, 1]) if pairs.ndim == 2 else pairs
 
 
 def asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
-    """Return the widths that are assumed of an ASD instrument [nm], and what says so."""
+    """Return the widths assumed for an ASD instrument [nm], and the text of the assumption."""
     text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
     if wavelength.max() <= _ASD_VNIR_ENDS_NM:
         return ASD_FWHM_NM, text

@@ -1,4 +1,4 @@
-"""References of field spectrometers, libraries and stores, and which reference belongs to which paint."""
+"""References of field spectrometers, libraries and stores, and their assignment to paints."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def _of_store(path: Any) -> list[xr.Dataset]:
 
 
 def _spectra_in(inside: list[Path]) -> list[Path]:
-    """Return the spectra of a folder; text exports only where there is nothing else."""
+    """Return the spectra of a folder; text exports only without others."""
     own = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
     return own or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
 
 def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
-    """Open files of field spectrometers, those of one instrument together.
+    """Open files of field spectrometers, grouped by instrument.
 
     files: SVC ``.sig``, ASD binary or text exports, in any mixture.
     quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
@@ -121,7 +121,7 @@ _HEADINGS = ("paint", "name", "signature", "region")
 
 
 def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
-    r"""Read which references belong to which paints.
+    r"""Read the assignment of references to paints.
 
     path: Lines of paint and reference, separated by a comma, under headings or none; a paint may have several
         lines. Or a JSON object of paints, each with one name or a list of them (``.json``).

@@ -1,4 +1,4 @@
-"""One spectrum in a text file, a wavelength and a value a line; also the certificate of a white panel."""
+"""One spectrum in a text file, a wavelength and a value a line; also certificates of white panels."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ _ASIDE = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
-    """Return what turns a column into nm or a fraction, by the headings above it; 1 where these say none."""
+    """Return the factor of a column to nm or to a fraction, by its headings; 1 without units."""
     wanted, exact = _UNITS[column]
     units: dict[str, str] = {}
     for heading in headings:
@@ -149,7 +149,7 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
 
 
 def _names(heading: str, column: int, last: bool) -> list[str]:
-    """Return what may be the unit of a column; none where the heading is of no columns."""
+    """Return the candidate units of a column; empty where the heading names no columns."""
     comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
     # what brackets hold is put aside, and so parts no cells
     aside = _BRACKETS.findall(text)

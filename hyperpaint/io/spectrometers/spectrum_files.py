@@ -1,4 +1,4 @@
-"""What readers of field spectrometers share: which files are meant, one error for all, names of spectra."""
+"""Shared steps of the readers of field spectrometers: find files, list errors, name spectra."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def find_paths(
     paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str,
     of_pattern: Callable[[list[Path]], list[Path]] = list,
 ) -> list[Path]:  # fmt: skip
-    """Return the files that ``paths`` names: a file, a glob, a folder, or a list of these.
+    """Return the files of ``paths``: a file, a glob, a folder, or a list of these.
 
     of_folder, of_pattern: Pick the spectra among the files of a folder, and among what a glob matches.
     expected: What is looked for, for messages.
@@ -86,7 +86,7 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
 def same_grids(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
 ) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
-    """Return each set of wavelengths with the names of the spectra on it."""
+    """Return each set of wavelengths with the names of its spectra."""
     groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
@@ -96,7 +96,7 @@ def same_grids(
 def require_one_grid(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
 ) -> None:
-    """Refuse spectra on several sets of wavelengths; ``advice`` goes with the message.
+    """Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
 
     Raises FormatError: There are several; each is listed with the names of its spectra.
     """
@@ -151,7 +151,7 @@ def ratio(
 
 
 def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
-    """Return a name for each spectrum that no other one has.
+    """Return a distinct name for each spectrum.
 
     sources: File of each spectrum and its name. Where names repeat, their folder is put before them; where
         that does not help, a number behind.
@@ -169,7 +169,7 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
 
 
 def check_utc_offset(hours: float) -> None:
-    """Refuse local time minus UTC [h] that is the offset of no zone.
+    """Refuse local time minus UTC [h] beyond the offsets of all zones.
 
     Raises TimeError: It is outside -14 to 14.
     """
@@ -182,6 +182,6 @@ def check_utc_offset(hours: float) -> None:
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return the names as text, the first ones of a long list."""
+    """Return the names as text, shortened to the first ``most``."""
     rest = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + rest

@@ -195,7 +195,7 @@ def _check_arguments(
 
 
 def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
-    """Return what the files hold: of targets, reflectance, where both scans are in radiance."""
+    """Return the quantity of the files: reflectance from targets with both scans in radiance."""
     return common_quantity(
         (
             "reflectance"
@@ -245,7 +245,6 @@ def _measurement(
 
 
 def _reflectance(file: SvcFile) -> Floats:
-    """Return target over reference, NaN where the reference is zero."""
     times = items(file.header.get("integration", ""))
     if not file.has_reference:
         raise FormatError(
@@ -269,7 +268,7 @@ def _reflectance(file: SvcFile) -> Floats:
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
-    """Return where one detector is to follow the other, for each step back of the wavelengths [nm]."""
+    """Return the wavelength of the change of detectors, for each step back of the wavelengths [nm]."""
     handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
@@ -288,7 +287,7 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
 
 
 def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
-    """Return which channels are left where one detector is taken at each join."""
+    """Return which channels remain with one detector on each side of a join."""
     used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
         used[:start] &= file.wavelength[:start] <= join
@@ -297,7 +296,7 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
 
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
-    """Return the advice to trim where that makes one set of wavelengths of all files."""
+    """Return the advice to trim, where trimming gives all files one set of wavelengths."""
     for joins in sorted({one.overlap.joins for one in measured if one.overlap.joins is not None}):
         try:
             grids = [

@@ -1,4 +1,4 @@
-"""Coordinates of SVC spectra: channels, times, places, and what their files say of themselves."""
+"""Coordinates of SVC spectra: channels, times, places, and header fields of their files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NOWHERE = (math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class SvcMeasurement:
-    """One file in one quantity, on the channels that are used."""
+    """One file in one quantity, on the channels in use."""
 
     file: SvcFile
     path: Path
@@ -44,14 +44,14 @@ class SvcMeasurement:
 
     @property
     def overlap_text(self) -> str:
-        """What became of the channels where detectors overlap."""
+        """Treatment of the channels where detectors overlap."""
         if self.trimmed_at:
             return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
         return self.overlap.text
 
 
 def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
-    """Return the wavelengths, and the detectors where all files tell the same."""
+    """Return the wavelengths, and the detectors where all files agree."""
     first = measured[0]
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
@@ -66,7 +66,7 @@ def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
 def coords_of_times(
     contents: Sequence[SvcFile], side: int, quantity: str, dayfirst: bool | None, utc_offset_h: float | None
 ) -> dict[str, Any]:
-    """Return UTC of the scans; of reflectance, of target and reference."""
+    """Return UTC of the scans; for reflectance, of target and reference."""
     stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
     orders = orders_of(
         (file.header.get("instrument", ""), stamp)
@@ -86,7 +86,7 @@ def coords_of_times(
 
 
 class _Clock:
-    """Turns stamps into UTC, and gathers why some cannot be."""
+    """Converts stamps to UTC, and collects the reasons of failures."""
 
     def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
         self._orders = orders
@@ -99,7 +99,6 @@ class _Clock:
         return _NAT
 
     def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
-        """Return UTC of a scan, or NaT."""
         if stamp is None:
             return self._note("missing or unreadable times are NaT", "time-unreadable", file)
         order = self._orders.get(file.header.get("instrument", ""))
@@ -124,13 +123,12 @@ class _Clock:
         return np.datetime64(utc, "ns")
 
     def warn(self) -> None:
-        """Give one warning a reason."""
         for (reason, code), names in self._files_by_reason.items():
             warn_of(reason, list(names), code)
 
 
 def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
-    """Return where the scans were taken, after the GPS; ``side`` is 0 for references, 1 for targets."""
+    """Return the GPS positions of the scans; ``side`` is 0 for references, 1 for targets."""
     places = [position_of(file.header, side) for file in contents]
     unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
     warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
@@ -143,13 +141,13 @@ def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
 
 
 def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
-    """Return a coordinate of the spectra; lists hold texts of any length."""
+    """Return a coordinate of the spectra; lists hold texts."""
     array = np.array(values, object) if isinstance(values, list) else values
     return "spectrum", array, {"long_name": meaning, **attrs}
 
 
 def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
-    """Return names, instruments, and what the files say of overlap, matching and errors."""
+    """Return names, instruments, overlap, matching and errors of the files."""
     files = [one.file for one in measured]
     names = name_spectra([(one.path, one.path.name.removesuffix(one.path.suffix)) for one in measured])
     errors = np.array([error_bits(file.header) for file in files], np.int64)
@@ -180,7 +178,7 @@ def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[s
 
 
 def _column_differences(files: Sequence[SvcFile]) -> Floats:
-    """Return how far each file's fourth column is from the ratio; warn where rounding does not explain it."""
+    """Return the distance of each file's fourth column from the ratio; warn where it exceeds rounding."""
     differences = np.full(len(files), np.nan)
     contradictory = []
     for place, file in enumerate(files):
@@ -203,7 +201,7 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
 
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
-    """Warn of a problem, where any files have it."""
+    """Warn of a problem of some files, if any."""
     if names:
         warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
 
@@ -226,7 +224,7 @@ _DAY = dt.timedelta(days=1)
 
 @dataclass(frozen=True)
 class LocalStamp:
-    """A date and time as a local clock showed it, without a zone."""
+    """Date and time of a local clock, without a zone."""
 
     day_first: dt.datetime | None  # what it means in either order; None where that is no date
     month_first: dt.datetime | None
@@ -234,7 +232,7 @@ class LocalStamp:
 
     @property
     def order(self) -> bool | None:
-        """True for day first, False for month first, None where it may be either."""
+        """True for day first, False for month first, None where both are possible."""
         if self.day_first == self.month_first:
             return None
         if self.day_first is None or self.month_first is None:
@@ -243,11 +241,11 @@ class LocalStamp:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether the two orders give two dates, and nothing settles which it is."""
+        """Whether the two orders give two dates."""
         return self.order is None and self.day_first != self.month_first
 
     def read(self, dayfirst: bool | None) -> dt.datetime | None:
-        """Return the date in an order that is asked for, the only one there is, or None."""
+        """Return the date in the given order, in the only possible one, or None."""
         if self.day_first is None or self.month_first is None:
             return self.day_first or self.month_first
         order = self.order if dayfirst is None else dayfirst
@@ -257,7 +255,7 @@ class LocalStamp:
 
 
 def read_stamp(text: str) -> LocalStamp | None:
-    """Return what a time stamp means; None where it is none.
+    """Return a time stamp, None where it is unreadable.
 
     Examples
     --------
@@ -288,7 +286,7 @@ def read_stamp(text: str) -> LocalStamp | None:
 
 
 def _month(text: str) -> int | None:
-    """Return the number of a month; of a number, that number, which may be a day after all."""
+    """Return the number of a month; a number is returned unchanged, and may be a day."""
     if text.isdecimal():
         return int(text)
     word = text.lower()
@@ -304,7 +302,7 @@ def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.da
 
 
 def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
-    """Return the order that dates of each instrument are in, where those that leave no doubt agree.
+    """Return the order of dates of each instrument, where its unambiguous dates agree.
 
     stamps: Instrument and stamp of every scan.
 
@@ -326,7 +324,7 @@ def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
 
 
 def read_gps_time(text: str) -> dt.timedelta | None:
-    """Return the time of day in UTC, ``HHMMSS.sss``; None where there was no fix.
+    """Return the time of day in UTC from ``HHMMSS.sss``; None without a fix.
 
     Raises ValueError: It is no time of day.
 
@@ -351,7 +349,7 @@ def read_gps_time(text: str) -> dt.timedelta | None:
 def utc_of(
     local: dt.datetime, gps: dt.timedelta | None, longitude: float, utc_offset_h: float | None
 ) -> dt.datetime | None:
-    """Return UTC of a scan: the GPS' time of day on the date that the local clock puts next to it.
+    """Return UTC of a scan: the GPS time of day on the nearest date of the local clock.
 
     local: What the local clock showed.
     gps: Time of day in UTC, which wins over the local clock.

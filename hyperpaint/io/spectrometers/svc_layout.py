@@ -40,7 +40,7 @@ _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class SvcFile:
-    """What one ``.sig`` file holds; arrays are (wavelength), float64 and read-only, in the file's order."""
+    """Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order."""
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
@@ -56,12 +56,12 @@ class SvcFile:
 
     @property
     def has_reference(self) -> bool:
-        """False where no white reference was taken: its column then holds nothing but 1, or 0."""
+        """False where no white reference was taken: its column then holds only 1, or only 0."""
         return not (np.all(self.reference == 1.0) or np.all(self.reference == 0.0))
 
 
 def is_svc(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a ``.sig`` file of an SVC spectrometer."""
+    """Return whether the first bytes of a file are those of an SVC ``.sig`` file."""
     return _MAGIC.match(head) is not None
 
 
@@ -103,7 +103,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
 
 
 def _svc_number(text: str) -> float | None:
-    """Return the number that a cell holds, with a point or a comma; None where it is none.
+    """Return the number of a cell, with a point or a comma; None for other text.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def _svc_number(text: str) -> float | None:
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
-    """Return the values by key, and the number of the first row of the table."""
+    """Return the values by key, and the index of the first row of the table."""
     header: dict[str, str] = {}
     last = ""
     for number, line in enumerate(lines[1 : _MOST_HEADER_LINES + 1], start=1):
@@ -193,7 +193,6 @@ def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
 
 
 def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
-    """Refuse a file that keeps the overlap and still has fewer rows than its instrument has channels."""
     model = _CHANNELS.search(header.get("instrument", ""))
     overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
     if model and overlap_preserved and rows < int(model[1]):
@@ -233,7 +232,7 @@ _BITS = re.compile(r"[0-9]{1,9}")
 
 @dataclass(frozen=True)
 class SvcOverlap:
-    """What was done where detectors overlap, as the line ``factors`` says it."""
+    """Treatment of overlapping detectors, from the header's ``factors``."""
 
     # True where all channels are there, False where channels were removed, None where the file is silent
     preserved: bool | None
@@ -248,12 +247,12 @@ class SvcOverlap:
 
     @property
     def matched(self) -> bool:
-        """Whether the file says that its values were matched."""
+        """Whether the values were matched."""
         return self.matching.lower() not in ("", "none")
 
     @property
     def text(self) -> str:
-        """In a word or two."""
+        """Short description."""
         if self.joins is not None:
             return f"removed @ {self.joins[0]:g}, {self.joins[1]:g} nm"
         return {True: "preserved", False: "removed", None: "unknown"}[self.preserved]
@@ -271,13 +270,13 @@ def items(value: str) -> list[str]:
 
 
 def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
-    """Return the texts for reference and target, empty where there is none."""
+    """Return the texts for reference and target, empty where missing."""
     entries = items(header.get(key, ""))
     return (entries[0], entries[1]) if len(entries) == 2 else ("", entries[0] if len(entries) == 1 else "")
 
 
 def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
-    """Return what the line ``factors`` says.
+    """Return the content of the header's ``factors``.
 
     A file that was processed again holds a record a time, the latest first.
 
@@ -306,7 +305,7 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
 
 
 def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
-    """Return the instrument's error bits of reference and target, -1 where the file is silent."""
+    """Return the instrument's error bits of reference and target, -1 where missing."""
     first, second = (int(text) if _BITS.fullmatch(text) else -1 for text in pair(header, "error"))
     return first, second
 
@@ -349,7 +348,7 @@ def _angle(value: str, scan: int, letters: str, limit: float) -> float:
 
 
 def detectors_of(file: SvcFile, joins: tuple[float, float] | None) -> npt.NDArray[np.int64] | None:
-    """Return the number of the detector that each channel is of, None where the file does not tell."""
+    """Return the number of the detector of each channel, None where unknown."""
     if len(file.starts) > 1:
         number = np.zeros(len(file.wavelength), np.int64)
         for start in file.starts[1:]:
