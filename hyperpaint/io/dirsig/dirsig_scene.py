@@ -89,8 +89,7 @@ def write_dirsig_scene(
 
     Written are the geometry as OBJ with its MTL, a geometry list, the ``.scene``, a skeleton of a ``.jsim``,
     the materials with their spectra, a texture map of every population, and a README that says how to run
-    it, what each construct was checked against, and what could not be checked. The folder appears when all
-    is written, or not at all.
+    it, and which constructs were checked. The folder appears when all is written, or not at all.
 
     Parameters
     ----------

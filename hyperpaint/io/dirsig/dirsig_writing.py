@@ -26,8 +26,8 @@ from .material_list import Material, material_ids, material_names, materials_tex
 from .paint_curves import (
     CURVES,
     GAPS,
-    LONGEST,
-    SHORTEST,
+    MAX_NM,
+    MIN_NM,
     Axis,
     Choices,
     Coat,
@@ -52,7 +52,7 @@ _OWN = re.compile(
 )
 """What lies in exports of paints and of scenes."""
 
-_MOST_BYTES = 256 * 2**20
+_MAX_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 
@@ -66,7 +66,7 @@ def export_folder(
     ``inside``: folders to make in it.
 
     Raises `StoreError`: The place holds anything else, or an export that may not be replaced; another writes
-    there; or it cannot be written. Also for whatever the disk refuses inside.
+    there; or it, or a file inside, cannot be written.
     """
     if _URL.match(os.fspath(folder)):
         raise StoreError(
@@ -84,7 +84,7 @@ def export_folder(
 
 def _foreign(folder: Path) -> str:
     try:
-        document = json.loads(read_limited(folder / MARKER, _MOST_BYTES, "an export"))
+        document = json.loads(read_limited(folder / MARKER, _MAX_BYTES, "an export"))
     except (FormatError, ValueError, RecursionError):
         document = None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -94,8 +94,8 @@ def _foreign(folder: Path) -> str:
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
-_MOST_SHOWN = 20
-_AT_ONCE = 64
+_MAX_SHOWN = 20
+_CURVES_AT_ONCE = 64
 """Curves whose text is made at a time."""
 
 _RGB = (640.0, 550.0, 460.0)
@@ -175,7 +175,7 @@ def write_dirsig(
         What was written (signature): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
         ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
         and ``centre_interpolated``, members ``left_out`` and ``thinned``, the range and ``extrapolated``. Its
-        attributes say what became of mirrored light: ``mirror_reflection``, ``specular_term``.
+        attributes describe the treatment of mirrored light: ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def write_dirsig(
             MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
         }
         for name, text in written.items():
-            # what is no letter in any encoding may stand in a name all the same
+            # a name may hold halves of surrogate pairs, which no encoding has
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
     _warn(records, gaps_said=gaps is not None)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
@@ -321,7 +321,7 @@ def _is_range(given: Any) -> bool:
         low, high = given
     except (TypeError, ValueError):
         return False
-    return _is_number(low) and _is_number(high) and SHORTEST <= low < high <= LONGEST
+    return _is_number(low) and _is_number(high) and MIN_NM <= low < high <= MAX_NM
 
 
 def _is_number(value: Any) -> bool:
@@ -380,20 +380,20 @@ def write_spectra(
             if not problems:
                 key = spectra.wavelength.tobytes()
                 if key not in formats:
-                    formats.clear()  # paints in turn are alike; what they need is not kept for ever
+                    formats.clear()  # successive paints share wavelengths; older formats are dropped
                     formats[key] = ColumnText(spectra.wavelength, CURVE_BEGIN), ColumnText(spectra.wavelength)
                 record |= _write_paint(spectra, fraction, build, record, *formats[key])
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
         more = (
-            [Problem(f"and {len(problems) - _MOST_SHOWN} more paints", code="paint-unwritable")]
-            if problems[_MOST_SHOWN:]
+            [Problem(f"and {len(problems) - _MAX_SHOWN} more paints", code="paint-unwritable")]
+            if problems[_MAX_SHOWN:]
             else []
         )
         raise SchemaError(
             "paints cannot be written for DIRSIG",
-            problems=problems[:_MOST_SHOWN] + more,
+            problems=problems[:_MAX_SHOWN] + more,
             code="paint-unwritable",
         )
 
@@ -410,8 +410,8 @@ def _write_paint(
     clipped = 0
     with open(build / record["emissivity_file"], "wb") as file:
         file.write(emissivity_head(len(spectra.curves)))
-        for start in range(0, len(spectra.curves), _AT_ONCE):
-            total = spectra.curves[start : start + _AT_ONCE] / (1.0 - fraction)
+        for start in range(0, len(spectra.curves), _CURVES_AT_ONCE):
+            total = spectra.curves[start : start + _CURVES_AT_ONCE] / (1.0 - fraction)
             clipped += int(((total < 0.0) | (total > 1.0)).sum())
             file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
     outside = int(((spectra.centre < 0.0) | (spectra.centre > 1.0)).sum())

@@ -48,7 +48,7 @@ _ANGLES = 91
 def emissivity_head(count: int) -> bytes:
     """Return the first lines of an ``.ems`` file: the number of curves, and a weight for each degree.
 
-    The weights are 1, as nearly all files have them: what an imager measured holds for its own view only.
+    The weights are 1, as in nearly all files: an imager measures one view angle only.
 
     Examples
     --------
@@ -113,13 +113,13 @@ class ColumnText:
         return texts.tobytes()
 
 
-MOST_BYTES = 128 * 2**20
+MAX_BYTES = 128 * 2**20
 """Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
 
-MOST_CURVES = 100_000
+MAX_CURVES = 100_000
 _WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)
-_LONGEST = 100.0  # [um]
-_MOST_SHOWN = 8
+_MAX_WAVELENGTH_UM = 100.0  # [um]
+_MAX_SHOWN = 8
 
 # quantifiers that give nothing back: a long line is read once
 _NUMBER = rb"[+-]?+(?:[0-9]{1,40}+(?:\.[0-9]{0,40}+)?+|\.[0-9]{1,40}+)(?:[eE][+-]?+[0-9]{1,4}+)?+"
@@ -156,11 +156,11 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
     ------
     FormatError
         The file cannot be read, or is not what `hyperpaint.io.dirsig.emissivity_files` says: another number
-        of curves than it tells, wavelengths that do not ascend or are no micrometres, emissivity outside 0 to
-        1, anything else in between; all are listed.
+        of curves than its first line states, wavelengths that do not ascend or are not in micrometres,
+        emissivity outside 0 to 1, other text in between; all are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "a DIRSIG emissivity file")
+    data = read_limited_text(place, MAX_BYTES, "a DIRSIG emissivity file")
     return _parse(data, str(place))
 
 
@@ -172,10 +172,10 @@ def _parse(data: bytes, name: str) -> Emissivity:
     lines = text.split(b"\n", _ANGLES + 1)
     match = _COUNT.fullmatch(lines[0])
     count = int(match[1]) if match else 0
-    if not 1 <= count <= MOST_CURVES:
+    if not 1 <= count <= MAX_CURVES:
         problems.add(
             f"line 1: {_shown(lines[0])}",
-            expected=f"a number of curves, 1 to {MOST_CURVES}",
+            expected=f"a number of curves, 1 to {MAX_CURVES}",
             code="number-unreadable",
         )
     if len(lines) < _ANGLES + 2:
@@ -194,7 +194,7 @@ def _parse(data: bytes, name: str) -> Emissivity:
 
 def _weights(lines: list[bytes], problems: Problems) -> Floats:
     wrong = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
-    for angle in wrong[:_MOST_SHOWN]:
+    for angle in wrong[:_MAX_SHOWN]:
         problems.add(
             f"line {angle + 2}: {_shown(lines[angle])}",
             expected=f"the weight of {angle} degrees",
@@ -261,7 +261,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
                 )
             else:
                 curves.append(Curve(axis if new else 1e4 / axis, emissivity))
-        if len(problems) >= _MOST_SHOWN:
+        if len(problems) >= _MAX_SHOWN:
             break
         line += rows.count(b"\n") + 1
     return layout, curves
@@ -296,7 +296,7 @@ def _wavenumber_problem(wavenumber: Floats) -> str:
 def _wavelength_problem(wavelength: Floats) -> str:
     if not np.isfinite(wavelength).all() or wavelength[0] <= 0.0 or (np.diff(wavelength) <= 0.0).any():
         return "wavelengths do not ascend from above 0; sort the rows, one a wavelength"
-    if wavelength[-1] > _LONGEST:
+    if wavelength[-1] > _MAX_WAVELENGTH_UM:
         return f"wavelengths up to {wavelength[-1]:g}, expected micrometres; are these nanometres?"
     return ""
 

@@ -163,15 +163,15 @@ def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
     return text + ", ".join(rows) + "." if rows else ""
 
 
-_MOST_GAPS = 12
+_MAX_GAPS = 12
 
 
 def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the gaps of the curves, paint by paint."""
     rows = []
     for record in records:
-        gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MOST_GAPS]] + ["..."] * (
-            len(record["gaps"]) > _MOST_GAPS
+        gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MAX_GAPS]] + ["..."] * (
+            len(record["gaps"]) > _MAX_GAPS
         )
         alone = "; no member reaches both ends: the centre stands for them" if record["is_centre"] else ""
         if gaps or alone:

@@ -21,7 +21,7 @@ from typing import Any
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
-_LONGEST_ID, _LONGEST_NAME = 48, 120
+_MAX_ID_CHARS, _MAX_NAME_CHARS = 48, 120
 _LETTERS = str.maketrans(
     {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "æ": "ae", "Æ": "Ae",
      "ø": "oe", "Ø": "Oe", "å": "aa", "Å": "Aa", "œ": "oe", "Œ": "Oe", "ł": "l", "Ł": "L", "µ": "u",
@@ -31,13 +31,13 @@ _LETTERS = str.maketrans(
 _UNSAFE = re.compile(r"[^ -~]|[{}=\"#<>&;]")
 _NO_TOKEN = re.compile(r"[^A-Za-z0-9]+")
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
-"""Names of devices, which are no files on Windows."""
+"""Device names, which are no file names on Windows."""
 
 
 def plain_name(name: str) -> str:
     """Return a name in ASCII without the signs of the tag format.
 
-    Umlauts become two letters, other accents are dropped, and what is left becomes an underscore.
+    Umlauts become two letters, other accents are dropped, and other signs become underscores.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def plain_name(name: str) -> str:
     # one spelling for letters with accents, whichever way they were typed
     text = unicodedata.normalize("NFC", name).translate(_LETTERS)
     text = "".join(sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
-    return " ".join(_UNSAFE.sub("_", " ".join(text.split())).split())[:_LONGEST_NAME].strip()
+    return " ".join(_UNSAFE.sub("_", " ".join(text.split())).split())[:_MAX_NAME_CHARS].strip()
 
 
 def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
@@ -73,7 +73,7 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
     """
     tokens = []
     for number, name in enumerate(names, start=1):
-        token = _NO_TOKEN.sub("_", plain_name(name)).strip("_")[:_LONGEST_ID].strip("_")
+        token = _NO_TOKEN.sub("_", plain_name(name)).strip("_")[:_MAX_ID_CHARS].strip("_")
         if token.isdigit() or token.lower() in _DEVICES:
             # a scene's own materials are often numbered
             token = f"paint_{token}"
@@ -81,10 +81,10 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
     return unique_names(tokens, taken, suffix="_{}", fold=str.casefold)
 
 
-MOST_BYTES = 16 * 2**20
-MOST_LINES = 400_000
-_DEEPEST = 16
-_MOST_SHOWN = 8
+MAX_BYTES = 16 * 2**20
+MAX_LINES = 400_000
+_MAX_DEPTH = 16
+_MAX_SHOWN = 8
 _OPENED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*+)[ \t]*+\{")
 _VARIABLE = re.compile(r"([A-Za-z_][A-Za-z0-9_.]*+)[ \t]*+=[ \t]*+(.*+)")
 _LOOK_UP = re.compile(r"([^ \t:{}=]++)[ \t]*+:[ \t]*+([^ \t:{}=]++)")
@@ -154,14 +154,14 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list", MOST_LINES)
+    data = read_limited_text(place, MAX_BYTES, "a DIRSIG material list", MAX_LINES)
     problems = Problems(f"{place} is no DIRSIG material list", FormatError)
     top = _parse(decoded_text(data), problems)
     problems.raise_if_any()
     entries = [item for item in top if item.name == _ENTRY]
     materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
     counts = Counter(material.id for material in materials)
-    for token in [token for token, count in counts.items() if count > 1][:_MOST_SHOWN]:
+    for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]:
         problems.add(f"ID {token[:40]!r} occurs twice", expected="one ID a material", code="id-duplicate")
     if not top:
         problems.add("no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
@@ -180,7 +180,7 @@ def _parse(text: str, problems: Problems) -> list[Section]:
         if line == "}" and len(opened) > 1:
             opened.pop()
             opened[-1][2].append(Section(name, tuple(items)))
-        elif (heading := _OPENED.fullmatch(line)) and len(opened) <= _DEEPEST:
+        elif (heading := _OPENED.fullmatch(line)) and len(opened) <= _MAX_DEPTH:
             opened.append((heading[1], number, []))
         elif name and (pair := _VARIABLE.fullmatch(line) or (name == "LUT" and _LOOK_UP.fullmatch(line))):
             items.append((pair[1], pair[2]))
@@ -190,9 +190,9 @@ def _parse(text: str, problems: Problems) -> list[Section]:
                 expected=_expected(line, len(opened)),
                 code="row-unreadable",
             )
-            if len(problems) >= _MOST_SHOWN:
+            if len(problems) >= _MAX_SHOWN:
                 return []
-    for name, number, _ in opened[1:][:_MOST_SHOWN]:
+    for name, number, _ in opened[1:][:_MAX_SHOWN]:
         problems.add(
             f"line {number}: section {name} is not closed", expected="a line '}' for it", code="section-open"
         )
@@ -202,8 +202,8 @@ def _parse(text: str, problems: Problems) -> list[Section]:
 def _expected(line: str, depth: int) -> str:
     if line == "}":
         return "no bracket, since none is open"
-    if depth > _DEEPEST:
-        return f"sections at most {_DEEPEST} deep"
+    if depth > _MAX_DEPTH:
+        return f"sections at most {_MAX_DEPTH} deep"
     return "'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
 
 
@@ -211,7 +211,7 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
     # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME
     token, name = (entry.get(key) or entry.get(f"MATERIAL_{key}") or "" for key in ("ID", "NAME"))
     who = f"material {number} ({token[:40]!r})"
-    if len(problems) < _MOST_SHOWN:
+    if len(problems) < _MAX_SHOWN:
         if not _TOKEN.fullmatch(token):
             problems.add(f"{who} has no ID", expected="an ID without blanks", code="id-missing")
         if not name:

@@ -27,7 +27,7 @@ class Coat:
 
     mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
     is_declared: bool  # Whether the library says so
-    # Fraction of DIRSIG's reflectance that is specular; ``library`` for that of its ``specular_reflectance``
+    # Specular fraction of DIRSIG's reflectance; ``library`` takes it from ``specular_reflectance``
     specular: float | str
 
     @property
@@ -111,7 +111,7 @@ CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles",
 
 GAPS = ("interpolate", "refuse")
 
-SHORTEST, LONGEST = 1.0, 1e5
+MIN_NM, MAX_NM = 1.0, 1e5
 """Wavelengths that can be written [nm]."""
 
 _BLOCK_BYTES = 8 * 2**20
@@ -128,7 +128,7 @@ class Choices:
 
     curves: str  # A key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
-    extrapolate: bool  # Whether curves are held constant beyond what was measured
+    extrapolate: bool  # Whether curves are held constant beyond the measured range
     gaps: str  # What is done about bands without values between others: one of `GAPS`
     max_curves: int | None = None  # Curves of a paint at the most; None for all
 
@@ -148,7 +148,7 @@ class PaintCurves:
     # between others
     interpolated: int
     centre_interpolated: int
-    left_out: int  # Members that are not among the curves, for what they lack at the ends
+    left_out: int  # Members without values at the ends, which are not written
     is_centre: bool  # Whether no member reaches both ends, so that the centre stands for them
     thinned: int = 0  # Curves left out since there were more than asked for
 
@@ -164,10 +164,10 @@ class Axis:
         arrays = require(library, names, "DIRSIG materials", LIBRARY_VARIABLES)
         wavelength = np.asarray(arrays["wavelength"].values, np.float64)
         is_finite = np.isfinite(wavelength).all() and wavelength.size
-        if not (is_finite and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
+        if not (is_finite and wavelength.min() >= MIN_NM and wavelength.max() <= MAX_NM):
             raise SchemaError(
                 "a wavelength is unknown or out of range",
-                expected=f"{SHORTEST:g} to {LONGEST:g} nm",
+                expected=f"{MIN_NM:g} to {MAX_NM:g} nm",
                 mend="drop the band",
                 code="wavelength-range",
             )
@@ -221,7 +221,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     """Return the curves of one paint as written.
 
     ``axis``: the bands; ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order;
-    a curve of nothing but NaN is none; ``choices``: what the caller chose.
+    curves of NaN alone are dropped; ``choices``: of the caller.
 
     Raises `PaintProblemError`: It has no values, holes that nobody asked to fill, or does not reach as far as
     was asked.

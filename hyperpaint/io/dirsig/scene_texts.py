@@ -161,14 +161,14 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
     with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the body over pi,
     and no :math:`\rho_v`. DHR is all that is reflected of light from the normal. Blocks of parameters stand
-    at many wavelengths, where they need no scaling, whatever is done in between.
+    at many wavelengths, close enough for any interpolation between them.
 
     Parameters
     ----------
     index, roughness
         Refractive index of the coat, and GGX alpha of its surface, whose peak the Gaussian has.
     wavelength, body
-        Reflectance of the body as it is seen through the coat (wavelength,) [nm], [1].
+        Reflectance of the body through the coat (wavelength,) [nm], [1].
 
     References
     ----------

@@ -77,7 +77,7 @@ _OF_A_SWEEP = (
     "second_order",
 )
 _TABULATED = ("srf_offset", "srf")
-_LARGEST = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
+_MAX_MAGNITUDES = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
 
 
 def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
@@ -261,8 +261,8 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
     elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
         if not (finite and (values > 0).all()):
             problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
-    elif name in _LARGEST:
-        largest, unit = _LARGEST[name]
+    elif name in _MAX_MAGNITUDES:
+        largest, unit = _MAX_MAGNITUDES[name]
         if not (finite and (np.abs(values) < largest).all()):
             problems.add(
                 f"{name!r} is not finite and below {largest:g} {unit} everywhere", code="value-out-of-range"

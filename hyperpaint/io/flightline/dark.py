@@ -44,7 +44,7 @@ class Dark:
 
     counts: xr.DataArray  # ``dark_counts`` ([dark_time,] band, cross_track) float32, [count]
     exposures: tuple[float | None, ...]  # Seconds of each reference, None where unknown
-    # Spread over the lines (band, cross_track) less that of rounding, or None where there are too few
+    # Spread over the lines (band, cross_track) without rounding noise, or None from too few lines
     read_noise: xr.DataArray | None
     source: str  # Says where they come from
     uncertainty: xr.DataArray | None = None  # Of the mean, from that spread (band, cross_track), or None
@@ -81,12 +81,12 @@ def open_dark(
     """Open the dark references of a line.
 
     ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; what was opened before; ``timing``: clock settings of the flight, which hold for
+    ``"calibration"``; a `Dark`; ``timing``: clock settings of the flight, which hold for
     ``frameIndex_<N>.txt`` and ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None
     where it failed to open; ``cube``: the line's counts, or None where they failed to open.
 
     Returns Dark or None: Several references whose times are known are kept along ``dark_time``; otherwise
-    they are averaged. None where what it depends on failed to open.
+    they are averaged. None where the cube or the calibration failed to open.
 
     Raises `SchemaError`: No dark was named, or one does not fit the cube. Raises `FormatError`: A file is not
     a cube of raw counts.

@@ -111,9 +111,9 @@ def open_flightline(
         ``imu_gps.txt``: UTC, and position and attitude at mid exposure.
     dark
         Dark cube or cubes (``dark_counts`` is the mean of their lines), a Dataset with ``dark_counts``,
-        ``"calibration"`` for those of the calibration, or ``"none"``.
+        ``"calibration"`` for the dark counts of the calibration, or ``"none"``.
     calibration
-        See `open_calibration`. Its wavelengths win over those of the header.
+        See `open_calibration`. Its wavelengths replace the header's.
     irradiance
         From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
         Without it no reflectance can be computed.
@@ -135,8 +135,8 @@ def open_flightline(
     nav_max_gap_s
         Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
     convention
-        What the angles and heights of ``nav`` mean and where the columns look, as far as it is known: fields
-        of `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
+        Known conventions of the angles and heights of ``nav`` and of the order of columns: fields of
+        `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
         format is taken to mean them; the line's attribute ``navigation_assumed`` lists those.
     bit_depth, saturation_count
         The converter is full at ``saturation_count``: as given, else as in the calibration, else
@@ -144,7 +144,7 @@ def open_flightline(
     radiance_units
         Units of a radiance cube whose header does not say them.
     quantity
-        ``counts`` or ``radiance``: what the samples of an ENVI cube are whose header does not say it. By
+        ``counts`` or ``radiance``: quantity of an ENVI cube whose header does not state it. By
         default integers are counts where there is a ``dark``, and radiance where there are
         ``radiance_units``.
     fwhm_nm
@@ -153,7 +153,7 @@ def open_flightline(
         dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
         converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
     name
-        Name of the line; by default that of the cube.
+        Name of the line; by default the cube's.
     keep_whole_lines
         Open the whole lines of a file that was cut short.
 
@@ -166,7 +166,7 @@ def open_flightline(
     Raises
     ------
     FormatError
-        A file is damaged, or is not what it should be.
+        A file is damaged or of another kind.
     TimeError
         Line times are missing or contradictory, or navigation or irradiance does not cover the line.
     SchemaError, UnitsError

@@ -96,7 +96,7 @@ class GrowingTable:
 class GrowingLine:
     """One flight line during recording, in one cube or in several successive ones.
 
-    ``view`` is a folder of its own, for the line as if it had ended.
+    ``view`` is a folder for the files of the line as if it had ended.
     """
 
     def __init__(self, view: Path) -> None:

@@ -44,7 +44,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     -------
     pathlib.Path
         The file: ``line``, then a column a variable with its unit, ``roll [degree]``; times are UTC at mid
-        exposure, ISO 8601; what is unknown is empty.
+        exposure, ISO 8601; unknown values are empty.
 
     Raises
     ------

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _NS_PER_S = 1_000_000_000
-_LONGEST_EXPOSURE_S = 3600.0
+_MAX_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000
-_LONGEST = 1e4
+_MAX_INTERVAL_S = 1e4
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 
@@ -169,14 +169,14 @@ def _check(timing: Timing, exposure_s: float) -> None:
             expected="'start', 'mid' or 'end' of the exposure",
             code="choice-unknown",
         )
-    if exposure_s > _LONGEST_EXPOSURE_S:
+    if exposure_s > _MAX_EXPOSURE_S:
         problems.add(
             f"an exposure of {exposure_s:g} s",
-            expected=f"at most {_LONGEST_EXPOSURE_S:g} s",
+            expected=f"at most {_MAX_EXPOSURE_S:g} s",
             code="value-out-of-range",
         )
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
-        if seconds is not None and not 0 < seconds <= _LONGEST:
+        if seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S:
             problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
     problems.raise_if_any()
 

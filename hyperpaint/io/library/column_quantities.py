@@ -66,7 +66,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
     preamble: Lines above the numbers; headings: names of the columns, as many as there are, or none.
 
     Raises FormatError: A column is named after light, counts, transmittance or a statistic; or the lines
-        above say so and none of them says reflectance.
+        above name such a quantity and do not name reflectance.
     """
     foreign = [name.strip() for name in headings[1:] if _foreign(name) or _STATISTIC.fullmatch(name.strip())]
     if foreign:
@@ -108,7 +108,7 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
     """Return for each column the index of its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
 
     headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
-    sure: Columns without headings are reflectance, whatever they look like.
+    sure: Columns without headings are reflectance without a check of their values.
 
     Raises FormatError: The first column is named a standard deviation.
     Warns PaintWarning: Nothing names three columns, and the last looks like the spread of the one before.
@@ -118,7 +118,7 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
         bare = [_bare(name) for name in headings[1:]]
         named = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
         means = [name for name, spread in zip(bare, named, strict=True) if not spread]
-        # a standard may be a paint: "White Std" is no spread where nothing is named "White"
+        # "White Std" may be a paint: it is a spread only beside a column "White"
         in_full = [_IN_FULL.search(name) is not None for name in headings[1:]]
         is_spread = named & np.array(
             [full or not name or name in means for full, name in zip(in_full, bare, strict=True)]

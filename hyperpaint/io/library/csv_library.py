@@ -1,6 +1,6 @@
 """Paint libraries as comma-separated values with their metadata beside them.
 
-A row is a spectrum: the paint, what is known of it (a column each), then reflectance. The first row has the
+A row is a spectrum: the paint, its properties (a column each), then reflectance. The first row has the
 names of the columns, and the wavelengths [nm]; units stand in the metadata. EcoSIS takes such tables. Where
 there are more spectra than centres, the paint is followed by ``variable`` (``reflectance``,
 ``member_reflectance``, ...) and by ``place``, the number of a spectrum where a paint has several, from 1.
@@ -26,7 +26,7 @@ from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers
 from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
 
-from .library_spectra import SHORTEST, check_wavelengths
+from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _NAMES = (SIGNATURE, "paint")
-"""Heading of the names; the second was that of hyperpaint 0.2 and before."""
+"""Headings of the names; the second was used by hyperpaint 0.2 and before."""
 _KIND = ["variable", "place"]
-_MOST_BANDS = 100_000
-_MOST_BYTES = 2**32
-_MOST_SHOWN = 5
+_MAX_BANDS = 100_000
+_MAX_BYTES = 2**32
+_MAX_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
@@ -47,7 +47,7 @@ def is_csv_library(head: str) -> bool:
     cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
     first = next(filter(None, cells[:2]), "")  # after the index of pandas
-    return first in _NAMES and nm is not None and nm >= SHORTEST
+    return first in _NAMES and nm is not None and nm >= MIN_NM
 
 
 # --- writing -----------------------------------------------------------------------------------------------
@@ -125,7 +125,7 @@ class _Table(NamedTuple):
     wavelength: Floats
     names: list[str]  # of the paints
     columns: dict[str, list[str]]  # what is said of each paint
-    keys: list[Key]  # what each row is
+    keys: list[Key]  # one a row
     rows: list[Floats32]
 
 
@@ -150,7 +150,7 @@ def _table(path: Path) -> _Table:
                 expected=f"{', '.join(head)[:60]}, and {wavelength.size} numbers",
                 code="row-unreadable",
             )
-            if len(problems) == _MOST_SHOWN:
+            if len(problems) == _MAX_SHOWN:
                 break
             continue
         if key[0] == CENTRE:
@@ -191,7 +191,7 @@ class _Owner:
 
 def _cells(path: Path) -> Iterator[list[str]]:
     try:
-        opened = open_input(path, "a paint library", _MOST_BYTES)
+        opened = open_input(path, "a paint library", _MAX_BYTES)
         with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
@@ -218,7 +218,7 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
         first -= 1
     head, wavelengths = row[:first], numbers(row[first:]) or []
     plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
+    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MAX_BANDS:
         raise FormatError(
             f"{source}: the first row is {','.join(row)[:60]!r}",
             expected=f"{SIGNATURE}, distinct column names, and wavelengths",

@@ -1,7 +1,7 @@
 """Spectra of the ECOSTRESS library (version 1) and of its forerunner, the ASTER library (version 2).
 
 Lines ``Key: value``, an empty line, then x and y a line. The values of ASTER files wrap over lines without a
-key of their own, those of ECOSTRESS files do not; both are read alike.
+key, values of ECOSTRESS files do not; both are read alike.
 """
 
 from __future__ import annotations
@@ -201,10 +201,10 @@ def _metadata_column(name: str, value: Any, source: str) -> Any:
 
 
 _SUFFIX = ".spectrum.txt"
-_LONGEST_STEM = 80
+_MAX_STEM_CHARS = 80
 _SPELLINGS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 
 _MEASUREMENT = "Hemispherical-conical reflectance factor"
 
@@ -215,7 +215,7 @@ _SAMPLE = (
     ("Origin", "origin", "none"), ("Collection Date", "collection_date", "N/A"),
     ("Description", "description", "none"), ("Measurement", "measurement", _MEASUREMENT),
 )  # fmt: skip
-"""Keys of a header before those of the axes, the coordinate that holds each, and what stands otherwise."""
+"""Keys of a header before those of the axes, the coordinate of each, and its default."""
 
 
 def write_ecostress_library(
@@ -264,7 +264,7 @@ def _foreign(folder: Path) -> str:
 def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
     problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
     gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    for at in gaps[:_MOST_SHOWN]:
+    for at in gaps[:_MAX_SHOWN]:
         missing = int((~np.isfinite(values[at])).sum())
         problems.add(
             f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands", code="value-missing"
@@ -296,7 +296,7 @@ def _file_names(names: Sequence[str]) -> list[str]:
             for c in plain
             if not unicodedata.combining(c)
         )
-        stem = "_".join(words.split())[:_LONGEST_STEM] or "unnamed"
+        stem = "_".join(words.split())[:_MAX_STEM_CHARS] or "unnamed"
         stems.append(f"{stem}_" if stem.lower() in _RESERVED else stem)
     return unique_names(stems, suffix="_{}", fold=str.lower)
 

@@ -2,7 +2,7 @@
 
 The two records that begin a library of the USGS are its wavelengths and bandwidths, and its records "error
 bars to preceding" belong to the spectrum before them; neither is a spectrum. Libraries of our own say
-``hyperpaint library = 1`` in their header; there a name leads back to the paint and to what the record is of
+``hyperpaint library = 1`` in their header; there the name of a record holds its paint, variable and place
 it (``red | member 3``), see `records`. Where every record is a paint, lists ``paint make``, ``paint year``
 and the like hold a value for each.
 """
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _BLOCK_BYTES = 16 * 2**20
-_MOST_CLASSES_BYTES = 16 * 2**20
+_MAX_CLASSES_BYTES = 16 * 2**20
 _TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
 _WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
 _BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
@@ -53,7 +53,7 @@ def read_envi_library(
 
     path: The header or the data file.
     scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
-        what its ``z plot titles`` say.
+        its ``z plot titles``.
     wavelength, fwhm: To be used in place of those of the header [nm].
     Raises FormatError: The header is damaged, or does not fit the data file; or it is no library of
         reflectance, or one without wavelengths.
@@ -254,7 +254,7 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
     """
     table = path.with_suffix(".csv")
     try:
-        text = read_limited(table, _MOST_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
+        text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
         rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
     except (FormatError, csv.Error):
         return {}
@@ -366,7 +366,7 @@ def write_envi_library(
 ) -> None:
     """Write a checked library to ``path`` (``.sli``), its header and its metadata beside it.
 
-    Raises SchemaError: Names or metadata cannot be written, or the header would be larger than what is read.
+    Raises SchemaError: Names or metadata cannot be written, or the header would be too large.
     Raises StoreError: Files exist, or cannot be written.
     """
     data = path.with_suffix(".sli")
@@ -387,7 +387,7 @@ def write_envi_library(
 
 def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
-    # a header holds finite numbers only; what is unknown stays in the metadata
+    # a header holds finite numbers only; unknown ones stay in the metadata
     if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
         lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
     if "good" in library.variables:

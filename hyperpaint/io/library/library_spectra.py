@@ -17,32 +17,32 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_a
 if TYPE_CHECKING:
     import xarray as xr
 
-SHORTEST, LONGEST = 100.0, 3e5
-"""Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared (those of the USGS end
-at 216 um). Visible nanometres that are taken for micrometres are beyond."""
+MIN_NM, MAX_NM = 100.0, 3e5
+"""Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end
+at 216 um). Visible nanometres taken for micrometres lie beyond."""
 
 OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
 """Message where the caller would have something of our own libraries replaced."""
 
-_LARGEST_FRACTION = 1.1
+_MAX_MEDIAN = 1.1
 """Median of values above which they are hardly reflectance as a fraction: a white panel's is 1."""
 
-_BEYOND = 1.2
-_MOST_BEYOND = 0.1
-"""Share of values above `_BEYOND` from which on they are hardly reflectance: noise where air is opaque has a
+_BRIGHT = 1.2
+_MAX_BRIGHT_SHARE = 0.1
+"""Share of values above `_BRIGHT` from which on they are hardly reflectance: noise where air is opaque has a
 twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW cm-2 sr-1
 nm-1 has 0.5."""
 
-_DARKEST = 0.01
+_MIN_BRIGHTEST = 0.01
 """Largest value of a file below which a scale is hardly right: black coats have 0.02 to 0.05 somewhere."""
 
-_MARKS = (-999.0, -9999.0, -99999.0, -32768.0)
+_MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
 """Stored values that stand for none wherever they are met."""
 
-_LEAST = -0.5
+_MIN_REFLECTANCE = -0.5
 """No noise is below it [1], but marks of missing values at any scale."""
 
-_FILLED = -1e20
+_MAX_FILL_VALUE = -1e20
 """Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were convolved
 to another spectrometer, some share of that."""
 
@@ -62,7 +62,7 @@ class Spectra:
     others: Mapping[str, Floats32] = field(default_factory=dict)
     # What the file says of each spectrum in words
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
-    notes: Sequence[str] = ()  # what was inferred or looked odd
+    notes: Sequence[str] = ()  # inferred or doubtful properties
 
 
 def library_of(spectra: Spectra) -> xr.Dataset:
@@ -119,17 +119,17 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
     """
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
-        if low >= SHORTEST and high <= LONGEST:
+        if low >= MIN_NM and high <= MAX_NM:
             _refuse_twice(wavelength, source)
             return
         description = f"wavelengths from {low:g} to {high:g} nm"
-        if low >= SHORTEST * 1e3 and high <= LONGEST * 1e3:
+        if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3:
             description += " (are they nanometres, said to be micrometres?)"
     else:
         description = f"{wavelength.size} wavelengths, not all of them finite"
     raise FormatError(
         f"{source}: {description}",
-        expected=f"{SHORTEST:g} nm to {LONGEST:g} nm",
+        expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
         mend="check their units, or pass wavelength= [nm]",
         code="wavelength-range",
     )
@@ -156,7 +156,7 @@ def reflectances(
     """Return stored values as reflectance.
 
     said, given: Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
-    ignore: Stored value that stands for none; those of the USGS always do.
+    ignore: Stored value of missing samples, besides the values of the USGS.
     sure: The caller says that it is reflectance: values above 1 are believed.
     Returns numpy.ndarray: float32; a fraction.
     Raises FormatError: Neither says the scale, and the values are no fractions; or they do not fit float32.
@@ -164,16 +164,16 @@ def reflectances(
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
-        lost = values < _FILLED
+        lost = values < _MAX_FILL_VALUE
     if ignore is not None:
-        # compared with what is stored: a float32 file holds the float32 next to what its header says
+        # compared in the stored dtype: a float32 file holds the float32 nearest to the number in its header
         with np.errstate(over="ignore"):
             lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
     values[lost] = np.nan
     scale = given if given is not None else said
     _drop_marks(values, scale, source)
     if scale is None:
-        _judge_fractions(values, source, _MOST_BEYOND if not sure else 1.0)
+        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not sure else 1.0)
     if scale not in (None, 1.0):
         values /= scale
         _warn_of_scale(values, float(scale or 1.0), source)
@@ -190,7 +190,9 @@ def reflectances(
 def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
     """Replace markers of missing values by NaN, with a warning."""
     with np.errstate(over="ignore"):
-        marks = np.isin(values, _MARKS) | (np.isfinite(values) & (values < _LEAST * (scale or 1.0)))
+        marks = np.isin(values, _MISSING_VALUES) | (
+            np.isfinite(values) & (values < _MIN_REFLECTANCE * (scale or 1.0))
+        )
     if marks.any():
         count, one = int(marks.sum()), float(values[marks][0])
         msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {one:g}, taken for missing"
@@ -206,7 +208,7 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
         "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it is "
         "in hundredths of a percent, scale=1 where it is right"
     )
-    if magnitudes.size and float(np.median(magnitudes)) > _LARGEST_FRACTION:
+    if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
         raise FormatError(
             (
                 f"{source}: values up to {magnitudes.max():g}, half of them above "
@@ -217,22 +219,22 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
             code="scale-missing",
         )
     with np.errstate(invalid="ignore"):
-        beyond = (np.abs(values) > _BEYOND).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
+        beyond = (np.abs(values) > _BRIGHT).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
     if 2 * beyond.sum() > len(values):
         raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BEYOND:g} (radiance?)",
+            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
             expected="reflectance as a fraction",
             mend=f"{advice} (for a text: quantity='reflectance')",
             code="scale-missing",
         )
     bright = beyond | [
-        bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
+        bool(there.any()) and float(np.median(one[there])) > _MAX_MEDIAN
         for one, there in zip(values, finite, strict=True)
     ]
     if bright.any():
         msg = (
             f"{source}: {bright.sum()} of {len(values)} spectra have many values above "
-            f"{_LARGEST_FRACTION:g}, up to {magnitudes.max():g}, and no scale; {advice}"
+            f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
         warnings.warn(PaintWarning(msg, code="scale-missing"), stacklevel=7)
 
@@ -242,7 +244,7 @@ def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
     finite = values[np.isfinite(values)]
     if not finite.size or not finite.any():
         return
-    if (finite > _BEYOND).mean() <= _MOST_BEYOND and finite.max() >= _DARKEST:
+    if (finite > _BRIGHT).mean() <= _MAX_BRIGHT_SHARE and finite.max() >= _MIN_BRIGHTEST:
         return
     msg = (
         f"{source}: reflectance up to {finite.max():.3g} where a stored {scale:g} is taken for 1; pass the "

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 VERSION = 2
 """Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""
-MOST_BYTES = 16 * 2**20
-_MOST_DIMS = 4
+MAX_BYTES = 16 * 2**20
+_MAX_DIMS = 4
 _DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
     "str", "datetime64[ns]",
@@ -91,10 +91,10 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     lines = [f"  {json.dumps(key)}: {_dumped(value)}" for key, value in parts.items()]
     rows = ",\n".join(f"    {_dumped(name)}: {_dumped(value)}" for name, value in variables.items())
     text = "{\n" + ",\n".join([*lines, '  "variables": {\n' + rows + "\n  }"]) + "\n}\n"
-    if len(text.encode()) > MOST_BYTES:
+    if len(text.encode()) > MAX_BYTES:
         raise SchemaError(
             f"the metadata of the library take {len(text.encode())} bytes",
-            expected=f"at most {MOST_BYTES}",
+            expected=f"at most {MAX_BYTES}",
             mend="drop variables, write fewer paints, or write Zarr",
             code="file-too-large",
         )
@@ -106,7 +106,7 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {}
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
-        # the name of a file that was read is none of the file that is written
+        # the name of the source file is not written
         if array.dims != (SIGNATURE,) or name in (SIGNATURE, "file") or not str(name).isidentifier():
             continue
         values = array.values
@@ -119,7 +119,7 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
 
 
 _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
-"""Names that are no columns of a table: an outline as JSON, other columns, what reads as a number."""
+"""Names left out of tables: outlines as JSON, columns of the format, words that read as numbers."""
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
@@ -198,7 +198,7 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
     Raises FormatError: The file is none that `metadata_text` makes, or of another library; all problems are
         listed.
     """
-    raw = read_limited(path, MOST_BYTES, "metadata of a paint library")
+    raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
@@ -225,7 +225,7 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
 
 
 def _refuse_constant(text: str) -> None:
-    raise ValueError(f"{text} is no JSON")
+    raise ValueError(f"{text} is not JSON")
 
 
 def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
@@ -319,7 +319,7 @@ def _variable(
 def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
     dims = entry.get("dims") if isinstance(entry, dict) else None
     texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
-    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MOST_DIMS:
+    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MAX_DIMS:
         return tuple(dims)
     problems.add(
         f"{name[:60]!r}",

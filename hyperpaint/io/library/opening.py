@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Path_ = str | os.PathLike[str]
 
 _HEAD_BYTES = 64 * 1024
-_MOST_SHOWN = 20
+_MAX_SHOWN = 20
 _ENVI_SUFFIXES = (".hdr", ".sli")
 _TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
 _ANCILLARY = ".ancillary.txt"
@@ -87,8 +87,8 @@ def open_library(
         Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
         USGS text without them looks for its own beside it and in the two folders above.
     scale
-        Stored value of a reflectance of one (100 for percent). By default what the file says: its scale
-        factor, units or headings. Values that are no fractions, of a file that says nothing, are refused.
+        Stored value of a reflectance of one (100 for percent). By default from the file: its scale factor,
+        units or headings. Without any of these, values that are no fractions are refused.
     quantity
         ``"reflectance"``, to say so of a text whose headings or values look like another quantity, or whose
         third column without a heading looks like a standard deviation.
@@ -97,8 +97,8 @@ def open_library(
     -------
     xarray.Dataset
         `reflectance` (signature, band) float32 [1], NaN where the file has none; coordinates `signature`,
-        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and what the file
-        says of each spectrum, where it does. Names are those of the file, equal ones included. Error bars of
+        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and further
+        columns of the file. Names are kept as in the file, duplicates included. Error bars of
         the USGS are `reflectance_u_random`. Attributes `source`, `format` and `notes` say where it comes from
         and what was inferred. A library of ours comes back as it was written; a Zarr store lazily.
 
@@ -108,7 +108,7 @@ def open_library(
         A file is damaged, of no known kind, no reflectance by its words or values, without wavelengths or of
         unknown scale; or several files have different wavelengths. All problems are listed.
     StoreError
-        A Zarr store was never finished, or is none.
+        A Zarr store was never finished, or the path holds no store.
 
     Warns
     -----
@@ -163,7 +163,7 @@ def open_library(
             opened.append((file, _opened(file, options)))
         except (FormatError, StoreError) as error:
             problems.add_error("", error)
-            if len(problems) == _MOST_SHOWN:
+            if len(problems) == _MAX_SHOWN:
                 break
     problems.raise_if_any()
     return _joined(opened)
@@ -194,7 +194,7 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     """Return the files that hold spectra, sorted by name with numbers in numeric order.
 
-    Left out is what goes with spectra: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
+    Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
     tables of classes.
     """
     candidates = [

@@ -1,7 +1,7 @@
 """Paint libraries as Parquet, in the columns of OpenSpecLib: a row a spectrum, readable by pandas and DuckDB.
 
 Our own files have the metadata of the library beside them, ``<file>.json``, as CSV has; spectra that are no
-centres say what they are in ``additional_properties``. Files of others need equal wavelengths in all rows.
+centres have their key in ``additional_properties``. Other files need equal wavelengths in all rows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
-_MOST_ROWS, _MOST_VALUES = 2_000_000, 2**28
+_MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28
 _NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
 _NM_OF_WAVENUMBER = 1e7  # over cm-1
 _PURPOSE = "Parquet"
@@ -206,17 +206,17 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
             expected="the columns of OpenSpecLib",
             code="column-missing",
         )
-    if not 0 < file.metadata.num_rows <= _MOST_ROWS:
+    if not 0 < file.metadata.num_rows <= _MAX_ROWS:
         raise FormatError(
-            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MOST_ROWS}", code="file-too-large"
+            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"
         )
     rows: list[dict[str, Any]] = []
     values = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
         values += sum(len(each.flatten()) for each in batch.columns if hasattr(each, "flatten"))
-        if values > _MOST_VALUES:
+        if values > _MAX_VALUES:
             raise FormatError(
-                f"{source}: more than {_MOST_VALUES} values", mend="split the file", code="file-too-large"
+                f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
             )
         lists = ("spectral_data.wavelengths", "spectral_data.values")
         plain = {name: batch.column(name) for name in _WANTED}

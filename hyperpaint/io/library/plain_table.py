@@ -18,10 +18,10 @@ from .column_quantities import IS_SPREAD, check_words, spread_columns, without_r
 from .library_spectra import Spectra, reflectances
 from .text_spectra import PERCENT, in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
-_MOST_PREAMBLE = 500
+_MAX_PREAMBLE = 500
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
-#: A heading's unit is no part of a paint's name, by which it is paired with what a field spectrometer saw.
+#: Units in headings are removed from names of paints, which are paired with references by name.
 _UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IGNORECASE)
 
 
@@ -61,7 +61,7 @@ def read_plain_table(
 
     scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
     wavelength: To be used in place of the first column [nm].
-    sure: The caller says that it is reflectance, whatever words and values look like.
+    sure: The values are reflectance, without a check of headings and values.
     Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
         are no reflectance.
     Warns PaintWarning: Wavelengths stand twice in a row; or a column is a standard deviation by its values.
@@ -107,7 +107,7 @@ def read_plain_table(
 def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
     """Return the index of the first line of numbers, its dialect, and the number of columns."""
     shown = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-    for position, at in enumerate(shown[:_MOST_PREAMBLE]):
+    for position, at in enumerate(shown[:_MAX_PREAMBLE]):
         rows = [(dialect, row) for dialect in _DIALECTS if (row := dialect.row(lines[at])) is not None]
         if rows and position + 1 < len(shown):
             following = lines[shown[position + 1]]
@@ -152,7 +152,7 @@ def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[
     """Return the cells of the last heading; empty where their number is not that of the columns."""
     last = next((line for line in reversed(preamble) if line.strip()), "")
     text = last.strip().lstrip("#")
-    # comments are written for people, whose lists have commas, whatever separates the numbers
+    # a heading in a comment may have commas although another mark separates the numbers
     separators = [dialect.separator, ","] if last.lstrip().startswith("#") else [dialect.separator]
     for separator in separators:
         try:

@@ -1,7 +1,7 @@
 """Spectra of a paint library as records of a file, and back.
 
-Every spectrum is one record: first the reflectance of all paints, then what else is known of each at every
-band, then their members. A record is told by its variable, its paint, and its place within the paint.
+Every spectrum is one record: first the reflectance of all paints, then their other variables on the bands,
+then their members. The key of a record is its variable, its paint, and its place within the paint.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
 _FEW_CELLS, _MANY_CELLS = 2**22, 2**29
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 
 Key = tuple[str, int, int]
 """Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one."""
@@ -111,7 +111,7 @@ def _is_plain_number(library: xr.Dataset, name: str) -> bool:
 def names_of(library: xr.Dataset) -> list[str]:
     """Return the names of the paints.
 
-    Raises SchemaError: They are no texts, or hold characters that end lines; all are listed.
+    Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
     """
     problems = Problems("the library cannot be written", SchemaError)
     names: list[Any] = library[SIGNATURE].values.tolist()
@@ -124,7 +124,7 @@ def names_of(library: xr.Dataset) -> list[str]:
                 expected="no line breaks or control characters",
                 code="name-unwritable",
             )
-        if len(problems) == _MOST_SHOWN:
+        if len(problems) == _MAX_SHOWN:
             break
     problems.raise_if_any()
     return names
@@ -244,7 +244,7 @@ def restored(
 ) -> xr.Dataset:  # fmt: skip
     """Return the library of a file of records, with the metadata beside it.
 
-    names: Of the paints; keys: what each record is; axes: see `with_metadata`.
+    names: Of the paints; keys: of the records; axes: see `with_metadata`.
     rows: Records, some at a time, each lot with the number of its first.
     columns: What the file itself says of each paint: taken where the metadata do not say it.
     Raises FormatError: Records or metadata are damaged, or do not go together.
@@ -290,7 +290,7 @@ def with_metadata(
     """Return spectra and their metadata as a library.
 
     data: Values of the variables, (signature, band) or (signature, place, band).
-    axes: Wavelengths and what else the file of spectra itself says of the bands.
+    axes: Wavelengths and further coordinates of the bands in the file of spectra.
     names: Of the paints, as the file of spectra spells them; the metadata's own win.
     metadata: None where it is lost.
     Raises FormatError: The two do not go together.

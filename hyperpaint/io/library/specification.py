@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 VERSION = 2
 """Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""
 UNKNOWN = "unknown"
-_LONGEST_TEXT = 4000
-_MOST_NAMES = 5
+_MAX_TEXT_CHARS = 4000
+_MAX_NAMES = 5
 
 
 class Term(NamedTuple):
@@ -49,7 +49,7 @@ TERMS = (
 )  # fmt: skip
 """What a library must say, or say to be unknown."""
 
-#: The largest and least reflectance that is no slip of units: glint beside a panel, noise of a black one.
+#: Reflectance beyond which units are doubtful: noise of a black panel, glint beside a panel.
 _REFLECTANCE_RANGE = (-0.1, 2.0)
 #: Sunlight to thermal infrared [nm]: micrometres lie below, wavenumbers and picometres above.
 _WAVELENGTH_RANGE_NM = (150.0, 50_000.0)
@@ -152,7 +152,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     Raises
     ------
     SchemaError
-        There is no such term, or it has no such word.
+        A term is unknown, or its word is not one of the allowed.
 
     Examples
     --------
@@ -348,7 +348,7 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
             "version", f"{VERSION_NAME} is {version!r}", f"{VERSION}; hp.io.declare_library sets it"
         )
     title = library.attrs.get("title")
-    if not isinstance(title, str) or not title.strip() or len(title) > _LONGEST_TEXT:
+    if not isinstance(title, str) or not title.strip() or len(title) > _MAX_TEXT_CHARS:
         yield _finding("title", f"title is {title!r:.40}", "a text")
     said = library_terms(library)
     for term in TERMS:
@@ -374,7 +374,7 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _is_word(word: Any, term: Term) -> bool:
-    is_text = isinstance(word, str) and bool(word.strip()) and len(word) <= _LONGEST_TEXT
+    is_text = isinstance(word, str) and bool(word.strip()) and len(word) <= _MAX_TEXT_CHARS
     return is_text and (not term.words or word in term.words)
 
 
@@ -386,8 +386,8 @@ def _pairs(first: Any, second: Any) -> Iterator[tuple[str, str]]:
 
 
 def _some(names: list[str]) -> str:
-    shown = ", ".join(f"{name!r:.60}" for name in names[:_MOST_NAMES])
-    return shown if len(names) <= _MOST_NAMES else f"{shown} and {len(names) - _MOST_NAMES} more"
+    shown = ", ".join(f"{name!r:.60}" for name in names[:_MAX_NAMES])
+    return shown if len(names) <= _MAX_NAMES else f"{shown} and {len(names) - _MAX_NAMES} more"
 
 
 def _paints_of(library: xr.Dataset, chosen: Array) -> str:

@@ -12,10 +12,10 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
-MOST_BYTES = 32 * 2**20
+MAX_BYTES = 32 * 2**20
 """Bytes of a text file that is read whole: 100,000 bands of 30 spectra."""
 
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 _BREAK = re.compile(r"\r\n|\r|\n")
 _MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
@@ -27,9 +27,9 @@ _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re
 def lines_of(path: Path, expected: str) -> list[str]:
     """Return the lines of a text file, in UTF-8 or else latin-1.
 
-    Raises FormatError: The file cannot be read, is too large, or is no text.
+    Raises FormatError: The file cannot be read, is too large, or is binary.
     """
-    raw = read_limited_text(path, MOST_BYTES, expected)
+    raw = read_limited_text(path, MAX_BYTES, expected)
     if b"\0" in raw:
         raise FormatError(
             f"{path}: holds NUL bytes",
@@ -63,7 +63,7 @@ def numbers_of_lines(
                 expected=f"{columns} number{'s'[: columns - 1]}",
                 code="row-unreadable",
             )
-            if len(problems) == _MOST_SHOWN:
+            if len(problems) == _MAX_SHOWN:
                 break
         else:
             rows.append(np.array(row, np.float64))
@@ -89,7 +89,7 @@ def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float
 
     text: What the file says of its wavelengths; may be empty.
     wavelength: Their numbers.
-    Raises FormatError: They are no wavelengths, but wavenumbers, say.
+    Raises FormatError: The text names another unit, such as wavenumbers.
     """
     if _MICROMETRE.search(text):
         return 1e3, ""

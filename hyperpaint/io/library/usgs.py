@@ -21,7 +21,7 @@ _TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNOR
 _MEASUREMENT = re.compile(r"[A-Z]{4}")
 _AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
-_MOST_CANDIDATES = 64
+_MAX_CANDIDATES = 64
 _LEVELS = 3  # chapters lie in folders of their own
 
 
@@ -41,7 +41,7 @@ def read_usgs(
     """Read a spectrum of the USGS library.
 
     scale: Value of a reflectance of one, 1 by default.
-    wavelength, fwhm: Of the bands [nm]; by default those of files beside the spectrum, or in the two folders
+    wavelength, fwhm: Of the bands [nm]; by default from files beside the spectrum, or in the two folders
         above it.
     Raises FormatError: The numbers are not as they should be; it is no reflectance; or its wavelengths cannot
         be found.
@@ -153,5 +153,5 @@ def _candidates(path: Path, kind: str) -> list[Path]:
         if kind != "wave":  # spectra convolved to another spectrometer say so in their names
             fitting = [name for name in fitting if "wavelength" not in name.lower()]
         if fitting:
-            return [above / name for name in fitting[:_MOST_CANDIDATES] if (above / name) != path.absolute()]
+            return [above / name for name in fitting[:_MAX_CANDIDATES] if (above / name) != path.absolute()]
     return []

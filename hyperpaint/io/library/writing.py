@@ -87,12 +87,12 @@ def write_library(
     ----------
     library
         A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
-        (signature, band), `wavelength` (band), and whatever else is known of the paints.
+        (signature, band), `wavelength` (band), and further properties of the paints.
     path
         The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
         to a name without a suffix.
     format
-        One of the above; by default that of the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
+        One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
     curves
         ``centre`` for one spectrum a paint, the default of all but ``zarr``: members,
         quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``;
@@ -110,12 +110,12 @@ def write_library(
     Raises
     ------
     FormatError
-        The format is unknown, or cannot be told from the suffix.
+        The format is unknown, or the suffix names none.
     SchemaError
         ``curves`` is none that the format holds; it is no paint library; or names, values or attributes are
         such that the format cannot hold them; all problems are listed.
     StoreError
-        Something is there already, is being written, or cannot be written; what was there stays.
+        The target exists, is being written by another process, or cannot be written; it stays unchanged.
     UnitsError
         Units cannot be read.
     MissingExtraError

@@ -119,7 +119,7 @@ def refuse_backwards(
 ) -> None:
     """Refuse a record whose time runs backwards.
 
-    rows: Numbers of its rows in the file, by default from 1 on; row: what a row is called in messages.
+    rows: Numbers of its rows in the file, by default from 1 on; row: name of a row in messages.
     Raises TimeError: It does; the rows are named.
     """
     wrong = np.flatnonzero(np.diff(stamp) < 0) + 1

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _MAX_BYTES = 16 << 20
-_MOST_ROWS = 100_000
-_LARGEST = 1e8
-_SAME_UNIT = 1e-9  # of rounding; feet of two kinds differ by 2e-6
+_MAX_ROWS = 100_000
+_MAX_COORDINATE = 1e8
+_UNIT_TOLERANCE = 1e-9  # of rounding; feet of two kinds differ by 2e-6
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -61,7 +61,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
     The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
     at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, in
-    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (what else stands in
+    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (other text in
     brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); and, where they
     are of several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A
     comment ``# crs: EPSG:32617`` before the header names the map; east and north come out in its
@@ -82,7 +82,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     Raises
     ------
     FormatError
-        The file cannot be read; columns are missing or doubled, or in a unit that is none of length; cells
+        The file cannot be read; columns are missing or duplicate, or not in a unit of length; cells
         are no finite numbers; all problems, up to a few, are listed.
     MissingExtraError
         The file names a map, coordinates in another unit than metres, and pyproj is not installed.
@@ -105,10 +105,10 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
-    if len(rows) < 2 or len(rows) > _MOST_ROWS:
+    if len(rows) < 2 or len(rows) > _MAX_ROWS:
         raise FormatError(
             f"{path}: {max(len(rows) - 1, 0)} points",
-            expected=f"a header and 1 to {_MOST_ROWS}",
+            expected=f"a header and 1 to {_MAX_ROWS}",
             code="table-missing",
         )
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
@@ -135,11 +135,11 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
     crs = _crs(comments)
     named = {units[name] for name in ("east", "north")} - {""}
-    # without pyproj, metres stay what they are: a use of the map asks for it
+    # without pyproj, metres stay unchanged: pyproj is needed only where the CRS is used
     of_map = crs and (any(_metres(unit) != 1.0 for unit in named) or (named and find_spec("pyproj")))
     axis = _map_axis(crs, problems) if crs and of_map else None
     numbers = {
-        name: limited_numbers(table, name, _LARGEST, problems)
+        name: limited_numbers(table, name, _MAX_COORDINATE, problems)
         * _factor(name, units[name], problems, axis if name in ("east", "north") else None)
         for name in _NUMBERS
     }
@@ -239,7 +239,7 @@ def _metres(unit: str) -> float | None:
 
 
 def _is_unit(text: str) -> bool:
-    # a number of metres is none, but too near one to be passed over as a label
+    # units of other kinds, and words of lengths, are no labels
     if is_unit(text) or same_dimension(text, "m") or text.lower() == "in":
         return True
     return not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
@@ -256,7 +256,7 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
     if axis is None or not unit:
         return metres_of(name, unit, problems)
     of_axis, size = axis
-    # whoever writes ft beside a map in US survey feet means those of the map
+    # ft beside a CRS in US survey feet means the feet of the CRS
     if unit.lower() in ("ft", "foot", "feet") and "foot" in of_axis.lower():
         return 1.0
     if _metres(of_axis) is None:
@@ -270,4 +270,4 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
             )
         return 1.0
     factor = metres_of(name, unit, problems) / size
-    return 1.0 if abs(factor - 1.0) < _SAME_UNIT else factor
+    return 1.0 if abs(factor - 1.0) < _UNIT_TOLERANCE else factor

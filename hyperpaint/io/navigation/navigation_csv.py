@@ -22,10 +22,10 @@ from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_LARGEST = 2**28
-_MOST_COLUMNS = 1000
-_MOST_COMMENTS = 1000
-_LATEST_S = 7e9
+_MAX_BYTES = 2**28
+_MAX_COLUMNS = 1000
+_MAX_COMMENTS = 1000
+_MAX_TIME_S = 7e9
 """Seconds from 1970, or 1980, to the end of the 22nd century."""
 _ALIASES: Mapping[str, str] = {
     **dict.fromkeys(("latitude", "lat"), "latitude"),
@@ -66,7 +66,7 @@ def is_navigation_csv(head: bytes) -> bool:
     """Return whether the header of a file names position and attitude."""
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MOST_COLUMNS)}
+    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MAX_COLUMNS)}
     return {"latitude", "longitude", "roll", "pitch"} <= names
 
 
@@ -84,7 +84,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     names: Headings of a table that has none, with units, in the order of its columns; those of columns that
         are not wanted may be anything else. Its cells may be parted by blanks, too.
     Returns PoseRecord: Angles in radian where all three are, else in degree.
-    Raises FormatError: Columns or units are missing, or cells are not what the header says; all are listed.
+    Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
@@ -123,7 +123,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
     """Return comments, header and cells; unused columns are dropped."""
-    text = read_text(path, _LARGEST, MOST_ROWS)
+    text = read_text(path, _MAX_BYTES, MOST_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
     for start, line in numbered_lines(text):  # noqa: B007
@@ -131,12 +131,12 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
             head = line
             break
         key, _, value = line.lstrip("# \t").partition(":")
-        if line.strip() and len(comments) < _MOST_COMMENTS:
+        if line.strip() and len(comments) < _MAX_COMMENTS:
             comments[_plain(key).replace(" ", "_")] = value.strip()
     separator = next((mark for mark in ("\t", ";", ",") if mark in head), "," if names is None else None)
-    cells = head.split(separator, _MOST_COLUMNS) if names is None else list(names)
+    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
     header = [_column(cell) for cell in cells]
-    if len(cells) > _MOST_COLUMNS or not any(column.key in _ALIASES for column in header):
+    if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
         shown = head.strip()[:80] if names is None else ", ".join(cells)[:80]
         raise FormatError(
             f"{path}: the header is {shown!r}",
@@ -170,7 +170,7 @@ def _column(cell: str) -> _Column:
     return _Column(key, shown, unit.strip() if unit is not None else None)
 
 
-# --- what the file says of itself --------------------------------------------------------------------------
+# --- declarations in comments ------------------------------------------------------------------------------
 
 
 def _declared(
@@ -325,7 +325,7 @@ def _counted(
     table: Table, column: _Column, cells: list[str], factor: float, clock: str, problems: Problems,
     has_time: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:  # fmt: skip
-    most = (2.0 * WEEK_S if clock == "week" else _LATEST_S) / factor
+    most = (2.0 * WEEK_S if clock == "week" else _MAX_TIME_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})
     count = len(problems)
     seconds = limited_numbers(numbers, column.shown, most, problems) * factor

@@ -7,8 +7,8 @@ seconds of a GPS week that the file does not name (POSPac exports seconds of the
 
 Resonon ``.lcf``, the navigation beside a cube of an airborne Pika: a table without a header, its columns
 separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude [degree],
-altitude [m], and two that are not used. No vendor description is public; what the columns mean is what public
-readers were told by the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
+altitude [m], and two that are not used. No vendor description is public; the meaning of the columns follows public
+readers, which had it from the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
 
 AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file, a line of which is a row of the record, a band a column,
 named by ``band names``.
@@ -64,7 +64,7 @@ def read_sbet(path: str | Path) -> PoseRecord:
     path = Path(path)
     records = _sbet_records(path)
     values = {name: records[name].astype(np.float64) for name in ("altitude", "roll", "pitch")}
-    # numbers of a damaged file may overflow: what they become is refused below
+    # numbers of a damaged file may overflow; the result is refused below
     with np.errstate(invalid="ignore", over="ignore"):
         values["latitude"] = np.degrees(records["latitude"])
         values["longitude"] = np.degrees(records["longitude"])
@@ -102,7 +102,7 @@ def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
 _MAX_LCF_BYTES = 2**28
 _MAX_LCF_CELLS = 64
-_LATEST_LCF_S = 7e9
+_MAX_LCF_TIME_S = 7e9
 """Seconds from 1980 to 2199."""
 _LCF_CONVENTION = Convention(roll_positive="right_wing_up", angle_unit="radian")
 
@@ -121,7 +121,7 @@ def read_lcf(path: str | Path) -> PoseRecord:
     table = _lcf_table(path)
     problems = Problems(f"{path} cannot be used as a Resonon .lcf file", FormatError)
     values = {
-        name: limited_numbers(table, name, _LATEST_LCF_S if name == "time" else LIMITS[name], problems)
+        name: limited_numbers(table, name, _MAX_LCF_TIME_S if name == "time" else LIMITS[name], problems)
         for name in _LCF_COLUMNS
     }
     seconds = values.pop("time")
@@ -182,7 +182,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     """Read navigation of AVIRIS-NG.
 
     path: The header or the data file.
-    Returns PoseRecord: Angles [degree]. Nothing published states their signs, nor what the height is above.
+    Returns PoseRecord: Angles [degree]. Nothing published states their signs, or the reference of the height.
         The aircraft of the sample turns as it should where roll is right wing down and heading clockwise:
         heading rate = g tan(roll) / speed, within 6 %. The height is taken to be above the ellipsoid.
     Raises FormatError: No such file, or values that no flight has; all are listed.

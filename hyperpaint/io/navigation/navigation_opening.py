@@ -33,10 +33,10 @@ NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
-_HEAD = 4096
+_HEAD_BYTES = 4096
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
-_LAST_WEEK = 11_479
+_MAX_GPS_WEEK = 11_479
 """Of the year 2199: nanoseconds overflow in the 23rd century."""
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",
@@ -74,27 +74,27 @@ def open_navigation(
     ``nmea``            a log of NMEA 0183 sentences: GGA with RMC or ZDA, and PASHR, HDT or THS; degree; UTC
     ==================  ===================================================================================
 
-    Each reader declares what its format is known to mean. What nothing published states is listed in the
-    attribute ``assumed``; which side column 0 looks to, and what the stamps of the camera's frames mark, no
-    navigation file can say: they stay undeclared until ``convention`` declares them.
+    Each reader declares the known conventions of its format. Conventions that nothing published states are
+    listed in the attribute ``assumed``. The side of column 0 and the instant of the camera's stamps are in no
+    navigation file; they stay undeclared until ``convention`` declares them.
 
     Parameters
     ----------
     paths
         One file, or several of one format that follow one another in time; or any Zarr that holds a record
-        as this function returns it, which keeps its times and, without ``convention``, what it declares.
+        as this function returns it, which keeps its times and, without ``convention``, its declarations.
     convention
-        What the numbers mean, in place of what the format declares; or a mapping that replaces some of its
+        Conventions of the numbers, in place of the format's; or a mapping that replaces some of its
         choices, such as ``{"column_order": "left_to_right"}``.
     format
-        By default told from name and content.
+        By default found from name and content.
     week, date
         Of files that count seconds of a GPS week: weeks since 1980-01-06, or the day of the first row,
         ``"2021-05-20"``. A date is checked against the day that the stamps say.
     leap_seconds
         GPS minus UTC [s]; by default of the table of the IERS. It is not used where stamps are UTC.
     time_scale
-        What the stamps count, where it is not what the format is known for.
+        Time scale of the stamps, where it is not the format's usual one.
     clock_offset_s
         UTC = stamp + ``clock_offset_s`` [s]. Needed, with ``date``, for an ``imu_gps.txt`` with the time of
         day of the recording computer alone.
@@ -116,7 +116,7 @@ def open_navigation(
     Raises
     ------
     FormatError
-        A file is damaged or of another kind, or its kind cannot be told; all problems are listed.
+        A file is damaged, or of another or unknown kind; all problems are listed.
     TimeError
         The GPS week is not known, or contradicts the stamps; time runs backwards, within a file or from one
         to the next; a clock that cannot be as described.
@@ -205,14 +205,14 @@ def open_navigation(
 def navigation_format(path: str | Path) -> NavigationFormat:
     """Return the format of a navigation file, by its name and first bytes.
 
-    Raises FormatError: It cannot be read, or is of none of them.
+    Raises FormatError: The file cannot be read, or its format is unknown.
     """
     path = input_path(path, "a navigation record")
     suffix = path.suffix.lower()
     if suffix == ".hdr" or is_plain_file(path.with_name(path.name + ".hdr")):
         return "eph_att"
     with open_input(path, "a navigation record") as file:
-        head = file.read(_HEAD)
+        head = file.read(_HEAD_BYTES)
     if suffix == ".sbet" or (suffix == ".out" and b"\0" in head):
         return "sbet"
     if suffix == ".lcf":
@@ -337,7 +337,7 @@ class TimeSource:
         """
         problems = Problems("the clock of the navigation cannot be as described", TimeError)
         week, leap = self.week, self.leap_seconds
-        if week is not None and not (_is_whole(week) and 0 <= week <= _LAST_WEEK):
+        if week is not None and not (_is_whole(week) and 0 <= week <= _MAX_GPS_WEEK):
             problems.add(
                 f"week {week!r:.40}",
                 expected="the number of weeks since 1980-01-06, such as 2158",

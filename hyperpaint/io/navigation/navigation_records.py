@@ -65,17 +65,17 @@ class PoseRecord:
     """One navigation file."""
 
     name: str  # file name, for messages
-    format: str  # what the file is
+    format: str  # name of the format
     stamp: NDArray[np.int64]  # nanoseconds, (row,)
     # ``"1970"``, as the clock shows it; or the start of a GPS ``"week"``
     counts_from: Literal["1970", "week"]
     # `POSE` (row,), float64: latitude and longitude [degree], altitude [m], angles in the unit of the
     # convention; NaN where unknown
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    convention: Convention  # what the numbers mean, as far as the format or the file says
+    convention: Convention  # meaning of the numbers, by the format or the file
     assumed: tuple[str, ...] = ()  # fields of the convention that nothing published states
-    time_scale: Literal["gps", "utc"] = "gps"  # what the stamps count, unless the caller knows better
-    week: int | None = None  # what the file itself says
+    time_scale: Literal["gps", "utc"] = "gps"  # time scale of the stamps, unless the caller gives another
+    week: int | None = None  # from the file itself
     leap_seconds: int | None = None
     # Further columns (row,) with their attributes
     others: Mapping[str, tuple[NDArray[Any], Mapping[str, str]]] = field(default_factory=dict, repr=False)
@@ -87,8 +87,8 @@ def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: 
 
     values: `POSE`: latitude and longitude [degree], altitude [m].
     unit: Of roll, pitch and heading: ``"degree"`` or ``"radian"``.
-    problems: Takes what is wrong.
-    row: What a row of the file is called in messages.
+    problems: Takes the faults.
+    row: Name of a row of the file in messages.
     """
     for name, limit in LIMITS.items():
         # a heading less an angle of wander may pass a full turn
@@ -232,7 +232,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
     date that spells its month. ``heading`` is ``Yaw``, which belongs to roll and pitch; what the column
     ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
-    no attitude, and are dropped where their date is not yet that of the others.
+    no attitude, and are dropped where their date does not agree with the others.
 
     correction: How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
     Raises FormatError: Binary (some systems write another log under this name), without the columns, or cells

@@ -20,7 +20,7 @@ from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
 _MAX_BYTES = 2**28
-_MOST_POSITIONS = 400_000
+_MAX_POSITIONS = 400_000
 """Positions of a log: five hours at 20 Hz."""
 
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
@@ -31,8 +31,8 @@ _DAY_S = 86_400
 _HALF_DAY_S = 43_200.0
 _FIXES = (1, 2, 3, 4, 5, 9)
 """Qualities of GGA that are measured positions; not estimated, manual and simulated ones."""
-_MOST_DAMAGED = 0.5
-"""Share of sentences with a wrong checksum, from which on a log is none [1]."""
+_MAX_DAMAGED_SHARE = 0.5
+"""Share of sentences with a wrong checksum above which a log is refused [1]."""
 
 
 def is_nmea(head: bytes) -> bool:
@@ -45,8 +45,8 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
 
     A row is a GGA sentence with a fix: its time of day in UTC, position, and height above the ellipsoid, the
     sum of its height above mean sea level and the geoid's; above the geoid where a sentence lacks the latter.
-    The date is that of RMC or ZDA. Roll, pitch and heading are those of PASHR of the same time, heading else
-    that of HDT or THS beside it; the course over ground is no heading, and is not read. Other text in a
+    The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of the same time, heading else
+    from HDT or THS beside it; the course over ground is not the heading, and is not read. Other text in a
     line, before a sentence or instead of one, is passed over, and so are sentences with a wrong checksum,
     which are counted.
 
@@ -63,9 +63,9 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     log = _Log(path)
     for fields in _sound_sentences(path, text):
         log.take(fields)
-        if len(log.rows) > _MOST_POSITIONS:
+        if len(log.rows) > _MAX_POSITIONS:
             raise FormatError(
-                f"{path}: over {_MOST_POSITIONS} positions",
+                f"{path}: over {_MAX_POSITIONS} positions",
                 expected="a log of hours",
                 mend="cut the log to the flight",
                 code="file-too-large",
@@ -111,7 +111,7 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
             yield match[1].split(",")
         else:
             damaged += 1
-    if damaged > _MOST_DAMAGED * total:
+    if damaged > _MAX_DAMAGED_SHARE * total:
         raise FormatError(
             f"{path}: {damaged} of {total} sentences have a wrong checksum",
             mend="copy it again",
@@ -143,7 +143,7 @@ class _Log:
         try:
             self._readers[kind](fields)
         except (ValueError, LookupError):
-            if len(self.problems) < 5:  # a few tell what is wrong
+            if len(self.problems) < 5:  # a few suffice
                 self.problems.add(
                     f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
                 )

@@ -62,7 +62,7 @@ class Spectrum:
     # (wavelength), where the file flags the detector as saturated
     saturated: npt.NDArray[np.bool_] | None = None
     path: Path | None = None  # where the file is
-    # White panel whose reflectance made that of the spectrum absolute; empty where it is relative
+    # White panel whose reflectance scales the spectrum; empty where reflectance is relative
     panel: str = ""
 
 
@@ -82,8 +82,8 @@ def open_asd(
         A file, a glob, a folder, or a list of files: binary ``.asd`` files of any version, or text exports.
     quantity
         ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
-        what the operator looked at, which binary files say; a text export does not, and is guessed from the
-        range of the operator's plot with a warning.
+        the quantity displayed to the operator, which binary files hold; for a text export it is guessed
+        from the range of the operator's plot, with a warning.
     absolute
         Multiply reflectance, which is relative to the white panel, by the panel's own (the block ABS).
     utc_offset_h
@@ -111,8 +111,8 @@ def open_asd(
     TimeError
         ``utc_offset_h`` is the offset of no zone.
     SchemaError
-        ``quantity`` or ``calibration`` is not one of those above, or what is asked to be ``absolute`` is no
-        reflectance.
+        ``quantity`` or ``calibration`` is not one of those above, or ``absolute`` is set for another
+        quantity than reflectance.
 
     Warns
     -----
@@ -375,7 +375,7 @@ def utc_offsets(
 ) -> list[float]:
     """Return local time minus UTC [h] of each spectrum.
 
-    spectra: With what their files say about the zone of the logging PC.
+    spectra: With the zone of the logging PC, where the file holds it.
     utc_offset_h: The user's word, which wins over the files', with a warning where these differ.
     one_clock: The spectra are one series off one PC: files that say nothing take the offset of those that do,
         which must agree.
@@ -436,7 +436,7 @@ def _derived(
     """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
 
     See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
-    over the blocks in the file. ``absolute`` multiplies reflectance by that of the white panel.
+    over the blocks in the file. ``absolute`` multiplies reflectance by the panel's reflectance.
 
     Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
     """

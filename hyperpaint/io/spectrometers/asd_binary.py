@@ -25,7 +25,7 @@ from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import read_limited
 
 HEADER_BYTES = 484
-_LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
+_MAX_BYTES = 64 * 2**20  # ten times the size of 65,535 channels with every calibration block
 
 # name and struct format of each field of the header, in file order
 # ``saved`` is a C struct tm, the PC's local time; ``averages`` are of dark, reference, sample
@@ -59,14 +59,14 @@ class AsdFile:
 
     name: str  # file name without its folder
     version: int  # 1 to 8
-    comment: str  # what the operator wrote; of the spectrum and of the white reference
+    comment: str  # of the operator, on the spectrum; `description` is on the white reference
     description: str
     # When the spectrum was saved, by the clock of the logging PC, in whole seconds, without a zone
     local_time: dt.datetime
     # Local time minus UTC [h], or None where the file has no white reference to take it from
     utc_offset_h: float | None
     dark_utc: dt.datetime | None  # when the dark current was measured, or None
-    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: what the operator looked at. The spectrum is
+    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: the quantity on display. The spectrum is
     # in raw counts in any case
     data_type: str
     wavelength: Floats  # nanometres
@@ -101,7 +101,7 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         contradictory.
     """
     path = Path(path)
-    return _parse(read_limited(path, _LARGEST_FILE, "an ASD spectrometer's file"), path.name)
+    return _parse(read_limited(path, _MAX_BYTES, "an ASD spectrometer's file"), path.name)
 
 
 def _parse(data: bytes, name: str) -> AsdFile:

@@ -25,11 +25,11 @@ from hyperpaint.io.files.reading import read_limited_text
 
 from .asd_binary import nominal_integration_ms
 
-_LARGEST_FILE = 512 * 2**20
+_MAX_BYTES = 512 * 2**20
 _SEPARATORS = (";", "\t", ",")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
 _TABLE = re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE)
-# Windows' C library spells what is not a number in its own way
+# spellings of NaN and infinity by Windows' C library
 _NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
 
 
@@ -40,7 +40,7 @@ class AsdText:
     name: str  # file name without its folder
     spectra: tuple[str, ...]  # names of the spectra
     wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
-    values: npt.NDArray[np.float64]  # (spectrum, wavelength), in whatever quantity was exported
+    values: npt.NDArray[np.float64]  # (spectrum, wavelength), in the exported quantity
     # When the spectrum was saved, by the clock of the logging PC, or None without a preamble
     local_time: dt.datetime | None
     # As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
@@ -69,7 +69,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     r"""Read one text export of ASD spectra.
 
     path: A file that ViewSpec exported, of any of its variants.
-    Returns AsdText: Spectra (spectrum, wavelength) and what the preamble says.
+    Returns AsdText: Spectra (spectrum, wavelength) and the fields of the preamble.
     Raises FormatError: The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
 
     Examples
@@ -81,7 +81,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     array([[0.89, 0.91]])
     """
     path = Path(path)
-    lines = _lines(read_limited_text(path, _LARGEST_FILE, "a text export of spectra"))
+    lines = _lines(read_limited_text(path, _MAX_BYTES, "a text export of spectra"))
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
         raise FormatError(
@@ -186,7 +186,7 @@ def _rows(
 ) -> tuple[list[str], npt.NDArray[np.float64]]:
     """Return the first cells of the rows of a table, and the numbers of the others.
 
-    Lines that are no rows, such as ``x2bar``, are known above and below a table of columns, never inside it.
+    Other lines, such as ``x2bar``, occur above and below a table of columns, never inside it.
     """
     labels: list[str] = []
     values: list[list[float]] = []

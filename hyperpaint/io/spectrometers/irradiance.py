@@ -29,10 +29,10 @@ Stamp = Literal["start", "mid", "end"]
 
 _GAP_INTERVALS = 2.5
 _MARGIN = np.timedelta64(60, "s")
-#: Where the sun has light to speak of, and what resolutions spectrometers have [nm].
+#: Range of sunlight, and range of the resolutions of spectrometers [nm].
 _SUNLIT_NM, _WIDTHS_NM = (200.0, 2600.0), (0.02, 100.0)
 #: Pairs of samples with one stamp that a message names.
-_MOST_SHOWN = 20
+_MAX_SHOWN = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def open_irradiance(
         ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
         with a warning. Binary files become irradiance through their calibration.
     utc_offset_h
-        Clock of the logging PC minus UTC [h], zones only. By default what the files say; csv stamps may carry
+        Clock of the logging PC minus UTC [h], zones only. By default from the files; csv stamps may carry
         their zone; xarray objects are in UTC.
     clock_offset_s
         What has to be added to the logging PC's clock [s]: UTC = stamp - utc_offset_h + clock_offset_s.
@@ -99,7 +99,7 @@ def open_irradiance(
     calibration
         Calibration files of the instrument, see `hyperpaint.io.spectrometers.asd.open_asd`.
     averaging_s
-        Length of the averaging window [s]. By default what the file says (integration time times the spectra
+        Length of the averaging window [s]. By default from the file (integration time times the spectra
         averaged), else 0.
     clock_uncertainty_s
         How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
@@ -111,8 +111,8 @@ def open_irradiance(
         ``irradiance`` (irradiance_time, irradiance_wavelength) [W m-2 nm-1] float32, in memory, ordered by
         time; ``irradiance_fwhm`` [nm], ``irradiance_max_gap`` [s] and, where it is known,
         ``irradiance_clock_uncertainty`` [s]; coordinates ``irradiance_time`` (UTC at
-        the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes tell
-        what was assumed. ASD stamps are whole seconds, as in the files: what lies below a second is lost.
+        the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes name
+        the assumptions. ASD stamps are whole seconds, as in the files; fractions are lost.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def _from_files(
             )
         return _from_csv(files, utc_offset_h, units)
     if quantity is None and "text" not in kinds:
-        quantity = "irradiance"  # what is in a binary depends on its calibration, not on what was displayed
+        quantity = "irradiance"  # a binary file holds it by its calibration, whatever was on display
     spectra, held_quantity = read_spectra(files, quantity, calibration=calibration)
     if held_quantity != "irradiance":
         raise FormatError(
@@ -399,7 +399,7 @@ def _refuse_duplicates(
         return
     advice = "leave one of each pair out, or write a csv series with finer stamps"
     problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    shown = twice[:_MOST_SHOWN]
+    shown = twice[:_MAX_SHOWN]
     for first, second in zip(order[shown], order[shown + 1], strict=True):
         same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
         remark = " (the same spectrum twice)" if same else ""

@@ -25,11 +25,11 @@ ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
 """Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
-_LARGEST_FILE = 2**29
-_MOST_VALUES = 24_000_000
+_MAX_BYTES = 2**29
+_MAX_VALUES = 24_000_000
 """Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second."""
 
-_LATEST_S = 7.2e9  # to the year 2198
+_MAX_TIME_S = 7.2e9  # to the year 2198
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
 
 
@@ -60,7 +60,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     with the wavelengths in nanometres, then a row a sample that begins with an ISO 8601 stamp, with a zone
     (``2024-05-21T12:00:00.5Z``) or, all of them, without.
 
-    Returns IrradianceTable: Values (sample, wavelength) and what the comments say.
+    Returns IrradianceTable: Values (sample, wavelength) and the units and width in the comments.
     Raises FormatError: The file cannot be read, or its header or rows are not as above.
 
     Examples
@@ -73,11 +73,11 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
     path = Path(path)
-    data = read_limited_text(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
-    if (count := data.count(b",")) > _MOST_VALUES:
+    data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
+    if (count := data.count(b",")) > _MAX_VALUES:
         raise FormatError(
             f"{path}: {count} values",
-            expected=f"at most {_MOST_VALUES}",
+            expected=f"at most {_MAX_VALUES}",
             mend="make several files of it, or Zarr",
             code="file-too-large",
         )
@@ -217,7 +217,7 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
     stamps = data["acquisition_time"].values
     if stamps.dtype.kind != "M":
         count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
-        if (np.abs(count) > _LATEST_S).any():
+        if (np.abs(count) > _MAX_TIME_S).any():
             raise FormatError(
                 "'acquisition_time' is out of range", expected="seconds from 1970", code="time-unreadable"
             )

@@ -43,7 +43,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     xarray.Dataset
         ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
         (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under the
-        lamp, NaN outside of what is known of it; ``coefficient`` (wavelength), in units of the instrument's
+        lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of the instrument's
         class, NaN where there is none, ``dark`` and two series of ``counts`` (series, wavelength). With each
         of the first two and the coefficient comes a relative standard uncertainty, ``..._u``, half of what
         the file gives for k = 2. All float64. Attributes: device, time, laboratory, lamp, panel and

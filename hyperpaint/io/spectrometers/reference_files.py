@@ -64,7 +64,7 @@ def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.
     """Open files of field spectrometers, grouped by instrument.
 
     files: SVC ``.sig``, ASD binary or text exports, in any mixture.
-    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
+    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
     Raises FormatError: Files cannot be read, or are of no kind known; all are named.
     """
     return _opened(files, quantity, references=False)
@@ -116,7 +116,7 @@ def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) ->
 
 
 _MAX_BYTES = 4 << 20
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 _HEADINGS = ("paint", "name", "signature", "region")
 
 
@@ -126,7 +126,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     path: Lines of paint and reference, separated by a comma, under headings or none; a paint may have several
         lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
     Returns dict: Names of references by names of paints, in the order of the file.
-    Raises FormatError: The file is no such list; the first problems are told.
+    Raises FormatError: The file is no such list; the first problems are listed.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
         raise FormatError(
             f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
         ) from error
-    problems = Problems(f"{path} is no list of paints and references", FormatError)
+    problems = Problems(f"{path} is not a list of paints and references", FormatError)
     pairs = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
     references_by_paint: dict[str, dict[str, None]] = {}
     for paint, reference in pairs:
@@ -167,7 +167,7 @@ def _of_lines(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
                 continue
             if len(cells) == 2 and all(cells):
                 yield cells[0], cells[1]
-            elif len(problems) < _MOST_SHOWN:
+            elif len(problems) < _MAX_SHOWN:
                 problems.add(
                     f"line {number}: {','.join(row)[:60]!r}",
                     expected="paint, comma, reference",
@@ -194,7 +194,7 @@ def _of_json(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
         several = [names] if isinstance(names, str) else names
         if isinstance(several, list) and several and all(isinstance(name, str) and name for name in several):
             yield from ((paint, name) for name in several)
-        elif len(problems) < _MOST_SHOWN:
+        elif len(problems) < _MAX_SHOWN:
             problems.add(
                 f"{paint!r:.60}: {names!r:.60}", expected="a name or a list of names", code="type-wrong"
             )

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _MAX_BYTES = 16 << 20
-_MOST_SHOWN = 5
-_WAVELENGTHS = (100.0, 100_000.0)  # nm
+_MAX_SHOWN = 5
+_WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
 
 
 def read_spectrum_csv(
@@ -67,7 +67,7 @@ def _table(
                 expected="a wavelength [nm] and a value",
                 code="row-unreadable",
             )
-            if len(problems) == _MOST_SHOWN:
+            if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
         else:
             above.append(content)
@@ -83,7 +83,7 @@ def _table(
             "wavelengths do not increase from line to line, or a value is not finite",
             code="wavelength-unordered",
         )
-    elif not _WAVELENGTHS[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTHS[1]:
+    elif not _WAVELENGTH_RANGE_NM[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTH_RANGE_NM[1]:
         problems.add(
             f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}",
             expected="nanometres",
@@ -151,7 +151,7 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
 def _names(heading: str, column: int, last: bool) -> list[str]:
     """Return the candidate units of a column; empty where the heading names no columns."""
     comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
-    # what brackets hold is put aside, and so parts no cells
+    # the content of brackets is put aside, so that it separates no cells
     aside = _BRACKETS.findall(text)
     text = re.sub(r" *\x00", "\x00", _BRACKETS.sub("\x00", text.replace("\x00", " ")))
     mark = next((mark for mark in (";", "\t", ",", "  ") if mark in text.strip()), None)
@@ -184,8 +184,8 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     ----------
     path
         Text of two columns, separated by a comma, semicolon, tab or blanks, below 40 lines of headings or
-        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; what else
-        stands in brackets, ``R (8/h)``, is a label.
+        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; other
+        text in brackets, ``R (8/h)``, is a label.
 
     Returns
     -------

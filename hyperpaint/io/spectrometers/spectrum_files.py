@@ -40,7 +40,7 @@ def find_paths(
     for entry in paths:
         path = input_path(entry, expected)
         if path.is_dir():
-            # what only looks like a file is kept: to read it is an error that names it, and none goes missing
+            # pipes and broken links are kept, so that reading reports them
             inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
             matches = of_folder(inside)
         elif os.path.lexists(path) or not is_pattern(str(path)):

@@ -41,7 +41,7 @@ Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
 SVC_JOINS = (990.0, 1900.0)
-"""Where the vendor's software ends a detector unless told otherwise [nm]."""
+"""Wavelengths at which the vendor's software ends a detector by default [nm]."""
 
 _SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
 
@@ -64,7 +64,7 @@ def open_svc(
         A file, a glob, a folder, or a list of these.
     quantity
         ``reflectance`` (target / white reference), ``radiance``, ``counts`` or ``irradiance``. By default
-        reflectance from two scans in radiance, else what the scan is in.
+        reflectance from two scans in radiance, else the quantity of the scan.
     scan
         Which scan radiance, counts or irradiance are of: of the ``target`` or of the white ``reference``.
     overlap
@@ -88,7 +88,7 @@ def open_svc(
         and ``spectrum``, the names of the files without ``.sig``. Coordinates of each spectrum: ``time``
         and, for reflectance, ``reference_time`` (UTC, NaT where it cannot be known); ``latitude`` and
         ``longitude`` (NaN without a fix); ``overlap_matched``, whether the software changed values to make
-        detectors meet, and ``overlap``, what became of the channels there; the file's ``factors`` as text
+        detectors meet, and ``overlap``, the treatment of the channels there; the file's ``factors`` as text
         and as ``factor_reference`` and ``factor_target``; ``error_reference`` and ``error_target``, the bits
         that the instrument set; ``column_difference``, how far the file's own rounded reflectance is from
         the one returned; ``instrument``, ``source``, and ``header``, all of the file's header as JSON.

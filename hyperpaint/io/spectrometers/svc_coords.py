@@ -25,7 +25,7 @@ from .svc_layout import DETECTORS, SvcFile, SvcOverlap, error_bits, pair, positi
 SCANS = ("reference", "target")
 """The two scans of a file, in its order."""
 
-_HALF = 0.005  # half of the last of two decimals
+_HALF_DIGIT = 0.005  # half of the last of two decimals
 _NAT = np.datetime64("NaT", "ns")
 _NOWHERE = (math.nan, math.nan)
 
@@ -186,7 +186,7 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
             share = file.target / file.reference
             apart = np.abs(100.0 * share - file.percent)
             # every number of the file is rounded, the two scans as well as the ratio
-            limit = _HALF * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
+            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
             wrong = (apart > limit * (1.0 + 1e-9) + 1e-9) | (np.isfinite(share) & ~np.isfinite(file.percent))
         if np.isfinite(apart).any():
             differences[place] = np.nanmax(np.where(np.isfinite(apart), apart, np.nan)) / 100.0
@@ -226,7 +226,7 @@ _DAY = dt.timedelta(days=1)
 class LocalStamp:
     """Date and time of a local clock, without a zone."""
 
-    day_first: dt.datetime | None  # what it means in either order; None where that is no date
+    day_first: dt.datetime | None  # the date in either order; None where it does not exist
     month_first: dt.datetime | None
     slashes: bool  # false where the way it is written settles the order: only between slashes do both occur
 

@@ -23,13 +23,13 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-_LARGEST_FILE = 4 * 2**20  # a hundred times what the instruments write
-_MOST_ROWS = 32_768
-_MOST_HEADER_LINES = 1000
-_MOST_DETECTORS = 3
+_MAX_BYTES = 4 * 2**20  # a hundred times the size of instrument files
+_MAX_ROWS = 32_768
+_MAX_HEADER_LINES = 1000
+_MAX_DETECTORS = 3
 _MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
-# what Windows writes where a ratio does not exist
+# text of Windows for ratios that do not exist
 _NO_NUMBERS = {
     **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind"), math.nan),
     **dict.fromkeys(("infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
@@ -51,7 +51,7 @@ class SvcFile:
     reference: Floats  # the two scans, in the file's numbers
     target: Floats
     percent: Floats  # their ratio as the file rounds it
-    # Row of the first channel of each detector that is told by a step back; the first is 0
+    # Row of the first channel of each detector, found by a step back in wavelength; the first is 0
     starts: tuple[int, ...]
 
     @property
@@ -83,7 +83,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     array([400., 800.])
     """
     path = Path(path)
-    data = read_limited_text(path, _LARGEST_FILE, "an SVC spectrometer's file")
+    data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
     if not is_svc(data[:200]):
         ger = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
         raise FormatError(
@@ -119,7 +119,7 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
     """Return the values by key, and the index of the first row of the table."""
     header: dict[str, str] = {}
     last = ""
-    for number, line in enumerate(lines[1 : _MOST_HEADER_LINES + 1], start=1):
+    for number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):
         key, equals, value = line.partition("=")
         key = " ".join(key.lower().split())
         if key == "data" and equals and not value.strip():
@@ -136,7 +136,7 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
             )
         last = key
     raise FormatError(
-        f"{name}: no line 'data=' among the first {_MOST_HEADER_LINES}",
+        f"{name}: no line 'data=' among the first {_MAX_HEADER_LINES}",
         mend="copy the file again from the instrument",
         code="file-truncated",
     )
@@ -144,9 +144,9 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
 
 def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     rows: list[list[float]] = []
-    if len(lines) - first > _MOST_ROWS:
+    if len(lines) - first > _MAX_ROWS:
         raise FormatError(
-            f"{name}: {len(lines) - first} rows", expected=f"at most {_MOST_ROWS}", code="file-too-large"
+            f"{name}: {len(lines) - first} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large"
         )
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
@@ -182,10 +182,10 @@ def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
             code="wavelength-range",
         )
     starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
-    if len(starts) > _MOST_DETECTORS:
+    if len(starts) > _MAX_DETECTORS:
         raise FormatError(
             f"{name}: the wavelengths step back {len(starts) - 1} times",
-            expected=f"at most {_MOST_DETECTORS - 1} times, where detectors overlap",
+            expected=f"at most {_MAX_DETECTORS - 1} times, where detectors overlap",
             mend="copy the file again",
             code="wavelength-unordered",
         )
@@ -226,7 +226,7 @@ _RECORD = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]?")
 _REMOVED = re.compile(r"remove\s*@\s*(\d{3,4})(?:[.,]0)?\s*,\s*(\d{3,4})(?![\d])", re.IGNORECASE)
 _MATCHING = re.compile(r"matching type:\s*([^\]]*)", re.IGNORECASE)
 _ANGLE = re.compile(r"(\d{3,5})[.,](\d{1,8})\s*,?\s*([NSEW])", re.ASCII | re.IGNORECASE)
-_LONGEST = 2000  # characters of the line that are looked at
+_MAX_FACTORS_CHARS = 2000  # characters of the line that are looked at
 _BITS = re.compile(r"[0-9]{1,9}")
 
 
@@ -286,7 +286,7 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
     >>> overlap_of({"factors": line})
     SvcOverlap(preserved=False, joins=(970.0, 1901.0), matching='None', factors=(0.795, 0.848))
     """
-    line = header.get("factors", "")[:_LONGEST]
+    line = header.get("factors", "")[:_MAX_FACTORS_CHARS]
     records = _RECORD.findall(line)
     numbers, latest = records[0] if records else (line, "")
     values = [_svc_number(item) for item in items(numbers)]
@@ -333,7 +333,7 @@ def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | N
 
 def _angle(value: str, scan: int, letters: str, limit: float) -> float:
     entries = items(value)
-    # old firmware puts the letter behind a comma of its own: 11121.2335,W, 11121.2324,W
+    # old firmware puts a comma before the letter: 11121.2335,W, 11121.2324,W
     text = entries[scan] if len(entries) == 2 else ""
     if not text.strip(", "):
         return math.nan
