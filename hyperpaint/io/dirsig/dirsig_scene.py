@@ -178,11 +178,14 @@ def write_dirsig_scene(
         _write_geometry(build / "geometry", scene, stem, ordered, face_surface, texture_m)
         entries = (
             material_section(
-                record, surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
-                rad_solver="Generic" if record["fit_file"] else "Classic", thermal=None, double_sided=True,
+                record,
+                surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
+                rad_solver="Generic" if record["fit_file"] else "Classic",
+                thermal=None,
+                double_sided=True,
             )
             for record in ordered
-        )  # fmt: skip
+        )
         window = attrs["window_nm"]
         texts = {
             f"materials/{stem}.mat": materials_text(entries),
@@ -197,9 +200,13 @@ def write_dirsig_scene(
 
 
 _FOLDERS = (
-    "geometry/lists", "geometry/objects", f"materials/{EMISSIVITY}", f"materials/{REFLECTANCE}",
-    "materials/brdf", "maps",
-)  # fmt: skip
+    "geometry/lists",
+    "geometry/objects",
+    f"materials/{EMISSIVITY}",
+    f"materials/{REFLECTANCE}",
+    "materials/brdf",
+    "maps",
+)
 
 
 def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
@@ -252,7 +259,9 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
     """Return for every library its surfaces: their numbers, and the places of their paints."""
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    places = [{str(name): place for place, name in enumerate(each[SIGNATURE].values)} for each in libraries]
+    places = [
+        {str(name): place for place, name in enumerate(library[SIGNATURE].values)} for library in libraries
+    ]
     for number, surface in enumerate(surfaces):
         owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
         if owner is None:
@@ -266,10 +275,15 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
 
 
 def _write_materials(
-    build: Path, libraries: Sequence[xr.Dataset], shares: Sequence[list[tuple[int, int]]],
-    surfaces: Sequence[_Surface], choices: Choices, *, coat_brdf: bool,
+    build: Path,
+    libraries: Sequence[xr.Dataset],
+    shares: Sequence[list[tuple[int, int]]],
+    surfaces: Sequence[_Surface],
+    choices: Choices,
+    *,
+    coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """Write the spectra of all surfaces; return their records, with the number of their ``surface``."""
     records: list[dict[str, Any]] = []
     for library, share in zip(libraries, shares, strict=True):
@@ -280,11 +294,11 @@ def _write_materials(
         is_body = mirror_reflection(library) == EXCLUDED
         part = _with_coats(library.isel({SIGNATURE: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
         taken = [Material(record["id"], record["name"], Section("")) for record in records]
-        mine = paint_records(part, taken)
+        library_records = paint_records(part, taken)
         kind = "members" if "member_reflectance" in part.variables else "centre"
         coat = coat_of(part, "library" if _SPECULAR in part.variables else 0.0)
-        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, mine, None)
-        for record, number in zip(mine, numbers, strict=True):
+        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, library_records, None)
+        for record, number in zip(library_records, numbers, strict=True):
             record |= {
                 "surface": number,
                 "mirror_reflection": EXCLUDED if is_body else coat.mirror_reflection,
@@ -293,7 +307,7 @@ def _write_materials(
             if coat_brdf and is_body and surfaces[number].coat_index:
                 record["fit_file"] = f"brdf/{record['id']}.fit"
                 (build / record["fit_file"]).write_text(_fit_of(build, record, surfaces[number]))
-        records += mine
+        records += library_records
         if progress is not None:
             progress(len(records), len(surfaces))
     return records
@@ -381,9 +395,13 @@ def _mean(curve: Any, window: Sequence[float]) -> float:
 
 
 def _write_geometry(
-    build: Path, scene: Triangles, stem: str, records: Sequence[Mapping[str, Any]],
-    face_surface: NDArray[np.int64], texture_m: float,
-) -> None:  # fmt: skip
+    build: Path,
+    scene: Triangles,
+    stem: str,
+    records: Sequence[Mapping[str, Any]],
+    face_surface: NDArray[np.int64],
+    texture_m: float,
+) -> None:
     identifiers = [record["id"] for record in records]
     with open(build / "objects" / f"{stem}.obj", "w", encoding="ascii", newline="\n") as file:
         for line in obj_lines(scene, identifiers, face_surface, f"{stem}.mtl", texture_m):

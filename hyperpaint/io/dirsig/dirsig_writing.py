@@ -316,9 +316,9 @@ def _checked(
     return kind
 
 
-def _is_range(given: Any) -> bool:
+def _is_range(value: Any) -> bool:
     try:
-        low, high = given
+        low, high = value
     except (TypeError, ValueError):
         return False
     return _is_number(low) and _is_number(high) and MIN_NM <= low < high <= MAX_NM
@@ -375,8 +375,10 @@ def write_spectra(
                 problems.append(error.about(repr(record["paint"])).problem)
                 continue
             mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
-            fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
-                                     None if mirror is None else mirror[axis.order])  # fmt: skip
+            fraction = coat.fraction(
+                np.where(axis.good, centre[axis.order], np.nan),
+                None if mirror is None else mirror[axis.order],
+            )
             if not problems:
                 key = spectra.wavelength.tobytes()
                 if key not in formats:
@@ -386,14 +388,14 @@ def write_spectra(
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
-        more = (
+        rest = (
             [Problem(f"and {len(problems) - _MAX_SHOWN} more paints", code="paint-unwritable")]
             if problems[_MAX_SHOWN:]
             else []
         )
         raise SchemaError(
             "paints cannot be written for DIRSIG",
-            problems=problems[:_MAX_SHOWN] + more,
+            problems=problems[:_MAX_SHOWN] + rest,
             code="paint-unwritable",
         )
 
@@ -445,24 +447,28 @@ def _colour(wavelength: Array, reflectance: Array) -> list[float]:
 
 
 def _source(library: xr.Dataset) -> dict[str, str]:
-    texts = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
-            if name in library.attrs}  # fmt: skip
+    texts = {
+        name: library.attrs[name]
+        for name in ("title", "source", "provenance", "references", "license")
+        if name in library.attrs
+    }
     return {f"library_{name}": str(value) for name, value in texts.items()}
 
 
 def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
     """Warn of changes to the spectra."""
     messages = []
-    for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
-                      ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
-                      ("left_out", "members that lack an end of the range were left out"),
-                      ("is_centre", "paints have no member that reaches both ends: their centre is written"),
-                      ("interpolated", "samples in gaps of curves were filled in by straight lines"),
-                      ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
-                      ):  # fmt: skip
+    for key, change in (
+        ("clipped", "samples outside 0 to 1 were clipped"),
+        ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
+        ("left_out", "members that lack an end of the range were left out"),
+        ("is_centre", "paints have no member that reaches both ends: their centre is written"),
+        ("interpolated", "samples in gaps of curves were filled in by straight lines"),
+        ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
+    ):
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
         if number and not (gaps_said and "interpolated" in key):
-            messages.append(f"{number} {what} (in {paints} of {len(records)} paints)")
+            messages.append(f"{number} {change} (in {paints} of {len(records)} paints)")
     if messages:
         warnings.warn(
             PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
@@ -477,9 +483,16 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
         return SIGNATURE, np.array([record[key] for record in records], dtype)
 
     counts = (
-        "curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out",
-        "thinned", "bands",
-    )  # fmt: skip
+        "curves",
+        "complete",
+        "clipped",
+        "centre_clipped",
+        "interpolated",
+        "centre_interpolated",
+        "left_out",
+        "thinned",
+        "bands",
+    )
     values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
     values["specular_fraction"] = column("specular_fraction", np.float64)

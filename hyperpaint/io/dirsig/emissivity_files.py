@@ -77,7 +77,7 @@ class ColumnText:
     def __init__(self, wavelength: Sequence[float] | npt.NDArray[Any], title: str = "") -> None:
         written = [f"{value / 1000.0:.{WAVELENGTH_DECIMALS}f}" for value in np.asarray(wavelength, float)]
         steps = itertools.pairwise(zip(map(float, written), written, strict=True))
-        if equal := next((one[1] for one, other in steps if other[0] <= one[0]), ""):
+        if equal := next((first[1] for first, second in steps if second[0] <= first[0]), ""):
             raise SchemaError(
                 f"two successive wavelengths at or below {equal} um",
                 expected="ascending wavelengths",
@@ -97,19 +97,20 @@ class ColumnText:
 
     def text(self, values: npt.NDArray[Any]) -> bytes:
         """Return the text of spectra (spectrum, wavelength) between 0 and 1."""
-        left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
-        texts = np.repeat(self._template[np.newaxis], len(left), axis=0)
+        digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
+        texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)
         tables = [
-            (texts[:, place].reshape(len(left), -1, width), columns) for place, columns, width in self._runs
+            (texts[:, place].reshape(len(digits_left), -1, width), columns)
+            for place, columns, width in self._runs
         ]
         for digit in range(DECIMALS + 1):
-            rest = left // np.uint32(10)
-            shown = (left - rest * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
+            quotient = digits_left // np.uint32(10)
+            shown = (digits_left - quotient * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
             # counted from the end of the row: the line feed, the decimals, the point, the whole number
             at = -2 - digit if digit < DECIMALS else -3 - digit
             for table, columns in tables:
                 table[:, :, at] = shown[:, columns]
-            left = rest
+            digits_left = quotient
         return texts.tobytes()
 
 

@@ -11,9 +11,14 @@ from hyperpaint.base.mirrored_light import INCLUDED
 from .material_list import Section
 
 THERMAL = (
-    "specific_heat", "mass_density", "thermal_conductivity", "solar_absorption", "thermal_emissivity",
-    "exposed_area", "thickness",
-)  # fmt: skip
+    "specific_heat",
+    "mass_density",
+    "thermal_conductivity",
+    "solar_absorption",
+    "thermal_emissivity",
+    "exposed_area",
+    "thickness",
+)
 """Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals."""
 
 _CURVES = {
@@ -26,10 +31,14 @@ _CURVES = {
 _SOLVERS = {
     "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
     "Generic": (
-        ("INITIAL_SAMPLE_COUNT", "100"), ("SAMPLE_DECAY_RATE", "2"), ("MAX_BOUNCES", "3"),
-        ("MU_SAMPLES", "10"), ("PHI_SAMPLES", "20"), ("MIN_QUAD_SAMPLES", "1"),
+        ("INITIAL_SAMPLE_COUNT", "100"),
+        ("SAMPLE_DECAY_RATE", "2"),
+        ("MAX_BOUNCES", "3"),
+        ("MU_SAMPLES", "10"),
+        ("PHI_SAMPLES", "20"),
+        ("MIN_QUAD_SAMPLES", "1"),
     ),
-}  # fmt: skip
+}
 """What DIRSIG's own files say of a radiometry solver."""
 
 
@@ -158,7 +167,7 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the sentence on curves left out by ``max_curves``."""
-    rows = [f"{each['id']} {each['thinned']}" for each in records if each["thinned"]]
+    rows = [f"{record['id']} {record['thinned']}" for record in records if record["thinned"]]
     text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
     return text + ", ".join(rows) + "." if rows else ""
 

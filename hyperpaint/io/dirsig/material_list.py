@@ -23,10 +23,30 @@ from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_
 
 _MAX_ID_CHARS, _MAX_NAME_CHARS = 48, 120
 _LETTERS = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "æ": "ae", "Æ": "Ae",
-     "ø": "oe", "Ø": "Oe", "å": "aa", "Å": "Aa", "œ": "oe", "Œ": "Oe", "ł": "l", "Ł": "L", "µ": "u",
-     "\u2013": "-", "\u2014": "-", "\u2019": "'"}
-)  # fmt: skip
+    {
+        "ä": "ae",
+        "ö": "oe",
+        "ü": "ue",
+        "Ä": "Ae",
+        "Ö": "Oe",
+        "Ü": "Ue",
+        "ß": "ss",
+        "æ": "ae",
+        "Æ": "Ae",
+        "ø": "oe",
+        "Ø": "Oe",
+        "å": "aa",
+        "Å": "Aa",
+        "œ": "oe",
+        "Œ": "Oe",
+        "ł": "l",
+        "Ł": "L",
+        "µ": "u",
+        "\u2013": "-",
+        "\u2014": "-",
+        "\u2019": "'",
+    }
+)
 """What is written otherwise in ASCII, an umlaut with two letters; other accents are dropped."""
 _UNSAFE = re.compile(r"[^ -~]|[{}=\"#<>&;]")
 _NO_TOKEN = re.compile(r"[^A-Za-z0-9]+")
@@ -272,7 +292,7 @@ def _lines(section: Section, indent: str) -> Iterator[str]:
         if isinstance(item, Section):
             yield from _aligned(run, inner)
             run = []
-            if f"{item.name}_NAME" not in {each[0] for each in items[:number] if isinstance(each, tuple)}:
+            if f"{item.name}_NAME" not in {pair[0] for pair in items[:number] if isinstance(pair, tuple)}:
                 yield ""
             yield from _lines(item, inner)
         elif isinstance(following, Section) and item[0] == f"{following.name}_NAME":

@@ -54,8 +54,8 @@ class Coat:
             return round(float(self.specular), 4)
         if mirror is None:
             return 0.0
-        both = np.isfinite(mirror) & np.isfinite(centre)
-        part, body = (float(np.clip(each[both], 0.0, 1.0).sum()) for each in (mirror, centre))
+        is_known = np.isfinite(mirror) & np.isfinite(centre)
+        part, body = (float(np.clip(spectrum[is_known], 0.0, 1.0).sum()) for spectrum in (mirror, centre))
         return min(round(part / (part + body), 4), 0.9999) if part > 0.0 else 0.0
 
 
@@ -66,7 +66,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
     """
     problems = Problems("the specular term cannot be written", SchemaError)
-    apart = _SPECULAR in library.variables
+    has_specular = _SPECULAR in library.variables
     declared = None
     try:
         declared = mirror_reflection(library)
@@ -78,7 +78,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         problems.add(
             f"specular={specular!r}", expected="0 to below 1, or 'library'", code="value-out-of-range"
         )
-    if specular == "library" and not apart:
+    if specular == "library" and not has_specular:
         problems.add(
             "specular='library', but the library has no specular_reflectance (signature, band)",
             code="variable-missing",
@@ -263,10 +263,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         curves, missing = curves[order], missing[order]
         for row, gaps in zip(curves, missing, strict=True):
             row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
-        kept = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
+        rows = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
     else:
-        curves, missing, kept = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
-    thinned, curves, missing = len(curves) - len(kept), curves[kept], missing[kept]
+        curves, missing, rows = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
+    thinned, curves, missing = len(curves) - len(rows), curves[rows], missing[rows]
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
     extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)

@@ -199,9 +199,17 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     for nm in np.linspace(wavelength[0], wavelength[-1], number).tolist():
         level = float(np.interp(nm, wavelength, body))
         values = {
-            "LAMBDA": nm / 1000.0, "N": index, "K": 0.0, "DHR": normal + level, "BIAS": normal / flux,
-            "SIGMA": sigma, "TAU": _SMOOTH_DEG, "OMEGA": _SMOOTH_DEG, "RHO_D": level / np.pi, "RHO_V": 0.0,
-        }  # fmt: skip
+            "LAMBDA": nm / 1000.0,
+            "N": index,
+            "K": 0.0,
+            "DHR": normal + level,
+            "BIAS": normal / flux,
+            "SIGMA": sigma,
+            "TAU": _SMOOTH_DEG,
+            "OMEGA": _SMOOTH_DEG,
+            "RHO_D": level / np.pi,
+            "RHO_V": 0.0,
+        }
         rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
         blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
     return "".join(blocks)
@@ -219,9 +227,13 @@ _ORIGIN = ("latitude", "longitude", "altitude")
 
 
 def scene_text(
-    title: str, stem: str, records: Sequence[Mapping[str, Any]], origin: Sequence[float], features: str,
+    title: str,
+    stem: str,
+    records: Sequence[Mapping[str, Any]],
+    origin: Sequence[float],
+    features: str,
     window: tuple[float, float],
-) -> str:  # fmt: skip
+) -> str:
     """Return a ``.scene`` file.
 
     ``origin``: latitude, longitude [degree], height [m]; ``features``: parts of the spectrum that all

@@ -138,16 +138,16 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
 
 
 def _read(
-    source: Any, group: str | None, what: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
+    source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
     """Open any Zarr, or load a netCDF file."""
     from hyperpaint.io.store.reader import is_zarr
 
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
-    if is_path and not input_path(Path(source), f"a {what} in a Zarr store or netCDF file").exists():
+    if is_path and not input_path(Path(source), f"a {kind} in a Zarr store or netCDF file").exists():
         raise FormatError(
-            f"{source}: no such {what}", expected="a Zarr store or a netCDF file", code="file-not-found"
+            f"{source}: no such {kind}", expected="a Zarr store or a netCDF file", code="file-not-found"
         )
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
@@ -286,7 +286,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
     """Return the variables of a calibration that a line keeps; for radiance, line shape and look angles."""
     if calibration is None:
         return {}
-    left = {
+    dropped = {
         "dark_counts",
         "dark_exposure_time",
         "dark_bias",
@@ -296,11 +296,18 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "saturation_count",
     }
     # the lines of a lab sweep stay with the calibration
-    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength", "linearity_counts", "source_band"}
+    dims_of_line = {
+        BAND,
+        CROSS_TRACK,
+        "srf_offset",
+        "irradiance_wavelength",
+        "linearity_counts",
+        "source_band",
+    }
     names = [
         str(name)
         for name, array in calibration.data_vars.items()
-        if name not in left and set(array.dims) <= own
+        if name not in dropped and set(array.dims) <= dims_of_line
     ]
     if float(calibration.get("stray_light_u", 0.0)) >= MAX_STRAY_LIGHT_U:
         names = [name for name in names if not name.startswith("stray_light")]
@@ -351,21 +358,23 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
 
 
-def saturation_of(given: float | None, bit_depth: int, calibration: xr.Dataset | None) -> xr.DataArray:
+def saturation_of(
+    saturation_count: float | None, bit_depth: int, calibration: xr.Dataset | None
+) -> xr.DataArray:
     """Return ``saturation_count``: the argument, else the calibration's, else the converter's last count.
 
     Raises `SchemaError`: The count or the converter's bits are out of range.
     """
     import xarray as xr
 
-    if given is None and calibration is not None and "saturation_count" in calibration:
+    if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)
-    if given is None:
+    if saturation_count is None:
         if not 1 <= bit_depth <= 16:
             raise SchemaError(f"bit_depth {bit_depth}", expected="1 to 16", code="value-out-of-range")
-        given = 2**bit_depth - 1
-    if not 0 < given <= 65535:
+        saturation_count = 2**bit_depth - 1
+    if not 0 < saturation_count <= 65535:
         raise SchemaError(
-            f"saturation_count {given}", expected="a count up to 65535", code="value-out-of-range"
+            f"saturation_count {saturation_count}", expected="a count up to 65535", code="value-out-of-range"
         )
-    return label(xr.DataArray(np.float32(given)), "saturation_count")
+    return label(xr.DataArray(np.float32(saturation_count)), "saturation_count")

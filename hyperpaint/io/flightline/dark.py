@@ -115,7 +115,7 @@ def open_dark(
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _given(source, shape, "a Dataset")
     several: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
-    return _combine([_reference(one, timing, shape) for one in several])
+    return _combine([_reference(reference, timing, shape) for reference in several])
 
 
 def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
@@ -268,9 +268,9 @@ def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None
     if not several:
         return None
     freedom = np.array([frames.lines - 1 for frames in several], np.float64)
-    own = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
-    pooled = float(np.sum(own)) / (freedom.sum() * own.size)
-    return np.asarray((own + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
+    squares = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
+    pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
+    return np.asarray((squares + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:

@@ -65,9 +65,13 @@ class FlightlineInputs:
 
 
 @takes_quantities(
-    exposure_time="s", frame_period="s", nav_clock_offset_s="s", nav_max_gap_s="s",
-    saturation_count="count", fwhm_nm="nm",
-)  # fmt: skip
+    exposure_time="s",
+    frame_period="s",
+    nav_clock_offset_s="s",
+    nav_max_gap_s="s",
+    saturation_count="count",
+    fwhm_nm="nm",
+)
 def open_flightline(
     cube: type_path | xr.Dataset,
     *,
@@ -323,9 +327,11 @@ def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
 
     if isinstance(inputs.cube, Path):
         opened = open_envi(
-            inputs.cube, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity,
+            inputs.cube,
+            keep_whole_lines=inputs.keep_whole_lines,
+            quantity=inputs.quantity,
             unsaid="counts" if inputs.dark is not None else "values",
-        )  # fmt: skip
+        )
     else:
         opened = rename_to_roles(inputs.cube)
     return opened.rename(values="radiance") if "values" in opened and inputs.radiance_units else opened
@@ -456,7 +462,7 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
 
     Raises `SchemaError`: A declaration that does not exist.
     """
-    declarable = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    declarable = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
     if not set(declared) <= declarable:
         wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))
         raise SchemaError(
@@ -493,9 +499,11 @@ def _coordinates(
         spacing = np.abs(np.gradient(coords["wavelength"].values))
         coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
-        apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
-        if apart > _WAVELENGTH_TOLERANCE_NM:
-            message = f"{path.name}: wavelengths of header and calibration are up to {apart:.3g} nm apart"
+        difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
+        if difference_nm > _WAVELENGTH_TOLERANCE_NM:
+            message = (
+                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
+            )
             warnings.warn(
                 PaintWarning(f"{message}; those of the calibration are used", code="wavelength-conflict"),
                 stacklevel=4,

@@ -61,7 +61,9 @@ def _data_of(path: Path) -> Path | None:
         is_data = not path.suffix or path.suffix.lower() in DATA_SUFFIXES
         return path if is_data and path.is_file() else None
     whole = path.with_suffix("")
-    return next((each for s in ("", *DATA_SUFFIXES) if (each := Path(f"{whole}{s}")).is_file()), None)
+    return next(
+        (candidate for s in ("", *DATA_SUFFIXES) if (candidate := Path(f"{whole}{s}")).is_file()), None
+    )
 
 
 class GrowingTable:
@@ -118,8 +120,8 @@ class GrowingLine:
     @property
     def planned(self) -> int:
         """Number of lines in the header; 0 where it has none, or where another cube may follow."""
-        own = self._own_header() if len(self._cubes) == 1 else None
-        return 0 if own is None else read_header(own).lines if _counts_lines(own) else 0
+        header = self._own_header() if len(self._cubes) == 1 else None
+        return 0 if header is None else read_header(header).lines if _counts_lines(header) else 0
 
     @property
     def header(self) -> EnviHeader:
@@ -180,9 +182,15 @@ class GrowingLine:
 
     def _index_files(self) -> list[Path]:
         """Return the frame index of each cube, or the common one."""
-        own = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
-        one = self._timing.frame_index
-        return own if one in own and all(path.is_file() for path in own) else [one] if one else []
+        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
+        common = self._timing.frame_index
+        return (
+            by_cube
+            if common in by_cube and all(path.is_file() for path in by_cube)
+            else [common]
+            if common
+            else []
+        )
 
     def _rows(self) -> Iterator[bytes]:
         """Yield the rows of all frame indexes from the first frame of the first cube on."""

@@ -120,18 +120,18 @@ def find_exposure(
     exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
 ) -> tuple[NDArray[np.float64] | None, str]:
     """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
-    given = None if exposure_time is None else np.asarray(exposure_time, np.float64)
-    if given is not None:
+    argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
+    if argument is not None:
         lines = opened.sizes.get(ALONG_TRACK)
-        if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
+        if argument.ndim > 1 or (argument.ndim == 1 and lines is not None and argument.size != lines):
             raise SchemaError(
-                f"{name}: exposure_time has shape {given.shape}",
+                f"{name}: exposure_time has shape {argument.shape}",
                 expected=f"a scalar or {lines} lines",
                 code="length-mismatch",
             )
-        if not (np.isfinite(given).all() and (given > 0).all()):
+        if not (np.isfinite(argument).all() and (argument > 0).all()):
             raise SchemaError(
-                f"{name}: exposure_time {given.min() * 1000.0:g} ms",
+                f"{name}: exposure_time {argument.min() * 1000.0:g} ms",
                 expected="a positive number",
                 code="value-out-of-range",
             )
@@ -140,17 +140,17 @@ def find_exposure(
         try:
             value = exposure_seconds(pairs, f"{name}: {source}")
         except FormatError:
-            if given is None:
+            if argument is None:
                 raise
             continue
         if value is not None:
             stated[source] = value
     words = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
-    if given is not None:
-        if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in stated.values()):
-            message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {words}"
+    if argument is not None:
+        if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
+            message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {words}"
             warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
-        return given, "given"
+        return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:

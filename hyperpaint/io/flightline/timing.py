@@ -64,7 +64,7 @@ class LineTimes:
     source: str  # Says where the times come from
 
 
-def utc_of(value: Any, what: str) -> np.datetime64:
+def utc_of(value: Any, name: str) -> np.datetime64:
     """Return an instant as datetime64[ns] UTC.
 
     ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``what``: names
@@ -84,19 +84,19 @@ def utc_of(value: Any, what: str) -> np.datetime64:
             value = datetime.datetime.fromisoformat(value.strip())
         except ValueError as error:
             raise TimeError(
-                f"{what} {value[:60]!r} is not a time",
+                f"{name} {value[:60]!r} is not a time",
                 expected="a time such as '2024-06-01T12:00:00Z'",
                 code="time-unreadable",
             ) from error
     if not isinstance(value, datetime.datetime) or value.tzinfo is None:
         raise TimeError(
-            f"{what} {value!s:.60} has no zone",
+            f"{name} {value!s:.60} has no zone",
             mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
             code="zone-missing",
         )
     if not 1980 <= value.year <= 2200:
         raise TimeError(
-            f"{what} {value!s:.60} is out of range",
+            f"{name} {value!s:.60} is out of range",
             expected="a year from 1980 to 2200",
             code="value-out-of-range",
         )

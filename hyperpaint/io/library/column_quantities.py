@@ -76,13 +76,13 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
             mend=f"leave those columns out, or {SAY_SO}",
             code="quantity-wrong",
         )
-    said = " ".join(preamble)
-    last = preamble[-1] if preamble else ""
-    word = _foreign(last)
+    preamble_text = " ".join(preamble)
+    heading = preamble[-1] if preamble else ""
+    word = _foreign(heading)
     if (
         not word
-        and "reflect" not in said.lower()
-        and (title := _TITLE.search(said) or _OF_LIGHT.search(said))
+        and "reflect" not in preamble_text.lower()
+        and (title := _TITLE.search(preamble_text) or _OF_LIGHT.search(preamble_text))
     ):
         word = title[0]
     if word:
@@ -104,11 +104,11 @@ def _foreign(text: str) -> str:
     return match[0].strip() if match else ""
 
 
-def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure: bool) -> Ints:
+def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
     """Return for each column the index of its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
 
     headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
-    sure: Columns without headings are reflectance without a check of their values.
+    is_reflectance: Columns without headings are reflectance without a check of their values.
 
     Raises FormatError: The first column is named a standard deviation.
     Warns PaintWarning: Nothing names three columns, and the last looks like the spread of the one before.
@@ -131,11 +131,11 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
             )
         roles[is_spread] = IS_SPREAD
         for at in np.flatnonzero(is_spread):
-            others = np.flatnonzero(~is_spread)
-            alike = [int(other) for other in others if bare[at] and bare[other] == bare[at]]
-            owner = alike[0] if alike else others[others < at][-1]
+            spectra = np.flatnonzero(~is_spread)
+            alike = [int(other) for other in spectra if bare[at] and bare[other] == bare[at]]
+            owner = alike[0] if alike else spectra[spectra < at][-1]
             roles[owner] = at if roles[owner] == NO_SPREAD else roles[owner]
-    elif len(values) == 2 and not sure and _looks_like_spread(*values):
+    elif len(values) == 2 and not is_reflectance and _looks_like_spread(*values):
         text = (
             f"{source}: three columns without headings; the third is taken for the standard deviation of the "
             "second; name the columns, or pass quantity='reflectance' if it is a paint"
@@ -152,10 +152,10 @@ def _bare(heading: str) -> str:
 
 
 def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
-    both = np.isfinite(mean) & np.isfinite(spread) & (mean > 0)
-    if not both.any() or (spread[both] < 0).any():
+    comparable = np.isfinite(mean) & np.isfinite(spread) & (mean > 0)
+    if not comparable.any() or (spread[comparable] < 0).any():
         return False
-    return bool(np.median(spread[both] / mean[both]) <= RULES.max_spread_ratio)
+    return bool(np.median(spread[comparable] / mean[comparable]) <= RULES.max_spread_ratio)
 
 
 def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Floats, Floats, list[str]]:
@@ -168,9 +168,9 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
     Warns PaintWarning: Values were averaged.
     """
     starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)
-    apart = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    difference = 1.0 - np.unique(wavelength[starts]).size / starts.size
     doubled = wavelength.size - starts.size
-    if apart > RULES.max_repeats or 2 * doubled >= wavelength.size:
+    if difference > RULES.max_repeats or 2 * doubled >= wavelength.size:
         twice = wavelength.size - np.unique(wavelength).size
         raise FormatError(
             f"{source}: {twice} of {wavelength.size} wavelengths occur twice",
@@ -182,12 +182,12 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
         return wavelength, values, []
     counts = np.diff(np.append(starts, wavelength.size))
     means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
-    apart = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
+    difference = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
     first = wavelength[starts[counts > 1][0]]
     text = f"{doubled} wavelengths stand twice in a row, such as {first:g}"
-    if apart <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
+    if difference <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
         return wavelength[starts], values[starts], [f"{text}: the same rows count once"]
-    text = f"{text}: their values, up to {apart:.3g} apart, are averaged"
+    text = f"{text}: their values, up to {difference:.3g} apart, are averaged"
     warnings.warn(PaintWarning(f"{source}: {text}", code="wavelength-duplicate"), stacklevel=6)
     return wavelength[starts], means, [text]
 

@@ -78,10 +78,10 @@ def write_csv_library(
         ]
     )
     names = [_line([safe_cell(name)]) for name in names_of(library)]
-    about = [
+    properties = [
         _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
     ] or [""] * len(names)
-    coding = "utf-8" if "".join([head, *names, *about]).isascii() else "utf-8-sig"
+    coding = "utf-8" if "".join([head, *names, *properties]).isascii() else "utf-8-sig"
     row = ",%.9g" * library.sizes[BAND] + "\n"
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
@@ -89,8 +89,8 @@ def write_csv_library(
             file.write(head + "\n")
             for block in blocks_of(library, variables, progress):
                 for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
-                    what = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
-                    file.write(names[paint] + what + about[paint] + row % tuple(values.tolist()))
+                    key = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
+                    file.write(names[paint] + key + properties[paint] + row % tuple(values.tolist()))
 
 
 def _line(cells: list[str]) -> str:

@@ -38,11 +38,29 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _KEYS = (
-    "Name", "Type", "Class", "Subclass", "Genus", "Species", "Particle Size", "Sample No.", "Owner",
-    "Wavelength Range", "Origin", "Collection Date", "Description", "Measurement", "First Column",
-    "Second Column", "X Units", "Y Units", "First X Value", "Last X Value", "Number of X Values",
+    "Name",
+    "Type",
+    "Class",
+    "Subclass",
+    "Genus",
+    "Species",
+    "Particle Size",
+    "Sample No.",
+    "Owner",
+    "Wavelength Range",
+    "Origin",
+    "Collection Date",
+    "Description",
+    "Measurement",
+    "First Column",
+    "Second Column",
+    "X Units",
+    "Y Units",
+    "First X Value",
+    "Last X Value",
+    "Number of X Values",
     "Additional Information",
-)  # fmt: skip
+)
 """Of a header, in their order."""
 
 _METADATA = "hyperpaint metadata "
@@ -73,7 +91,7 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     for key in ("Name", "X Units", "Y Units", "Number of X Values"):
         if key not in fields:
             problems.add(f"the header has no {key!r}", code="key-missing")
-    said = _scale_of(fields.get("Y Units", ""))
+    file_scale = _scale_of(fields.get("Y Units", ""))
     if other_quantity(fields.get("Y Units", "")):
         problems.add(
             f"'Y Units' is {fields['Y Units'][:60]!r}", expected="reflectance", code="quantity-wrong"
@@ -93,7 +111,7 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         form=f"{'ASTER' if wrapped else 'ECOSTRESS'} library text",
         names=[fields["Name"]],
         wavelength=in_nanometres(nm, factor) if wavelength is None else wavelength,
-        reflectance=reflectances(values.T, source, said=said, given=scale),
+        reflectance=reflectances(values.T, source, file_scale=file_scale, scale=scale),
         columns=_columns(fields, source),
         notes=[*notes, *([note] if note else [])],
     )
@@ -157,12 +175,12 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
         for key in _KEYS[1:]
         if key in fields and key not in _ABOUT_THE_AXES
     }
-    more = fields.get("Additional Information", "")
-    if not more.startswith(_METADATA):
-        return {**columns, "additional_information": text_column([more])} if more else columns
+    information = fields.get("Additional Information", "")
+    if not information.startswith(_METADATA):
+        return {**columns, "additional_information": text_column([information])} if information else columns
     where = f"{source}: 'Additional Information'"
     try:
-        entries = json.loads(more.removeprefix(_METADATA))
+        entries = json.loads(information.removeprefix(_METADATA))
     except (ValueError, RecursionError) as error:
         raise FormatError(
             f"{where} holds damaged metadata ({error!s:.100})", code="metadata-damaged"
@@ -209,12 +227,18 @@ _MAX_SHOWN = 5
 _MEASUREMENT = "Hemispherical-conical reflectance factor"
 
 _SAMPLE = (
-    ("Type", "type", "manmade"), ("Class", "class", "Paint"), ("Subclass", "subclass", "none"),
-    ("Particle Size", "particle_size", "Solid"), ("Sample No.", "sample_no", "none"),
-    ("Owner", "owner", "none"), ("Wavelength Range", "wavelength_range", "none"),
-    ("Origin", "origin", "none"), ("Collection Date", "collection_date", "N/A"),
-    ("Description", "description", "none"), ("Measurement", "measurement", _MEASUREMENT),
-)  # fmt: skip
+    ("Type", "type", "manmade"),
+    ("Class", "class", "Paint"),
+    ("Subclass", "subclass", "none"),
+    ("Particle Size", "particle_size", "Solid"),
+    ("Sample No.", "sample_no", "none"),
+    ("Owner", "owner", "none"),
+    ("Wavelength Range", "wavelength_range", "none"),
+    ("Origin", "origin", "none"),
+    ("Collection Date", "collection_date", "N/A"),
+    ("Description", "description", "none"),
+    ("Measurement", "measurement", _MEASUREMENT),
+)
 """Keys of a header before those of the axes, the coordinate of each, and its default."""
 
 
@@ -247,8 +271,8 @@ def write_ecostress_library(
     columns = {**_said_of_all(library, micrometres), **paint_columns(library)}
     with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
         for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
-            about = {key: column[at] for key, column in columns.items()}
-            text = _text(name, about, micrometres, values[at])
+            properties = {key: column[at] for key, column in columns.items()}
+            text = _text(name, properties, micrometres, values[at])
             (folder / f"{stem}{_SUFFIX}").write_bytes(_encoded(text))
             if progress is not None:
                 progress(at + 1, len(names))
@@ -317,17 +341,17 @@ def _range(micrometres: Floats) -> str:
     return "TIR" if micrometres.min() >= 2.0 else "All"
 
 
-def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:
-    about = dict(about)
+def _text(name: str, properties: dict[str, Any], micrometres: Floats, values: Floats) -> str:
+    properties = dict(properties)
     lines = [f"Name: {name}"]
-    if "collection_date" not in about and about.get("time"):
-        about["collection_date"] = str(about["time"])[:10]
+    if "collection_date" not in properties and properties.get("time"):
+        properties["collection_date"] = str(properties["time"])[:10]
     for key, coordinate, otherwise in _SAMPLE:
-        entry = " ".join(str(about.pop(coordinate, "") or "").split())
+        entry = " ".join(str(properties.pop(coordinate, "") or "").split())
         lines.append(f"{key}: {entry or otherwise}")
-    more = " ".join(str(about.pop("additional_information", "") or "none").split())
-    if about:
-        more = _METADATA + json.dumps(about, ensure_ascii=False, allow_nan=False)
+    information = " ".join(str(properties.pop("additional_information", "") or "none").split())
+    if properties:
+        information = _METADATA + json.dumps(properties, ensure_ascii=False, allow_nan=False)
     axis = [f"{value:.10g}" for value in micrometres]
     lines += [
         "First Column: X",
@@ -337,7 +361,7 @@ def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats)
         f"First X Value: {axis[0]}",
         f"Last X Value: {axis[-1]}",
         f"Number of X Values: {len(axis)}",
-        f"Additional Information: {more}",
+        f"Additional Information: {information}",
         "",
         # nine digits of the percentage lead back to the float32
         *(f"{x}\t{100.0 * y:.9g}" for x, y in zip(axis, values, strict=True)),

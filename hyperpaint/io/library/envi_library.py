@@ -150,7 +150,11 @@ def _foreign(
     if warned:
         warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
     values = reflectances(
-        stored[skipped:], source, said=_scale(header, source), given=scale, ignore=header.data_ignore_value
+        stored[skipped:],
+        source,
+        file_scale=_scale(header, source),
+        scale=scale,
+        ignore=header.data_ignore_value,
     )
     spectra, errors = _with_error_bars(names[skipped:], values)
     if errors:
@@ -230,12 +234,12 @@ def _scale(header: EnviHeader, source: str) -> float | None:
             expected="reflectance",
             code="quantity-wrong",
         )
-    said = None
+    title_scale = None
     if match := _TITLE_SCALE.search(title):
-        said = float(match[1])
+        title_scale = float(match[1])
     elif PERCENT.search(title):
-        said = 100.0
-    if factor is not None and said is not None and factor != said:
+        title_scale = 100.0
+    if factor is not None and title_scale is not None and factor != title_scale:
         raise FormatError(
             (
                 f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' has "
@@ -244,7 +248,7 @@ def _scale(header: EnviHeader, source: str) -> float | None:
             mend="pass scale=",
             code="scale-conflict",
         )
-    return said if factor is None else factor
+    return title_scale if factor is None else factor
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:

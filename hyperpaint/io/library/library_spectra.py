@@ -150,14 +150,19 @@ def _refuse_twice(wavelength: Floats, source: str) -> None:
 
 
 def reflectances(
-    stored: npt.NDArray[Any], source: str, *, said: float | None, given: float | None, ignore: Any = None,
-    sure: bool = False,
-) -> Floats32:  # fmt: skip
+    stored: npt.NDArray[Any],
+    source: str,
+    *,
+    file_scale: float | None,
+    scale: float | None,
+    ignore: Any = None,
+    is_reflectance: bool = False,
+) -> Floats32:
     """Return stored values as reflectance.
 
-    said, given: Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
+    file_scale, scale: Stored value of a reflectance of one, of the file and of the caller, which wins.
     ignore: Stored value of missing samples, besides the values of the USGS.
-    sure: The caller says that it is reflectance: values above 1 are believed.
+    is_reflectance: Values above 1 are accepted.
     Returns numpy.ndarray: float32; a fraction.
     Raises FormatError: Neither says the scale, and the values are no fractions; or they do not fit float32.
     Warns PaintWarning: Values far below 0 were taken for missing; or single spectra are hardly fractions.
@@ -170,13 +175,13 @@ def reflectances(
         with np.errstate(over="ignore"):
             lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
     values[lost] = np.nan
-    scale = given if given is not None else said
-    _drop_marks(values, scale, source)
-    if scale is None:
-        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not sure else 1.0)
-    if scale not in (None, 1.0):
-        values /= scale
-        _warn_of_scale(values, float(scale or 1.0), source)
+    divisor = scale if scale is not None else file_scale
+    _drop_marks(values, divisor, source)
+    if divisor is None:
+        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
+    if divisor not in (None, 1.0):
+        values /= divisor
+        _warn_of_scale(values, float(divisor or 1.0), source)
     with np.errstate(over="ignore"):
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
@@ -194,8 +199,8 @@ def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
             np.isfinite(values) & (values < _MIN_REFLECTANCE * (scale or 1.0))
         )
     if marks.any():
-        count, one = int(marks.sum()), float(values[marks][0])
-        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {one:g}, taken for missing"
+        count, example = int(marks.sum()), float(values[marks][0])
+        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
         warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=7)
         values[marks] = np.nan
 
@@ -219,17 +224,17 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
             code="scale-missing",
         )
     with np.errstate(invalid="ignore"):
-        beyond = (np.abs(values) > _BRIGHT).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
-    if 2 * beyond.sum() > len(values):
+        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
+    if 2 * is_bright.sum() > len(values):
         raise FormatError(
             f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
             expected="reflectance as a fraction",
             mend=f"{advice} (for a text: quantity='reflectance')",
             code="scale-missing",
         )
-    bright = beyond | [
-        bool(there.any()) and float(np.median(one[there])) > _MAX_MEDIAN
-        for one, there in zip(values, finite, strict=True)
+    bright = is_bright | [
+        bool(there.any()) and float(np.median(spectrum[there])) > _MAX_MEDIAN
+        for spectrum, there in zip(values, finite, strict=True)
     ]
     if bright.any():
         msg = (

@@ -32,9 +32,20 @@ VERSION = 2
 MAX_BYTES = 16 * 2**20
 _MAX_DIMS = 4
 _DTYPES = (
-    "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
-    "str", "datetime64[ns]",
-)  # fmt: skip
+    "bool",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "float32",
+    "float64",
+    "str",
+    "datetime64[ns]",
+)
 
 _TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
 
@@ -177,9 +188,12 @@ def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Pro
         if values.dtype.kind == "f" and np.isinf(values).any():
             problems.add(f"{name!r} holds infinities", expected="finite numbers or NaN", code="not-finite")
     return {
-        "dims": [str(dim) for dim in variable.dims], "dtype": kind, "coordinate": coordinate,
-        "attrs": _attrs(variable.attrs, name, problems), "values": plain,
-    }  # fmt: skip
+        "dims": [str(dim) for dim in variable.dims],
+        "dtype": kind,
+        "coordinate": coordinate,
+        "attrs": _attrs(variable.attrs, name, problems),
+        "values": plain,
+    }
 
 
 def _without_nan(values: Any) -> Any:

@@ -48,7 +48,7 @@ class _Options:
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
-    sure: bool  # that values are reflectance
+    is_reflectance: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
         """Refuse them for a library of hyperpaint, which has its own.
@@ -141,8 +141,8 @@ def open_library(
             mend="leave quantity= out",
             code="choice-unknown",
         )
-    sure = quantity is not None
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, sure)
+    is_reflectance = quantity is not None
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, is_reflectance)
     from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(path):
@@ -169,19 +169,19 @@ def open_library(
     return _joined(opened)
 
 
-def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
+def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
     """Return wavelengths or bandwidths given as numbers or as a file."""
-    if given is None:
+    if argument is None:
         return None
-    if isinstance(given, str | os.PathLike):
-        return read_usgs_axis(Path(given))[0]
+    if isinstance(argument, str | os.PathLike):
+        return read_usgs_axis(Path(argument))[0]
     try:
-        values = np.asarray(given, np.float64)
+        values = np.asarray(argument, np.float64)
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
         raise FormatError(
-            f"{name}= is {str(given)[:60]!r}",
+            f"{name}= is {str(argument)[:60]!r}",
             expected="one finite number a band [nm] or a file",
             code="value-out-of-range",
         )
@@ -260,7 +260,7 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
         options.refuse_for(path)
         return read_csv_library(path)
     library = _foreign(path, suffix, head, options)
-    if not options.sure and "hyperpaint" not in str(library.attrs.get("format", "")):
+    if not options.is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
     return library
 
@@ -275,7 +275,7 @@ def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Datase
     if is_ecostress(head):
         spectra = read_ecostress(path, scale=scale, wavelength=nm)
     else:
-        spectra = read_plain_table(path, scale=scale, wavelength=nm, sure=options.sure)
+        spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=options.is_reflectance)
     return library_of(spectra if options.fwhm is None else replace(spectra, fwhm=options.fwhm))
 
 
@@ -302,9 +302,11 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
                 expected=f"{_grid(first)} as in {first_path.name}",
                 code="grid-mismatch",
             )
-        if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)):
+        if variables := sorted(
+            str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)
+        ):
             problems.add(
-                f"{path.name} has {', '.join(more)}",
+                f"{path.name} has {', '.join(variables)}",
                 expected="one spectrum a paint",
                 mend="open it alone",
                 code="library-not-plain",

@@ -36,15 +36,37 @@ _PURPOSE = "Parquet"
 
 #: Columns of OpenSpecLib that hold text: those that must not be empty, and those that may.
 _TEXTS = (
-    "id", "name", "source.library", "source.library_version", "source.original_id", "source.url",
-    "source.license", "source.citation", "material.name", "material.category", "measurement.technique",
-    "spectral_data.type", "spectral_data.wavelength_unit", "additional_properties",
-)  # fmt: skip
+    "id",
+    "name",
+    "source.library",
+    "source.library_version",
+    "source.original_id",
+    "source.url",
+    "source.license",
+    "source.citation",
+    "material.name",
+    "material.category",
+    "measurement.technique",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "additional_properties",
+)
 _OPTIONAL_TEXTS = (
-    "source.filename", "material.subcategory", "material.formula", "sample.id", "sample.description",
-    "sample.particle_size", "sample.origin", "sample.owner", "sample.preparation", "measurement.instrument",
-    "measurement.instrument_type", "measurement.laboratory", "measurement.geometry", "quality.notes",
-)  # fmt: skip
+    "source.filename",
+    "material.subcategory",
+    "material.formula",
+    "sample.id",
+    "sample.description",
+    "sample.particle_size",
+    "sample.origin",
+    "sample.owner",
+    "sample.preparation",
+    "measurement.instrument",
+    "measurement.instrument_type",
+    "measurement.laboratory",
+    "measurement.geometry",
+    "quality.notes",
+)
 
 
 def is_parquet(head: bytes) -> bool:
@@ -69,7 +91,7 @@ def write_parquet_library(
     variables = spectral_variables(library)
     metadata = metadata_text(library, variables)
     names = names_of(library)
-    about = paint_columns(library)
+    columns = paint_columns(library)
     schema = _schema().with_metadata({b"openspeclib_version": b"0", b"source": _OURS})
     common = _common(library)
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
@@ -80,7 +102,7 @@ def write_parquet_library(
                     _row(
                         common,
                         names[paint],
-                        _own(about, paint),
+                        _own(columns, paint),
                         (block.variable, int(paint), int(inner)),
                         values,
                     )
@@ -123,16 +145,23 @@ def _common(library: xr.Dataset) -> dict[str, Any]:
         return str(attrs.get(name, "unknown"))
 
     return {
-        "source.library": "hyperpaint", "source.library_version": said("paint_library_version"),
-        "source.url": "", "source.license": said("licence"), "source.citation": said("title"),
+        "source.library": "hyperpaint",
+        "source.library_version": said("paint_library_version"),
+        "source.url": "",
+        "source.license": said("licence"),
+        "source.citation": said("title"),
         "material.category": "man_made",
-        "material.subcategory": "car paint", "measurement.technique": "reflectance",
-        "measurement.geometry": said("measurement_geometry"), "spectral_data.type": "reflectance",
-        "spectral_data.wavelength_unit": "nm", "spectral_data.wavelength_min": wavelength.min(),
-        "spectral_data.wavelength_max": wavelength.max(), "spectral_data.num_points": wavelength.size,
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": said("measurement_geometry"),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
         "spectral_data.wavelengths": wavelength,
         "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
-    }  # fmt: skip
+    }
 
 
 def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
@@ -140,20 +169,28 @@ def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
 
 
 def _row(
-    common: dict[str, Any], name: str, about: dict[str, Any], key: Key, values: Floats32
+    common: dict[str, Any], name: str, properties: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
     """Return the cells of one spectrum; ``key`` holds its variable, paint and place."""
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
-    more = {**about, "variable": variable, SIGNATURE: paint, "place": place}
-    keywords = [str(about[each]) for each in ("colour", "finish", "make", "model") if about.get(each)]
+    additional = {**properties, "variable": variable, SIGNATURE: paint, "place": place}
+    keywords = [
+        str(properties[word]) for word in ("colour", "finish", "make", "model") if properties.get(word)
+    ]
     return common | {
-        "id": f"hyperpaint:{identity}", "name": name, "source.original_id": identity, "material.name": name,
-        "material.keywords": keywords, "additional_properties": json.dumps(more, allow_nan=False),
-        "spectral_data.values": values.astype(np.float64), "quality.has_bad_bands": missing > 0,
-        "quality.bad_band_count": missing, "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
-    }  # fmt: skip
+        "id": f"hyperpaint:{identity}",
+        "name": name,
+        "source.original_id": identity,
+        "material.name": name,
+        "material.keywords": keywords,
+        "additional_properties": json.dumps(additional, allow_nan=False),
+        "spectral_data.values": values.astype(np.float64),
+        "quality.has_bad_bands": missing > 0,
+        "quality.bad_band_count": missing,
+        "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+    }
 
 
 def _batch(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
@@ -192,9 +229,15 @@ def read_parquet_library(path: Path) -> xr.Dataset:
 
 
 _WANTED = (
-    "name", "additional_properties", "spectral_data.type", "spectral_data.wavelength_unit",
-    "spectral_data.wavelengths", "spectral_data.values", "source.license", "source.citation",
-)  # fmt: skip
+    "name",
+    "additional_properties",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "spectral_data.wavelengths",
+    "spectral_data.values",
+    "source.license",
+    "source.citation",
+)
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
@@ -213,7 +256,7 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     values = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
-        values += sum(len(each.flatten()) for each in batch.columns if hasattr(each, "flatten"))
+        values += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
         if values > _MAX_VALUES:
             raise FormatError(
                 f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
@@ -235,11 +278,11 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
     keys: list[Key] = []
     for at, row in enumerate(rows):
         try:
-            more = json.loads(row["additional_properties"])
+            additional = json.loads(row["additional_properties"])
             key = (
-                str(more["variable"]),
-                int(more[SIGNATURE] if SIGNATURE in more else more["paint"]),
-                int(more["place"]),
+                str(additional["variable"]),
+                int(additional[SIGNATURE] if SIGNATURE in additional else additional["paint"]),
+                int(additional["place"]),
             )
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
@@ -265,11 +308,11 @@ def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
     first = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
         if not np.array_equal(row["spectral_data.wavelengths"], first):
-            found = (
+            difference = (
                 f"{row['spectral_data.wavelengths'].size} wavelengths in row {at}, {first.size} in the first"
             )
             raise FormatError(
-                f"{source}: rows have different wavelengths ({found})",
+                f"{source}: rows have different wavelengths ({difference})",
                 mend="choose rows of one instrument",
                 code="grid-mismatch",
             )
@@ -302,6 +345,10 @@ def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
         wavelength = _NM_OF_WAVENUMBER / axis if unit == "cm-1" else axis * _NM_PER_UNIT[unit]
     columns = {"licence": [str(row["source.license"]) for row in rows]}
     return Spectra(
-        source, "OpenSpecLib Parquet", [str(row["name"]) for row in rows], wavelength,
-        reflectances(values, source, said=None, given=None), columns=columns,
-    )  # fmt: skip
+        source,
+        "OpenSpecLib Parquet",
+        [str(row["name"]) for row in rows],
+        wavelength,
+        reflectances(values, source, file_scale=None, scale=None),
+        columns=columns,
+    )

@@ -44,13 +44,18 @@ class _Dialect:
 
 
 _DIALECTS = (
-    _Dialect("\t", False), _Dialect(";", False), _Dialect(",", False), _Dialect("", False),
-    _Dialect("\t", True), _Dialect(";", True), _Dialect("", True),
-)  # fmt: skip
+    _Dialect("\t", False),
+    _Dialect(";", False),
+    _Dialect(",", False),
+    _Dialect("", False),
+    _Dialect("\t", True),
+    _Dialect(";", True),
+    _Dialect("", True),
+)
 
 
 def read_plain_table(
-    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, sure: bool = False
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, is_reflectance: bool = False
 ) -> Spectra:
     """Read spectra from a table of two or more columns.
 
@@ -61,7 +66,7 @@ def read_plain_table(
 
     scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
     wavelength: To be used in place of the first column [nm].
-    sure: The values are reflectance, without a check of headings and values.
+    is_reflectance: The values are reflectance, without a check of headings and values.
     Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
         are no reflectance.
     Warns PaintWarning: Wavelengths stand twice in a row; or a column is a standard deviation by its values.
@@ -76,22 +81,24 @@ def read_plain_table(
     _check_order(table[:, 0], source)
     preamble = lines[:first]
     headings = _headings(preamble, dialect, columns)
-    said = " ".join(preamble)
-    if not sure:
+    preamble_text = " ".join(preamble)
+    if not is_reflectance:
         check_words(preamble, headings, source)
-    factor, note = wavelength_factor(said, table[:, 0], source)
+    factor, note = wavelength_factor(preamble_text, table[:, 0], source)
     percent = 100.0 if PERCENT.search(preamble[-1] if preamble else "") else None
     nm, values, notes = table[:, 0], table[:, 1:], [note] if note else []
     if wavelength is None:
         nm, values, repeats = without_repeats(nm, values, source)
         notes += repeats
-    spread = spread_columns(headings, values.T, source, sure=sure)
+    spread = spread_columns(headings, values.T, source, is_reflectance=is_reflectance)
     names = _names(headings, spread, path.stem)
     paints = np.flatnonzero(spread != IS_SPREAD)
-    reflectance = reflectances(values.T[paints], source, said=percent, given=scale, sure=sure)
+    reflectance = reflectances(
+        values.T[paints], source, file_scale=percent, scale=scale, is_reflectance=is_reflectance
+    )
     others = {}
     if (spread >= 0).any():
-        sd = reflectances(values.T[spread[paints]], source, said=percent or 1.0, given=scale)
+        sd = reflectances(values.T[spread[paints]], source, file_scale=percent or 1.0, scale=scale)
         others["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
     return Spectra(
         source=source,

@@ -239,9 +239,13 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
 
 
 def restored(
-    path: Path, names: Sequence[str], keys: Sequence[Key], axes: Mapping[str, Any],
-    rows: Iterable[tuple[int, Floats32]], columns: Mapping[str, Sequence[str]],
-) -> xr.Dataset:  # fmt: skip
+    path: Path,
+    names: Sequence[str],
+    keys: Sequence[Key],
+    axes: Mapping[str, Any],
+    rows: Iterable[tuple[int, Floats32]],
+    columns: Mapping[str, Sequence[str]],
+) -> xr.Dataset:
     """Return the library of a file of records, with the metadata beside it.
 
     names: Of the paints; keys: of the records; axes: see `with_metadata`.
@@ -284,9 +288,12 @@ def _most_cells(stored: int) -> int:
 
 
 def with_metadata(
-    data: Mapping[str, Floats32], axes: Mapping[str, Any], names: Sequence[str], metadata: Metadata | None,
+    data: Mapping[str, Floats32],
+    axes: Mapping[str, Any],
+    names: Sequence[str],
+    metadata: Metadata | None,
     source: str,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Return spectra and their metadata as a library.
 
     data: Values of the variables, (signature, band) or (signature, place, band).

@@ -39,14 +39,17 @@ class Term(NamedTuple):
 
 
 TERMS = (
-    Term("quantity", ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
-         "A reflectance factor, or the reflectance of a sphere with or without the mirror image"),
+    Term(
+        "quantity",
+        ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
+        "A reflectance factor, or the reflectance of a sphere with or without the mirror image",
+    ),
     Term("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
     Term("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
     Term("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
     Term("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
     Term("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
-)  # fmt: skip
+)
 """What a library must say, or say to be unknown."""
 
 #: Reflectance beyond which units are doubtful: noise of a black panel, glint beside a panel.
@@ -54,12 +57,19 @@ _REFLECTANCE_RANGE = (-0.1, 2.0)
 #: Sunlight to thermal infrared [nm]: micrometres lie below, wavenumbers and picometres above.
 _WAVELENGTH_RANGE_NM = (150.0, 50_000.0)
 _ANGLES_DEG = {
-    "sun_zenith": (0.0, 90.0), "view_zenith": (0.0, 90.0), "sun_azimuth": (-180.0, 360.0),
-    "view_azimuth": (-180.0, 360.0), "aspecular_angle": (0.0, 180.0), "relative_azimuth": (0.0, 360.0),
-}  # fmt: skip
+    "sun_zenith": (0.0, 90.0),
+    "view_zenith": (0.0, 90.0),
+    "sun_azimuth": (-180.0, 360.0),
+    "view_azimuth": (-180.0, 360.0),
+    "aspecular_angle": (0.0, 180.0),
+    "relative_azimuth": (0.0, 360.0),
+}
 _SPREADS = (
-    "reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_u_coat",
-)  # fmt: skip
+    "reflectance_sd",
+    "reflectance_u_random",
+    "reflectance_u_systematic",
+    "reflectance_u_coat",
+)
 
 
 @dataclass(frozen=True)
@@ -132,8 +142,14 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     findings = list(_structure(dataset))
     if not findings:  # nothing else can be looked at without it
         rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
-            _names, _wavelengths, _reflectances, _spreads, _populations, _places, _said,
-        )  # fmt: skip
+            _names,
+            _wavelengths,
+            _reflectances,
+            _spreads,
+            _populations,
+            _places,
+            _said,
+        )
         for rule in rules:
             findings.extend(rule(dataset))
     return LibraryReport(source, dataset.sizes.get(SIGNATURE, 0), dataset.sizes.get(BAND, 0), tuple(findings))
@@ -176,8 +192,8 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
                 code="choice-unknown",
             )
     library = with_new_names(library)
-    said = library_terms(library)
-    attrs = {name: UNKNOWN for name in terms if said[name] is None}
+    declared = library_terms(library)
+    attrs = {name: UNKNOWN for name in terms if declared[name] is None}
     title = {} if library.attrs.get("title") else {"title": "Paint library"}
     return library.assign_attrs({VERSION_NAME: VERSION, **title, **attrs, **words})
 
@@ -185,13 +201,13 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
     """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
-    said: dict[str, Any] = {}
+    declared: dict[str, Any] = {}
     for term in TERMS:
         if term.name in library.variables and library[term.name].dims == (SIGNATURE,):
-            said[term.name] = [str(word) for word in library[term.name].values.tolist()]
+            declared[term.name] = [str(word) for word in library[term.name].values.tolist()]
         else:
-            said[term.name] = attrs.get(term.name)
-    return said
+            declared[term.name] = attrs.get(term.name)
+    return declared
 
 
 # --- the rules ---------------------------------------------------------------------------------------------
@@ -297,9 +313,10 @@ def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
                 )
     if not stated and library.attrs.get("uncertainty") != UNKNOWN:
         yield _finding(
-            "uncertainty", "neither spread nor uncertainty",
+            "uncertainty",
+            "neither spread nor uncertainty",
             f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
-        )  # fmt: skip
+        )
     if "reflectance_quantiles" in library.variables and "quantile" in library.variables:
         levels = library["quantile"].values
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
@@ -350,11 +367,11 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
     title = library.attrs.get("title")
     if not isinstance(title, str) or not title.strip() or len(title) > _MAX_TEXT_CHARS:
         yield _finding("title", f"title is {title!r:.40}", "a text")
-    said = library_terms(library)
+    declared = library_terms(library)
     for term in TERMS:
-        words = said[term.name] if isinstance(said[term.name], list) else [said[term.name]]
+        words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
         expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
-        if said[term.name] is None:
+        if declared[term.name] is None:
             yield _finding(term.name, "not said", expected)
         elif odd := sorted({str(word) for word in words if not _is_word(word, term)}):
             yield _finding(term.name, _some(odd), expected)
@@ -365,7 +382,7 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
         "8/d SCI": EXCLUDED,
         "8/d SCE": INCLUDED,
     }
-    for quantity, component in _pairs(said["quantity"], said["specular_component"]):
+    for quantity, component in _pairs(declared["quantity"], declared["specular_component"]):
         if contradiction.get(quantity) == component:
             yield _finding(
                 "contradiction", f"{quantity}, specular component {component}", "both to say the same"

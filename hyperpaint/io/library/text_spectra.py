@@ -41,9 +41,12 @@ def lines_of(path: Path, expected: str) -> list[str]:
 
 
 def numbers_of_lines(
-    lines: Sequence[str], first: int, columns: int, source: str,
+    lines: Sequence[str],
+    first: int,
+    columns: int,
+    source: str,
     numbers_of: Callable[[str], list[float] | None] | None = None,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Return lines of numbers as an array (line, column); empty lines are skipped.
 
     first: Index of the first line of numbers.

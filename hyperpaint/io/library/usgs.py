@@ -75,10 +75,15 @@ def read_usgs(
     if record:
         columns |= {"library": record[1], "record": record[2]}
     return Spectra(
-        source=source, form="USGS spectral library text", names=[name], wavelength=nm, fwhm=width,
-        reflectance=reflectances(values[None, :], source, said=None, given=scale),
-        columns={key: text_column([value]) for key, value in columns.items()}, notes=notes,
-    )  # fmt: skip
+        source=source,
+        form="USGS spectral library text",
+        names=[name],
+        wavelength=nm,
+        fwhm=width,
+        reflectance=reflectances(values[None, :], source, file_scale=None, scale=scale),
+        columns={key: text_column([value]) for key, value in columns.items()},
+        notes=notes,
+    )
 
 
 def _parts(heading: str) -> tuple[str, str, str]:

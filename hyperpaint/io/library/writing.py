@@ -48,9 +48,12 @@ FORMATS = tuple(_WRITERS)
 """Names of the formats."""
 
 _CURVES = {
-    "envi": ("centre", "all"), "ecostress": ("centre",), "csv": ("centre", "all"), "zarr": ("all", "centre"),
+    "envi": ("centre", "all"),
+    "ecostress": ("centre",),
+    "csv": ("centre", "all"),
+    "zarr": ("all", "centre"),
     "parquet": ("centre", "all"),
-}  # fmt: skip
+}
 """What of a paint each format can hold, the default first."""
 
 _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
@@ -141,9 +144,9 @@ def write_library(
     path = Path(path)
     chosen = _OF_SUFFIX.get(path.suffix.lower()) if format is None else format
     if chosen not in _WRITERS:
-        given = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            given,
+            requested,
             expected=f"format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr",
             code="choice-unknown",
         )

@@ -181,9 +181,9 @@ class Clock:
         return np.where(inside, utc, NAT).astype("datetime64[ns]")
 
 
-def overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+def overlap(first: NDArray[np.int64], second: NDArray[np.int64]) -> bool:
     """Return whether the ranges of two arrays overlap."""
-    return bool(one.min() <= other.max() and one.max() >= other.min())
+    return bool(first.min() <= second.max() and first.max() >= second.min())
 
 
 def bracket(
@@ -200,9 +200,13 @@ def bracket(
 
 
 def tie_clock(
-    stamp: NDArray[np.int64], utc: NDArray[np.int64], rows: NDArray[np.int64], source: str, *,
+    stamp: NDArray[np.int64],
+    utc: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    source: str,
+    *,
     daily: bool = False,
-) -> Clock:  # fmt: skip
+) -> Clock:
     """Return a clock from rows of stamps and UTC, checked to run together."""
     check_increasing(stamp, rows, source)
     refuse_backwards(f"{source}, UTC", utc, rows)

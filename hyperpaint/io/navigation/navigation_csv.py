@@ -90,7 +90,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     path = Path(path)
     comments, header, table = _split(path, names)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    convention, assumed, said = _declared(comments, problems)
+    convention, assumed, clock_settings = _declared(comments, problems)
     columns = _columns(header, problems)
     problems.raise_if_any()
     unit = _angle_unit(columns, convention, "angle_unit" not in assumed, problems)
@@ -98,7 +98,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     for name in POSE:
         wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
         values[name] = _values(table, columns[name], wanted, problems)
-    stamp, has_time, clock = _stamps(table, columns["time"], said, problems)
+    stamp, has_time, clock = _stamps(table, columns["time"], clock_settings, problems)
     if not len(problems):  # the same cells would be named twice
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
@@ -110,12 +110,18 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     refuse_backwards(path.name, timed_stamps, row="row")
     left_out = int((~has_time).sum())
     return PoseRecord(
-        path.name, "csv", timed_stamps, "week" if clock == "week" else "1970",
-        {name: value[has_time] for name, value in values.items()}, convention.replace(angle_unit=unit),
-        assumed=tuple(name for name in assumed if name != "angle_unit"), time_scale=_scale(said, clock),
-        week=said.get("gps_week"), leap_seconds=said.get("leap_seconds"),
+        path.name,
+        "csv",
+        timed_stamps,
+        "week" if clock == "week" else "1970",
+        {name: value[has_time] for name, value in values.items()},
+        convention.replace(angle_unit=unit),
+        assumed=tuple(name for name in assumed if name != "angle_unit"),
+        time_scale=_scale(clock_settings, clock),
+        week=clock_settings.get("gps_week"),
+        leap_seconds=clock_settings.get("leap_seconds"),
         attrs={"rows_without_time": left_out} if left_out else {},
-    )  # fmt: skip
+    )
 
 
 # --- text --------------------------------------------------------------------------------------------------
@@ -146,11 +152,15 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
         )
     first = start + (names is None)
     rows = (
-        (number, line.strip().split(separator, len(header)) if separator is None else
-         line.split(separator, len(header)))
+        (
+            number,
+            line.strip().split(separator, len(header))
+            if separator is None
+            else line.split(separator, len(header)),
+        )
         for number, line in numbered_lines(text)
         if number >= first and line.strip() and not line.lstrip().startswith("#")
-    )  # fmt: skip
+    )
     return comments, header, table_of(path, [column.shown for column in header], rows)
 
 
@@ -190,22 +200,22 @@ def _declared(
                 )
         elif name in names:
             declared[name] = value
-    said: dict[str, Any] = {}
-    for name, most in (("gps_week", 11_479), ("leap_seconds", 100)):
+    clock_settings: dict[str, Any] = {}
+    for name, maximum in (("gps_week", 11_479), ("leap_seconds", 100)):
         text = comments.get(name)
         if text is None:
             continue
-        if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= most:
-            said[name] = int(text)
+        if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= maximum:
+            clock_settings[name] = int(text)
         else:
             problems.add(
                 f"comment {name!r} is {text[:40]!r}",
-                expected=f"a whole number up to {most}",
+                expected=f"a whole number up to {maximum}",
                 code="value-out-of-range",
             )
     if "time_scale" in comments:
         if comments["time_scale"].lower() in ("gps", "utc"):
-            said["time_scale"] = comments["time_scale"].lower()
+            clock_settings["time_scale"] = comments["time_scale"].lower()
         else:
             problems.add(
                 f"comment 'time_scale' is {comments['time_scale'][:40]!r}",
@@ -219,7 +229,7 @@ def _declared(
         problems.add_error("", error)
     unsaid = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
     assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in unsaid]
-    return convention, assumed, said
+    return convention, assumed, clock_settings
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
@@ -241,10 +251,10 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
             shown = ", ".join(repr(column.shown) for column in columns_by_name[name])
             problems.add(f"{shown} are all {name}", mend="keep one of them", code="column-duplicate")
         elif name != "time" and columns_by_name[name][0].unit is None:
-            one, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
+            heading, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
             problems.add(
-                f"column {one!r} has no unit",
-                mend=f"call it for example '{one} [{unit}]'",
+                f"column {heading!r} has no unit",
+                mend=f"call it for example '{heading} [{unit}]'",
                 code="units-missing",
             )
         elif name != "time":
@@ -281,18 +291,18 @@ def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> N
 
 
 def _stamps(
-    table: Table, column: _Column, said: Mapping[str, Any], problems: Problems
+    table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
     """Return nanoseconds, which rows have a time, and the origin of the stamps."""
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
     stamp = np.zeros(len(cells), np.int64)
-    first = next((cell for cell, here in zip(cells, has_time, strict=True) if here), "")
+    first = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
     if not first:
         return stamp, has_time, clock
     if ":" in first:
-        zoned = not clock and "time_scale" not in said
+        zoned = not clock and "time_scale" not in clock_settings
         stamp, wrong = _iso(cells, has_time, table.rows, zoned=zoned)
         if wrong.size:
             zone = " with a zone (or '# time_scale: utc')" if zoned else ""
@@ -322,13 +332,18 @@ def _stamps(
 
 
 def _counted(
-    table: Table, column: _Column, cells: list[str], factor: float, clock: str, problems: Problems,
+    table: Table,
+    column: _Column,
+    cells: list[str],
+    factor: float,
+    clock: str,
+    problems: Problems,
     has_time: NDArray[np.bool_],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:  # fmt: skip
-    most = (2.0 * WEEK_S if clock == "week" else _MAX_TIME_S) / factor
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
+    maximum = (2.0 * WEEK_S if clock == "week" else _MAX_TIME_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})
     count = len(problems)
-    seconds = limited_numbers(numbers, column.shown, most, problems) * factor
+    seconds = limited_numbers(numbers, column.shown, maximum, problems) * factor
     if len(problems) > count:
         return np.zeros(len(cells), np.int64), has_time, clock
     has_time = has_time & ~np.isnan(seconds)
@@ -343,8 +358,10 @@ def _counted(
     return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
 
 
-def _scale(said: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
-    scale: Literal["gps", "utc"] = said.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc")
+def _scale(clock_settings: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
+    scale: Literal["gps", "utc"] = clock_settings.get("time_scale") or (
+        "gps" if clock in ("gps", "week") else "utc"
+    )
     return scale
 
 

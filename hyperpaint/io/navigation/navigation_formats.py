@@ -7,8 +7,8 @@ seconds of a GPS week that the file does not name (POSPac exports seconds of the
 
 Resonon ``.lcf``, the navigation beside a cube of an airborne Pika: a table without a header, its columns
 separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude [degree],
-altitude [m], and two that are not used. No vendor description is public; the meaning of the columns follows public
-readers, which had it from the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
+altitude [m], and two that are not used. No vendor description is public; the meaning of the columns follows
+public readers, which had it from the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
 
 AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file, a line of which is a row of the record, a band a column,
 named by ``band names``.
@@ -146,9 +146,14 @@ def read_lcf(path: str | Path) -> PoseRecord:
     stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
     refuse_backwards(path.name, stamp, row="row")
     return PoseRecord(
-        path.name, "Resonon lcf", stamp, "week" if weekly else "1970", values, _LCF_CONVENTION,
+        path.name,
+        "Resonon lcf",
+        stamp,
+        "week" if weekly else "1970",
+        values,
+        _LCF_CONVENTION,
         assumed=("euler_order",),
-    )  # fmt: skip
+    )
 
 
 def _lcf_table(path: Path) -> Table:
@@ -165,9 +170,14 @@ def _lcf_table(path: Path) -> Table:
 
 
 _EPH_ATT_BANDS = {
-    "gpstime": "time", "lat": "latitude", "lon": "longitude", "alt": "altitude",
-    "pitch": "pitch", "roll": "roll", "heading": "heading",
-}  # fmt: skip
+    "gpstime": "time",
+    "lat": "latitude",
+    "lon": "longitude",
+    "alt": "altitude",
+    "pitch": "pitch",
+    "roll": "roll",
+    "heading": "heading",
+}
 _MAX_EPH_ATT_BYTES = 2**32
 _EPH_ATT_START = re.compile(r"ang([0-9]{8})t([0-9]{6})", re.IGNORECASE)
 _MAX_START_DIFFERENCE_S = 3600
@@ -209,10 +219,15 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     stamp = unwrap_weeks(nanoseconds(seconds))
     refuse_backwards(data_path.name, stamp, row="row")
     return PoseRecord(
-        data_path.name, "AVIRIS-NG eph_att", stamp, "week", values, Convention(),
+        data_path.name,
+        "AVIRIS-NG eph_att",
+        stamp,
+        "week",
+        values,
+        Convention(),
         assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
         week=_week_of_name(data_path.name, int(stamp[0])),
-    )  # fmt: skip
+    )
 
 
 def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:

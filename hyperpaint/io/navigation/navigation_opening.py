@@ -225,9 +225,9 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     if b"\0" not in head and suffix in (".csv", ".tsv", ".txt", ".asc", ".dat"):
         return "csv"
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
-    what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
+    content = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
     raise FormatError(
-        f"{path}: {what}, no known kind of navigation",
+        f"{path}: {content}, no known kind of navigation",
         mend=f"give format=, one of {formats}",
         code="format-unknown",
     )
@@ -286,10 +286,12 @@ def read_record(
     from .navigation_formats import read_eph_att, read_lcf, read_sbet
 
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
-        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att,
+        "sbet": read_sbet,
+        "lcf": read_lcf,
+        "eph_att": read_eph_att,
         "nmea": lambda path: read_nmea(path, midnight),
         "csv": lambda path: read_navigation_csv(path, columns),
-    }  # fmt: skip
+    }
     return readers[format](path)
 
 
@@ -312,9 +314,15 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
         )
     refuse_backwards(path.name, record.utc, record.rows)
     return PoseRecord(
-        path.name, "Headwall imu_gps", record.utc, "1970", record.values, Convention(), assumed=ASSUMED,
+        path.name,
+        "Headwall imu_gps",
+        record.utc,
+        "1970",
+        record.values,
+        Convention(),
+        assumed=ASSUMED,
         time_scale="utc",
-    )  # fmt: skip
+    )
 
 
 # --- its stamps as UTC -------------------------------------------------------------------------------------
@@ -392,9 +400,9 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
     stamp = record.stamp
     attrs: dict[str, Any] = {}
     if record.counts_from == "week":
-        week, said = _week_of(record, source)
+        week, week_source = _week_of(record, source)
         stamp = stamp + (GPS_EPOCH + week * WEEK_S * NS_PER_S)
-        attrs = {"gps_week": week, "gps_week_source": said}
+        attrs = {"gps_week": week, "gps_week_source": week_source}
     _refuse_another_date(record, int(stamp[0]), source)
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
@@ -456,8 +464,10 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
     first = parts[0][0]
     for (before, earlier, _), (record, utc, _) in itertools.pairwise(parts):
         if (record.format, record.convention, set(record.others)) != (
-            first.format, first.convention, set(first.others),
-        ):  # fmt: skip
+            first.format,
+            first.convention,
+            set(first.others),
+        ):
             raise FormatError(
                 (
                     f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format "
@@ -475,20 +485,20 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
             )
 
 
-def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
-    if given is None:
+def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | None) -> Convention:
+    if declared is None:
         return record.convention
-    if isinstance(given, Convention):
-        meant = given
+    if isinstance(declared, Convention):
+        meant = declared
     else:
-        unknown = set(given) - set(record.convention.__dataclass_fields__)
+        unknown = set(declared) - set(record.convention.__dataclass_fields__)
         if unknown:
             raise SchemaError(
                 f"convention has no {', '.join(map(repr, sorted(unknown)))}",
                 mend="see Convention",
                 code="key-unknown",
             )
-        meant = record.convention.replace(**given)
+        meant = record.convention.replace(**declared)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
         held = record.convention.angle_unit
         raise SchemaError(
@@ -503,14 +513,19 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
 
 
 def _attributes(
-    parts: Sequence[Part], meant: Convention, given: Convention | Mapping[str, Any] | None
+    parts: Sequence[Part], meant: Convention, convention: Convention | Mapping[str, Any] | None
 ) -> dict[str, Any]:
     record, _, timed = parts[0]
     attrs: dict[str, Any] = {
-        "source": ", ".join(part[0].name for part in parts), "format": record.format, **record.attrs, **timed,
+        "source": ", ".join(part[0].name for part in parts),
+        "format": record.format,
+        **record.attrs,
+        **timed,
         **meant.to_attrs(),
-    }  # fmt: skip
-    declared = set(meant.__dataclass_fields__) if isinstance(given, Convention) else set(given or ())
+    }
+    declared = (
+        set(meant.__dataclass_fields__) if isinstance(convention, Convention) else set(convention or ())
+    )
     assumed = [name for name in record.assumed if name not in declared]
     if assumed:
         attrs["assumed"] = ", ".join(assumed)

@@ -43,9 +43,13 @@ _DATE_TIME = re.compile(
 )
 #: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
 _COLUMNS = {
-    "lat": ("latitude", 90.0), "lon": ("longitude", 360.0), "alt": ("altitude", 1e5), "roll": ("roll", 360.0),
-    "pitch": ("pitch", 360.0), "yaw": ("heading", 360.0),
-}  # fmt: skip
+    "lat": ("latitude", 90.0),
+    "lon": ("longitude", 360.0),
+    "alt": ("altitude", 1e5),
+    "roll": ("roll", 360.0),
+    "pitch": ("pitch", 360.0),
+    "yaw": ("heading", 360.0),
+}
 LIMITS = dict(_COLUMNS.values())
 """The largest magnitude of each that is a position or an angle at all [degree, m]."""
 POSE = tuple(LIMITS)
@@ -92,15 +96,15 @@ def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: 
     """
     for name, limit in LIMITS.items():
         # a heading less an angle of wander may pass a full turn
-        most = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
-        most = limit if name not in _ATTITUDE else most
+        maximum = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
+        maximum = limit if name not in _ATTITUDE else maximum
         with np.errstate(invalid="ignore"):
-            wrong = np.flatnonzero(~(np.abs(values[name]) <= most) & ~np.isnan(values[name]))
+            wrong = np.flatnonzero(~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name]))
         if wrong.size:
             where = name_rows(wrong + 1, row)
             problems.add(
                 f"{name} is {values[name][wrong[0]]:g} in {where}",
-                expected=f"within +-{most:.4g}",
+                expected=f"within +-{maximum:.4g}",
                 code="value-out-of-range",
             )
 

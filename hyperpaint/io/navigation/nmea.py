@@ -97,9 +97,15 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         text = f"{path.name} holds positions alone: no roll, pitch or heading (PASHR, HDT or THS)"
         warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
     return PoseRecord(
-        path.name, "NMEA 0183", stamp, "1970", values, Convention(height_reference=height),
-        assumed=("roll_positive", "pitch_positive", "euler_order"), time_scale="utc",
-    )  # fmt: skip
+        path.name,
+        "NMEA 0183",
+        stamp,
+        "1970",
+        values,
+        Convention(height_reference=height),
+        assumed=("roll_positive", "pitch_positive", "euler_order"),
+        time_scale="utc",
+    )
 
 
 def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
@@ -133,9 +139,13 @@ class _Log:
         self._heading: float | None = None  # of the position that is still to come
         self._heading_first = False  # whether an epoch begins with it
         self._readers: dict[str, Callable[[list[str]], None]] = {
-            "GGA": self._take_gga, "RMC": self._take_rmc, "ZDA": self._take_zda, "PASHR": self._take_pashr,
-            "HDT": self._take_hdt, "THS": self._take_ths,
-        }  # fmt: skip
+            "GGA": self._take_gga,
+            "RMC": self._take_rmc,
+            "ZDA": self._take_zda,
+            "PASHR": self._take_pashr,
+            "HDT": self._take_hdt,
+            "THS": self._take_ths,
+        }
         self._turned: dict[float, dict[str, float]] = {}  # attitudes whose position is still to come
 
     def take(self, fields: list[str]) -> None:

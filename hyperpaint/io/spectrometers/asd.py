@@ -213,9 +213,12 @@ def _files_of_folder(files: list[Path]) -> list[Path]:
 
 
 def read_spectra(
-    files: Sequence[Path], quantity: str | None, *, absolute: bool = False,
+    files: Sequence[Path],
+    quantity: str | None,
+    *,
+    absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
-) -> tuple[list[Spectrum], str]:  # fmt: skip
+) -> tuple[list[Spectrum], str]:
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
 
     Returns spectra : list of Spectrum: In the order of ``files``.
@@ -301,12 +304,18 @@ def _spectra_of(
         wavelength, values, saturated = _derived(content, quantity, external, absolute=absolute)
         return [
             Spectrum(
-                content.name, wavelength, values, content.local_time, content.utc_offset_h,
+                content.name,
+                wavelength,
+                values,
+                content.local_time,
+                content.utc_offset_h,
                 averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
-                dark_utc=content.dark_utc, gps=content.gps, saturated=saturated,
+                dark_utc=content.dark_utc,
+                gps=content.gps,
+                saturated=saturated,
                 panel=_panel_of(content, external) if absolute else "",
             )
-        ]  # fmt: skip
+        ]
     if absolute:
         raise FormatError(
             f"{content.name}: a text export cannot be scaled by the reflectance of its panel",
@@ -320,10 +329,13 @@ def _spectra_of(
     return [
         Spectrum(
             f"{content.name}:{column}" if several else content.name,
-            content.wavelength, values, content.local_time, averaging_s=averaging_s,
+            content.wavelength,
+            values,
+            content.local_time,
+            averaging_s=averaging_s,
         )
         for column, values in zip(content.spectra, content.values, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
@@ -385,16 +397,16 @@ def utc_offsets(
     for spectrum in spectra:
         if spectrum.utc_offset_h is not None:
             sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
-    said = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
+    offsets_text = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
-            text = f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}"
+            text = f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {offsets_text}"
             warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
         raise TimeError(
-            f"UTC offsets differ within one series: {said}",
+            f"UTC offsets differ within one series: {offsets_text}",
             mend="pass utc_offset_h=",
             code="utc-offset-conflict",
         )

@@ -178,9 +178,14 @@ def open_irradiance(
 
 
 def _check_arguments(
-    quantity: str | None, clock_offset_s: float, stamp: str, fwhm_nm: Any, max_gap_s: float | None,
-    averaging_s: float | None, clock_uncertainty_s: float | None,
-) -> None:  # fmt: skip
+    quantity: str | None,
+    clock_offset_s: float,
+    stamp: str,
+    fwhm_nm: Any,
+    max_gap_s: float | None,
+    averaging_s: float | None,
+    clock_uncertainty_s: float | None,
+) -> None:
     problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
     if quantity not in (None, "irradiance"):
         problems.add(
@@ -210,9 +215,12 @@ def _check_arguments(
 
 
 def _from_files(
-    files: Sequence[Path], quantity: str | None, utc_offset_h: float | None, units: str | None,
+    files: Sequence[Path],
+    quantity: str | None,
+    utc_offset_h: float | None,
+    units: str | None,
     calibration: Mapping[str, str | os.PathLike[str]] | None,
-) -> _Series:  # fmt: skip
+) -> _Series:
     kinds = [sniff(path) for path in files]
     if "csv" in kinds:
         foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
@@ -237,18 +245,24 @@ def _from_files(
     widths, source = asd_widths(spectra[0].wavelength)
     assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
     return _from_spectra(
-        spectra, utc_offset_h, units or vendors, fwhm=widths, fwhm_source=source,
+        spectra,
+        utc_offset_h,
+        units or vendors,
+        fwhm=widths,
+        fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
-    )  # fmt: skip
+    )
 
 
 def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
     tables = for_all(files, read_irradiance_csv)
     names = listed([table.name for table in tables])
-    for what in ("units", "fwhm_nm", "wavelength"):
-        if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
+    for field_name in ("units", "fwhm_nm", "wavelength"):
+        if any(
+            not np.array_equal(getattr(table, field_name), getattr(tables[0], field_name)) for table in tables
+        ):
             raise FormatError(
-                f"the csv files differ in their {what}: {names}",
+                f"the csv files differ in their {field_name}: {names}",
                 mend="open them apart",
                 code="series-mismatch",
             )
@@ -263,20 +277,27 @@ def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | No
         )
     spectra = [
         Spectrum(
-            f"{table.name}:{line}", table.wavelength, values, time.replace(tzinfo=None),
+            f"{table.name}:{line}",
+            table.wavelength,
+            values,
+            time.replace(tzinfo=None),
             utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
         )
         for table in tables
         for line, time, values in zip(table.lines, table.times, table.values, strict=True)
-    ]  # fmt: skip
+    ]
     spectra = mask_undefined(spectra, "irradiance")
     return _from_spectra(spectra, utc_offset_h, found_units, one_clock=False, fwhm=tables[0].fwhm_nm)
 
 
 def _from_spectra(
-    spectra: Sequence[Spectrum], utc_offset_h: float | None, units: str, *, one_clock: bool = True,
+    spectra: Sequence[Spectrum],
+    utc_offset_h: float | None,
+    units: str,
+    *,
+    one_clock: bool = True,
     **extra: Any,
-) -> _Series:  # fmt: skip
+) -> _Series:
     without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
     if without_stamp:
         raise TimeError(
@@ -300,9 +321,11 @@ def _from_spectra(
 
 
 def _from_xarray(
-    data: xr.Dataset | xr.DataArray, utc_offset_h: float | None, units: str | None,
+    data: xr.Dataset | xr.DataArray,
+    utc_offset_h: float | None,
+    units: str | None,
     origin: str = "an xarray object",
-) -> _Series:  # fmt: skip
+) -> _Series:
     if isinstance(data, xr.DataArray):
         data = data.to_dataset(name="irradiance")
     if "irradiance" not in data.data_vars:
@@ -429,9 +452,12 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
 
 
 def _dataset(
-    series: _Series, times: npt.NDArray[np.datetime64], values: Floats, fwhm_nm: Any,
+    series: _Series,
+    times: npt.NDArray[np.datetime64],
+    values: Floats,
+    fwhm_nm: Any,
     max_gap_s: float | None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     fwhm = series.fwhm if fwhm_nm is None else widths_at(series.wavelength, fwhm_nm)
     if fwhm is None:
         raise SchemaError(

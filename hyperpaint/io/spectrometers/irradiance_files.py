@@ -128,9 +128,14 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
             code="zone-missing",
         )
     return IrradianceTable(
-        name, tuple(times), tuple(lines), wavelength, values[: len(times)], comments.get("units"),
+        name,
+        tuple(times),
+        tuple(lines),
+        wavelength,
+        values[: len(times)],
+        comments.get("units"),
         _width(name, comments),
-    )  # fmt: skip
+    )
 
 
 def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
@@ -264,5 +269,5 @@ def asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
     text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
     if wavelength.max() <= _ASD_VNIR_ENDS_NM:
         return ASD_FWHM_NM, text
-    beyond = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
-    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + beyond
+    swir_text = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
+    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + swir_text

@@ -21,9 +21,12 @@ _FIRST = ("!FRM4SOC_CP", "!RADCAL")
 #: Columns of the tables; of the last, two are the instrument's own.
 _TABLES = {"LAMPDATA": 4, "PANELDATA": 4, "CALDATA": 10}
 _TEXTS = {
-    "DEVICE": "device", "CALDATE": "calibration_time", "CALLAB": "laboratory", "LAMP_ID": "lamp",
+    "DEVICE": "device",
+    "CALDATE": "calibration_time",
+    "CALLAB": "laboratory",
+    "LAMP_ID": "lamp",
     "PANEL_ID": "panel",
-}  # fmt: skip
+}
 _NUMBERS = {"AMBIENT_TEMP": "ambient_temperature_degC", "DEVICE_TEMP": "device_temperature_degC"}
 _HALF_OF_PERCENT = 1.0 / 200.0
 """Standard uncertainty, a fraction, of an expanded one (k = 2) in percent."""
@@ -43,9 +46,9 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     xarray.Dataset
         ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
         (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under the
-        lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of the instrument's
-        class, NaN where there is none, ``dark`` and two series of ``counts`` (series, wavelength). With each
-        of the first two and the coefficient comes a relative standard uncertainty, ``..._u``, half of what
+        lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of the
+        instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series, wavelength). With
+        each of the first two and the coefficient comes a relative standard uncertainty, ``..._u``, half of what
         the file gives for k = 2. All float64. Attributes: device, time, laboratory, lamp, panel and
         temperatures.
 
@@ -106,8 +109,8 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     device = device[1:]  # the first row holds integration times
     lamp_nm, lamp_irradiance = lamp[:, 0], lamp[:, 2] * 1e-3
     reflectance = np.interp(lamp_nm, panel[:, 0], panel[:, 2], np.nan, np.nan)
-    known = device[:, 2] > 0
-    coefficient = np.where(known, device[:, 2], np.nan)
+    is_known = device[:, 2] > 0
+    coefficient = np.where(is_known, device[:, 2], np.nan)
     values = {
         "lamp_irradiance": ("lamp_wavelength", lamp_irradiance, "W m-2 nm-1"),
         "lamp_irradiance_u": ("lamp_wavelength", lamp[:, 3] * _HALF_OF_PERCENT, "1"),
@@ -115,7 +118,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
         "panel_reflectance_u": ("panel_wavelength", panel[:, 3] * _HALF_OF_PERCENT, "1"),
         "panel_radiance": ("lamp_wavelength", lamp_irradiance * reflectance / np.pi, "W m-2 sr-1 nm-1"),
         "coefficient": ("wavelength", coefficient, ""),
-        "coefficient_u": ("wavelength", np.where(known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
+        "coefficient_u": ("wavelength", np.where(is_known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
         "dark": ("wavelength", device[:, 4], "count"),
         "counts": (("series", "wavelength"), device[:, [6, 8]].T, "count"),
     }

@@ -56,8 +56,8 @@ def _of_store(path: Any) -> list[xr.Dataset]:
 
 def _spectra_in(inside: list[Path]) -> list[Path]:
     """Return the spectra of a folder; text exports only without others."""
-    own = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
-    return own or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
+    spectra = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
+    return spectra or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
 
 def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
@@ -104,10 +104,10 @@ def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) ->
         return None
 
     errors: list[PaintError | None] = []
-    for opener, own in files_by_opener.items():
-        error = error_of(opener, own, quantity)
-        one_by_one = error and references and len(own) > 1
-        errors += [error_of(opener, path, quantity) for path in own] if one_by_one else [error]
+    for opener, paths_of_opener in files_by_opener.items():
+        error = error_of(opener, paths_of_opener, quantity)
+        one_by_one = error and references and len(paths_of_opener) > 1
+        errors += [error_of(opener, path, quantity) for path in paths_of_opener] if one_by_one else [error]
     errors += [error_of(open_library, path) for path in libraries]
     for error in filter(None, errors):
         problems.add_error("", error)

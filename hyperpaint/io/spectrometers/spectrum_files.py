@@ -24,9 +24,11 @@ _R = TypeVar("_R")
 
 
 def find_paths(
-    paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str,
+    paths: Paths,
+    of_folder: Callable[[list[Path]], list[Path]],
+    expected: str,
     of_pattern: Callable[[list[Path]], list[Path]] = list,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Return the files of ``paths``: a file, a glob, a folder, or a list of these.
 
     of_folder, of_pattern: Pick the spectra among the files of a folder, and among what a glob matches.

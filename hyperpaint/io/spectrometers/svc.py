@@ -136,17 +136,17 @@ def open_svc(
     side = SCANS.index(scan)
     wanted = quantity or _common_quantity(contents, side)
 
-    def measure(both: tuple[SvcFile, Path]) -> SvcMeasurement:
-        return _measurement(*both, wanted, side, joins, trim=overlap == "trim")
+    def measure(pair_: tuple[SvcFile, Path]) -> SvcMeasurement:
+        return _measurement(*pair_, wanted, side, joins, trim=overlap == "trim")
 
     measured = for_all(zip(contents, files, strict=True), measure)
     require_one_grid(
-        ((one.file.name, one.wavelength) for one in measured), lambda: _joins_that_help(measured)
+        ((item.file.name, item.wavelength) for item in measured), lambda: _joins_that_help(measured)
     )
-    values = np.stack([np.where(np.isfinite(one.values), one.values, np.nan) for one in measured])
+    values = np.stack([np.where(np.isfinite(item.values), item.values, np.nan) for item in measured])
     warn_of(
         "samples that are undefined (not finite) become NaN",
-        [one.file.name for one, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+        [item.file.name for item, row in zip(measured, values, strict=True) if np.isnan(row).any()],
         "samples-undefined",
     )
     coords = {
@@ -158,7 +158,7 @@ def open_svc(
     attrs: dict[str, Any] = {"instrument": "SVC"}
     if wanted != "reflectance":
         attrs["scan"] = scan
-    trimmed_at = [one.trimmed_at for one in measured if one.trimmed_at]
+    trimmed_at = [item.trimmed_at for item in measured if item.trimmed_at]
     if trimmed_at:
         attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
@@ -167,9 +167,12 @@ def open_svc(
 
 
 def _check_arguments(
-    quantity: str | None, scan: str, overlap: str, joins: tuple[float, float] | None,
+    quantity: str | None,
+    scan: str,
+    overlap: str,
+    joins: tuple[float, float] | None,
     utc_offset_h: float | None,
-) -> None:  # fmt: skip
+) -> None:
     problems = Problems("SVC files cannot be opened as asked", SchemaError)
     if quantity is not None and quantity not in QUANTITIES:
         problems.add(
@@ -239,9 +242,14 @@ def _measurement(
             code="wavelength-unordered",
         )
     return SvcMeasurement(
-        file=file, path=path, overlap=overlap, wavelength=file.wavelength[used], values=values[used],
-        detector=None if detector is None else detector[used], trimmed_at=at,
-    )  # fmt: skip
+        file=file,
+        path=path,
+        overlap=overlap,
+        wavelength=file.wavelength[used],
+        values=values[used],
+        detector=None if detector is None else detector[used],
+        trimmed_at=at,
+    )
 
 
 def _reflectance(file: SvcFile) -> Floats:
@@ -297,11 +305,11 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
     """Return the advice to trim, where trimming gives all files one set of wavelengths."""
-    for joins in sorted({one.overlap.joins for one in measured if one.overlap.joins is not None}):
+    for joins in sorted({item.overlap.joins for item in measured if item.overlap.joins is not None}):
         try:
             grids = [
-                (one.file.name, one.file.wavelength[_trimmed(one.file, _handovers(one.file, joins))])
-                for one in measured
+                (item.file.name, item.file.wavelength[_trimmed(item.file, _handovers(item.file, joins))])
+                for item in measured
             ]
         except FormatError:
             continue

@@ -56,7 +56,7 @@ def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
     if first.detector is not None and all(
-        one.detector is not None and np.array_equal(one.detector, first.detector) for one in measured
+        item.detector is not None and np.array_equal(item.detector, first.detector) for item in measured
     ):
         names = np.array(DETECTORS, object)[first.detector]
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
@@ -70,17 +70,20 @@ def coords_of_times(
     stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
     orders = orders_of(
         (file.header.get("instrument", ""), stamp)
-        for file, both in zip(contents, stamps, strict=True)
-        for stamp in both
+        for file, stamps_of_file in zip(contents, stamps, strict=True)
+        for stamp in stamps_of_file
         if stamp is not None
     )
     clock = _Clock(orders, dayfirst, utc_offset_h)
     names = {side: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
     coords: dict[str, Any] = {}
     for scan, name in sorted(names.items(), reverse=True):
-        times = [clock.utc(file, both[scan], scan) for file, both in zip(contents, stamps, strict=True)]
-        what = "white reference" if scan == 0 else "target"
-        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {what}")
+        times = [
+            clock.utc(file, stamps_of_file[scan], scan)
+            for file, stamps_of_file in zip(contents, stamps, strict=True)
+        ]
+        target_name = "white reference" if scan == 0 else "target"
+        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}")
     clock.warn()
     return coords
 
@@ -116,8 +119,8 @@ class _Clock:
                 "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
             )
         if self._utc_offset_h is not None and gps is not None:
-            apart = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
-            if abs(apart) > 0.25:
+            difference_h = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
+            if abs(difference_h) > 0.25:
                 reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
                 self._note(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")
@@ -148,12 +151,12 @@ def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, di
 
 def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
     """Return names, instruments, overlap, matching and errors of the files."""
-    files = [one.file for one in measured]
-    names = name_spectra([(one.path, one.path.name.removesuffix(one.path.suffix)) for one in measured])
+    files = [item.file for item in measured]
+    names = name_spectra([(item.path, item.path.name.removesuffix(item.path.suffix)) for item in measured])
     errors = np.array([error_bits(file.header) for file in files], np.int64)
-    factors = np.array([one.overlap.factors for one in measured], np.float64)
-    overlaps = [one.overlap_text for one in measured]
-    matched = np.array([one.overlap.matched for one in measured], bool)
+    factors = np.array([item.overlap.factors for item in measured], np.float64)
+    overlaps = [item.overlap_text for item in measured]
+    matched = np.array([item.overlap.matched for item in measured], bool)
     instruments = [file.header.get("instrument", "") for file in files]
     lines = [file.header.get("factors", "") for file in files]
     headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
@@ -184,12 +187,14 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
     for place, file in enumerate(files):
         with np.errstate(all="ignore"):
             share = file.target / file.reference
-            apart = np.abs(100.0 * share - file.percent)
+            difference = np.abs(100.0 * share - file.percent)
             # every number of the file is rounded, the two scans as well as the ratio
             limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
-            wrong = (apart > limit * (1.0 + 1e-9) + 1e-9) | (np.isfinite(share) & ~np.isfinite(file.percent))
-        if np.isfinite(apart).any():
-            differences[place] = np.nanmax(np.where(np.isfinite(apart), apart, np.nan)) / 100.0
+            wrong = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                np.isfinite(share) & ~np.isfinite(file.percent)
+            )
+        if np.isfinite(difference).any():
+            differences[place] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
         if wrong.any():
             contradictory.append(f"{file.name} ({np.count_nonzero(wrong)} channels)")
     warn_of(
@@ -214,10 +219,19 @@ _STAMP = re.compile(
 )
 # first letters of the months in English, German, Italian, French, Spanish and Portuguese
 _MONTHS = (
-    ("jan", "gen", "ene", "jän"), ("feb", "fev", "fév"), ("mar", "mär", "mrz"), ("apr", "avr", "abr"),
-    ("may", "mai", "mag"), ("jun", "giu", "juin"), ("jul", "lug", "juil"), ("aug", "ago", "aoû", "aou"),
-    ("sep", "set"), ("oct", "okt", "ott", "out"), ("nov",), ("dec", "dez", "dic", "déc"),
-)  # fmt: skip
+    ("jan", "gen", "ene", "jän"),
+    ("feb", "fev", "fév"),
+    ("mar", "mär", "mrz"),
+    ("apr", "avr", "abr"),
+    ("may", "mai", "mag"),
+    ("jun", "giu", "juin"),
+    ("jul", "lug", "juil"),
+    ("aug", "ago", "aoû", "aou"),
+    ("sep", "set"),
+    ("oct", "okt", "ott", "out"),
+    ("nov",),
+    ("dec", "dez", "dic", "déc"),
+)
 _GPS_TIME = re.compile(r"(\d{1,2})(\d\d)(\d\d)(?:[.,](\d{1,6})\d{0,3})?", re.ASCII)
 _DAY = dt.timedelta(days=1)
 

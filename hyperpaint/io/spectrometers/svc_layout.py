@@ -96,10 +96,15 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     wavelength, reference, target, percent = _table(path.name, lines, first)
     _refuse_truncated(path.name, header, len(wavelength))
     return SvcFile(
-        name=path.name, header=MappingProxyType(header), units=_units(path.name, header),
-        wavelength=wavelength, reference=reference, target=target, percent=percent,
+        name=path.name,
+        header=MappingProxyType(header),
+        units=_units(path.name, header),
+        wavelength=wavelength,
+        reference=reference,
+        target=target,
+        percent=percent,
         starts=_detector_starts(path.name, wavelength),
-    )  # fmt: skip
+    )
 
 
 def _svc_number(text: str) -> float | None:
