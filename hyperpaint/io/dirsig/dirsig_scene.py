@@ -7,9 +7,10 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array
@@ -42,9 +43,6 @@ from .scene_texts import (
     simulation_text,
     texture_picture,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 MAX_CURVES = 64
 """Curves of a population at the most, unless asked for otherwise."""
@@ -315,8 +313,6 @@ def _write_materials(
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
     """Return a library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF."""
-    import xarray as xr
-
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
@@ -413,8 +409,6 @@ def _write_geometry(
 
 
 def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> xr.Dataset:
-    import xarray as xr
-
     def column(key: str, dtype: Any) -> tuple[str, Array]:
         return SIGNATURE, np.array([record[key] for record in records], dtype)
 

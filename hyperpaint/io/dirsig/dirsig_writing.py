@@ -9,9 +9,10 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
@@ -37,9 +38,6 @@ from .paint_curves import (
     coat_of,
     curves_of,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
@@ -477,8 +475,6 @@ def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
 
 
 def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:
-    import xarray as xr
-
     def column(key: str, dtype: Any) -> tuple[str, Array]:
         return SIGNATURE, np.array([record[key] for record in records], dtype)
 

@@ -20,18 +20,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import read_limited_text
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 CURVE_BEGIN = "CURVE_BEGIN"
 """Line before every curve of a new ``.ems`` file."""
@@ -320,8 +318,6 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     FormatError
         As `read_emissivity`; or its curves are on different wavelengths.
     """
-    import xarray as xr
-
     place = Path(path)
     file = read_emissivity(place)
     wavelength = file.curves[0].wavelength

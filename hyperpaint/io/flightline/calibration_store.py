@@ -7,9 +7,10 @@ import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
@@ -26,9 +27,6 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import convert
 from hyperpaint.io.files.reading import load_netcdf
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Variables of the table that a calibration may hold, those it must hold first.
@@ -124,8 +122,6 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     >>> float(made.radiance_gain[0, 0]), made.radiance_gain.units
     (1.00...e-10, 'W m-2 sr-1 nm-1 s count-1')
     """
-    import xarray as xr
-
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
     from hyperpaint.io.store import list_groups, load_unverified
@@ -169,8 +165,6 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
     Warns `PaintWarning`: The line shape is not given, and taken to be Gaussian.
     """
-    import xarray as xr
-
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
     wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
@@ -365,8 +359,6 @@ def saturation_of(
 
     Raises `SchemaError`: The count or the converter's bits are out of range.
     """
-    import xarray as xr
-
     if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)
     if saturation_count is None:

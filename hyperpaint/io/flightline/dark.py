@@ -7,9 +7,11 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
@@ -23,13 +25,10 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
+from hyperpaint.io.envi.envi_cubes import open_envi
 
 from .headwall import DarkFrames, cube_number, exposure_seconds, exposure_sources, sum_dark
 from .timing import Timing, line_times, utc_of
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
 
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
@@ -51,8 +50,6 @@ class Dark:
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
         """Return the variables that a flight line keeps."""
-        import xarray as xr
-
         variables = {"dark_counts": self.counts}
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):
@@ -91,8 +88,6 @@ def open_dark(
     Raises `SchemaError`: No dark was named, or one does not fit the cube. Raises `FormatError`: A file is not
     a cube of raw counts.
     """
-    import xarray as xr
-
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
             "no dark reference",
@@ -147,10 +142,6 @@ def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: s
 
 
 def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
-    import xarray as xr
-
-    from hyperpaint.io.envi.envi_cubes import open_envi
-
     if isinstance(source, xr.Dataset):
         opened, path = rename_to_roles(source), None
         name = str(source.attrs.get("source", "dark"))
@@ -220,8 +211,6 @@ def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
 
 def _combine(references: list[_Reference]) -> Dark:
     """Stack references along time where all times are known, else average them."""
-    import xarray as xr
-
     noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
     noise = variance = None
     if noisy:
@@ -274,6 +263,4 @@ def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
-    import xarray as xr
-
     return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)

@@ -7,28 +7,27 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
 from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_belongings, with_numbers
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
+from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
-from hyperpaint.io.spectrometers.irradiance import cut_irradiance
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
 from .dark import Dark, open_dark
 from .headwall import find_exposure
 from .timing import LineTimes, Timing, line_times
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
-    type_path = str | os.PathLike[str]
+type_path = str | os.PathLike[str]
 
 #: Difference between the wavelengths of header and calibration above which a warning is given [nm].
 _WAVELENGTH_TOLERANCE_NM = 0.5
@@ -198,8 +197,6 @@ def open_flightline(
     >>> line["counts"].chunks, line["time"].values[0], line.attrs["exposure_source"]
     (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
-    import xarray as xr
-
     source = cube if isinstance(cube, xr.Dataset) else Path(cube)
     timing = Timing(
         frame_index=None if frame_index is None else Path(frame_index),
@@ -243,8 +240,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 
     Steps whose input failed are left out, so that every problem is found once.
     """
-    import xarray as xr
-
     path = inputs.path
     on_disk = inputs.cube if isinstance(inputs.cube, Path) else None
     cube: xr.DataArray | None = None
@@ -323,8 +318,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 
 
 def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
-    from hyperpaint.io.envi.envi_cubes import open_envi
-
     if isinstance(inputs.cube, Path):
         opened = open_envi(
             inputs.cube,
@@ -482,8 +475,6 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
 def _coordinates(
     opened: xr.Dataset, calibration: xr.Dataset | None, times: LineTimes, inputs: FlightlineInputs, path: Path
 ) -> dict[str, xr.DataArray]:
-    import xarray as xr
-
     coords: dict[str, xr.DataArray] = {}
     for source in (opened, calibration):
         for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
@@ -517,13 +508,9 @@ def _coordinates(
 
 
 def _irradiance(inputs: FlightlineInputs, times: LineTimes | None) -> xr.Dataset | None:
-    import xarray as xr
-
     source = inputs.irradiance
     if source is None or isinstance(source, Unavailable):
         return None
     if not isinstance(source, xr.Dataset):
-        from hyperpaint.io.spectrometers.irradiance import open_irradiance
-
         source = open_irradiance(source)
     return source if times is None else cut_irradiance(source, times.time)

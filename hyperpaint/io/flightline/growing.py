@@ -14,9 +14,10 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import open_input
@@ -27,9 +28,6 @@ from hyperpaint.io.files.reading import is_pattern
 from .flightline_opening import FlightlineInputs
 from .headwall import cube_number
 from .timing import Timing
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _LINES = re.compile(r"^[ \t]*lines[ \t]*=.*$", re.IGNORECASE | re.MULTILINE)
 _AXES = {"bil": (0, 1, 2), "bip": (0, 2, 1)}

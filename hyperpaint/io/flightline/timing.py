@@ -8,9 +8,10 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import PaintWarning, Problems, TimeError
@@ -18,9 +19,6 @@ from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
 
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _NS_PER_S = 1_000_000_000
 _MAX_EXPOSURE_S = 3600.0

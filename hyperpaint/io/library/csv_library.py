@@ -13,9 +13,10 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems
@@ -29,9 +30,6 @@ from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
 from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _NAMES = (SIGNATURE, "paint")
 """Headings of the names; the second was used by hyperpaint 0.2 and before."""

@@ -11,9 +11,10 @@ import re
 import unicodedata
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
@@ -33,9 +34,6 @@ from .text_spectra import (
     other_quantity,
     wavelength_factor,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _KEYS = (
     "Name",

@@ -15,10 +15,10 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
@@ -34,9 +34,6 @@ from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, r
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 from .text_spectra import PERCENT, other_quantity
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _BLOCK_BYTES = 16 * 2**20
 _MAX_CLASSES_BYTES = 16 * 2**20

@@ -5,17 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 MIN_NM, MAX_NM = 100.0, 3e5
 """Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end
@@ -71,8 +69,6 @@ def library_of(spectra: Spectra) -> xr.Dataset:
     Raises FormatError: Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as
         bands.
     """
-    import xarray as xr
-
     check_wavelengths(spectra.wavelength, spectra.source)
     bands = spectra.reflectance.shape[1]
     for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):

@@ -12,9 +12,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
@@ -23,9 +24,6 @@ from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
 from hyperpaint.base.schema import BAND, SIGNATURE, quality_attrs
 
 from .library_spectra import text_column
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 VERSION = 2
 """Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""

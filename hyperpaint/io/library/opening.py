@@ -8,9 +8,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
@@ -27,9 +28,6 @@ from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_
 from .parquet_library import is_parquet, read_parquet_library
 from .plain_table import read_plain_table
 from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 Path_ = str | os.PathLike[str]
 
@@ -289,8 +287,6 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
         listed.
     """
-    import xarray as xr
-
     opened = [(path, library.set_coords(_of_paints(library))) for path, library in opened]
     libraries = [library for _, library in opened]
     first_path, first = opened[0]

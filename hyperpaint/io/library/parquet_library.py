@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, needs_extra
@@ -25,8 +26,6 @@ from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variab
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    import xarray as xr
-
 _MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
 _MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28

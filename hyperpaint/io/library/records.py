@@ -12,10 +12,11 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
@@ -25,9 +26,6 @@ from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import text_column
 from .metadata import Metadata, metadata_path, read_metadata, table_columns
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
@@ -302,8 +300,6 @@ def with_metadata(
     metadata: None where it is lost.
     Raises FormatError: The two do not go together.
     """
-    import xarray as xr
-
     rows = LIBRARY_VARIABLES
     problems = Problems(f"{source} and its metadata do not go together", FormatError)
     library = xr.Dataset()

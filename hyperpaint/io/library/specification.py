@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
@@ -19,9 +20,6 @@ from hyperpaint.base.old_names import VERSION_NAME, with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
 from .records import CENTRE
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 VERSION = 2
 """Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
@@ -17,9 +19,6 @@ from .ecostress import write_ecostress_library
 from .envi_library import write_envi_library
 from .parquet_library import write_parquet_library
 from .records import CENTRE, checked_library, spectral_variables
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:

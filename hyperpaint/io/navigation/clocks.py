@@ -8,16 +8,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import PaintWarning, TimeError
 from hyperpaint.io.files.text_tables import name_rows
 from hyperpaint.io.flightline.headwall import check_increasing
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LEAP_SECONDS: Mapping[str, int] = {
     "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,

@@ -7,9 +7,9 @@ import re
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
 from hyperpaint.base.units import is_unit, same_dimension
@@ -17,9 +17,6 @@ from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.files.text_tables import name_rows, table_of
 
 from .navigation_records import limited_numbers
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
@@ -97,8 +94,6 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     >>> points.attrs["crs"], points.along_track_pixel.values.tolist(), points.name.values.tolist()
     ('EPSG:32617', [10.5], ['A'])
     """
-    import xarray as xr
-
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
     problems = Problems(f"{path} cannot be used as control points", FormatError)

@@ -6,9 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
@@ -18,9 +19,6 @@ from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_te
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MAX_BYTES = 2**28
 _MAX_COLUMNS = 1000

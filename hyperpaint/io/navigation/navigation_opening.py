@@ -9,9 +9,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
@@ -19,15 +21,13 @@ from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
+from .navigation_csv import read_navigation_csv
+from .navigation_formats import read_eph_att, read_lcf, read_sbet
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
 from .nmea import is_nmea, read_nmea
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
-    #: A file's record, its UTC [ns since 1970-01-01], and attributes that say how it came about.
-    Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
+#: A file's record, its UTC [ns since 1970-01-01], and attributes on its origin.
+Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
 
 NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
@@ -144,8 +144,6 @@ def open_navigation(
     'left_to_right'
     >>> scratch.cleanup()
     """  # noqa: E501
-    import xarray as xr
-
     from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(paths):
@@ -282,9 +280,6 @@ def read_record(
 
     Raises FormatError, TimeError: As the reader of the format.
     """
-    from .navigation_csv import read_navigation_csv
-    from .navigation_formats import read_eph_att, read_lcf, read_sbet
-
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
         "sbet": read_sbet,
         "lcf": read_lcf,

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import number, numbers, read_limited_text
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
@@ -45,12 +42,12 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     -------
     xarray.Dataset
         ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
-        (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under the
-        lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of the
-        instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series, wavelength). With
-        each of the first two and the coefficient comes a relative standard uncertainty, ``..._u``, half of what
-        the file gives for k = 2. All float64. Attributes: device, time, laboratory, lamp, panel and
-        temperatures.
+        (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under
+        the lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of
+        the instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series,
+        wavelength). With each of the first two and the coefficient comes a relative standard uncertainty,
+        ``..._u``, half of what the file gives for k = 2. All float64. Attributes: device, time, laboratory,
+        lamp, panel and temperatures.
 
     Raises
     ------
@@ -90,8 +87,6 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     >>> lamp.panel_radiance.values.round(4), lamp.lamp_irradiance_u.values
     (array([0.0006, 0.0013]), array([0.005, 0.005]))
     """
-    import xarray as xr
-
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines()]

@@ -7,15 +7,17 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems
 from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.library import open_library
 
+from .asd import open_asd, sniff
 from .spectrum_files import find_paths
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .svc import open_svc
 
 _GROUP = "references/"
 
@@ -72,11 +74,6 @@ def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.
 
 def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) -> list[xr.Dataset]:
     """Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries."""
-    from hyperpaint.io.library import open_library
-
-    from .asd import open_asd, sniff
-    from .svc import open_svc
-
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Path]] = {}
     libraries: list[Path] = []

@@ -6,18 +6,15 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.base.units import conversion_factor, is_unit
 from hyperpaint.io.files.reading import numbers, read_limited_text
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 << 20
 _MAX_SHOWN = 5
@@ -206,8 +203,6 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     >>> read_certificate(path).values
     array([0.981, 0.985])
     """
-    import xarray as xr
-
     path = Path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, in_units=True)
     values = values * _factor(headings, 1, path)
