@@ -44,8 +44,8 @@ from .scene_texts import (
     texture_picture,
 )
 
+#: Curves of a population at the most, unless asked for otherwise.
 MAX_CURVES = 64
-"""Curves of a population at the most, unless asked for otherwise."""
 
 _WINDOW_NM = (400.0, 700.0)  # of a texture's picture
 #: Wavelengths that materials must cover [nm] for a scene to have the feature.

@@ -41,14 +41,14 @@ from .paint_curves import (
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
+#: Name of the file by which an export is known for one.
 MARKER = "paints.json"
-"""Name of the file by which an export is known for one."""
 
 FORMAT = "hyperpaint DIRSIG export"
+#: What lies in exports of paints and of scenes.
 _OWN = re.compile(
     r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
-"""What lies in exports of paints and of scenes."""
 
 _MAX_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
@@ -93,8 +93,8 @@ def _foreign(folder: Path) -> str:
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
 _MAX_SHOWN = 20
+#: Curves whose text is made at a time.
 _CURVES_AT_ONCE = 64
-"""Curves whose text is made at a time."""
 
 _RGB = (640.0, 550.0, 460.0)
 

@@ -31,14 +31,14 @@ from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import read_limited_text
 
+#: Line before every curve of a new ``.ems`` file.
 CURVE_BEGIN = "CURVE_BEGIN"
-"""Line before every curve of a new ``.ems`` file."""
 
+#: Of an emissivity or reflectance, as DIRSIG's own files have them.
 DECIMALS = 6
-"""Of an emissivity or reflectance, as DIRSIG's own files have them."""
 
+#: Of a wavelength in micrometres: a ten-thousandth of a nanometre.
 WAVELENGTH_DECIMALS = 7
-"""Of a wavelength in micrometres: a ten-thousandth of a nanometre."""
 
 _ANGLES = 91
 
@@ -112,8 +112,8 @@ class ColumnText:
         return texts.tobytes()
 
 
+#: Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB.
 MAX_BYTES = 128 * 2**20
-"""Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
 
 MAX_CURVES = 100_000
 _WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)

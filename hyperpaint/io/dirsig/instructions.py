@@ -10,6 +10,7 @@ from hyperpaint.base.mirrored_light import INCLUDED
 
 from .material_list import Section
 
+#: Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals.
 THERMAL = (
     "specific_heat",
     "mass_density",
@@ -19,7 +20,6 @@ THERMAL = (
     "exposed_area",
     "thickness",
 )
-"""Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals."""
 
 _CURVES = {
     "members": "one curve for every pixel, from which DIRSIG's texture can draw",
@@ -28,6 +28,7 @@ _CURVES = {
 }
 
 
+#: What DIRSIG's own files say of a radiometry solver.
 _SOLVERS = {
     "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
     "Generic": (
@@ -39,7 +40,6 @@ _SOLVERS = {
         ("MIN_QUAD_SAMPLES", "1"),
     ),
 }
-"""What DIRSIG's own files say of a radiometry solver."""
 
 
 def material_section(

@@ -22,6 +22,7 @@ from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
 _MAX_ID_CHARS, _MAX_NAME_CHARS = 48, 120
+#: What is written otherwise in ASCII, an umlaut with two letters; other accents are dropped.
 _LETTERS = str.maketrans(
     {
         "ä": "ae",
@@ -47,11 +48,10 @@ _LETTERS = str.maketrans(
         "\u2019": "'",
     }
 )
-"""What is written otherwise in ASCII, an umlaut with two letters; other accents are dropped."""
 _UNSAFE = re.compile(r"[^ -~]|[{}=\"#<>&;]")
 _NO_TOKEN = re.compile(r"[^A-Za-z0-9]+")
+#: Device names, which are no file names on Windows.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
-"""Device names, which are no file names on Windows."""
 
 
 def plain_name(name: str) -> str:

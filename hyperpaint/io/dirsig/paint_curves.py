@@ -104,16 +104,16 @@ _ROWS = {
     _SPECULAR: Variable(_SPECULAR, (SIGNATURE, BAND), "1", "float32", "Mirror reflectance"),
 }
 
+#: Which variable of a library holds the curves of a paint.
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
-"""Which variable of a library holds the curves of a paint."""
 
 GAPS = ("interpolate", "refuse")
 
+#: Wavelengths that can be written [nm].
 MIN_NM, MAX_NM = 1.0, 1e5
-"""Wavelengths that can be written [nm]."""
 
+#: Of curves held at a time.
 _BLOCK_BYTES = 8 * 2**20
-"""Of curves held at a time."""
 
 
 class PaintProblemError(PaintError):

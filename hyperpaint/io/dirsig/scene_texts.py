@@ -15,8 +15,8 @@ from hyperpaint.base.arrays import Array, Floats
 
 from .material_list import plain_name
 
+#: Side of a texture's picture [pixel].
 PICTURE_PX = 128
-"""Side of a texture's picture [pixel]."""
 
 _GRAIN_PX = 3.0  # sigma of the blur that joins neighbouring pixels of a picture
 

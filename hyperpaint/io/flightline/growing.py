@@ -30,8 +30,8 @@ from .headwall import cube_number
 from .timing import Timing
 
 _LINES = re.compile(r"^[ \t]*lines[ \t]*=.*$", re.IGNORECASE | re.MULTILINE)
+#: Axes of a line in the file, slowest first, as (line, band, column).
 _AXES = {"bil": (0, 1, 2), "bip": (0, 2, 1)}
-"""Axes of a line in the file, slowest first, as (line, band, column)."""
 
 
 def growing_cubes(folder: Path, text: str) -> list[Path]:

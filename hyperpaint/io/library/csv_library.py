@@ -31,8 +31,8 @@ from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
+#: Headings of the names; the second was used by hyperpaint 0.2 and before.
 _NAMES = (SIGNATURE, "paint")
-"""Headings of the names; the second was used by hyperpaint 0.2 and before."""
 _KIND = ["variable", "place"]
 _MAX_BANDS = 100_000
 _MAX_BYTES = 2**32

@@ -35,6 +35,7 @@ from .text_spectra import (
     wavelength_factor,
 )
 
+#: Of a header, in their order.
 _KEYS = (
     "Name",
     "Type",
@@ -59,10 +60,9 @@ _KEYS = (
     "Number of X Values",
     "Additional Information",
 )
-"""Of a header, in their order."""
 
+#: Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows.
 _METADATA = "hyperpaint metadata "
-"""Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows."""
 
 _KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
 _SPELLED = {key.lower(): key for key in _KEYS}
@@ -224,6 +224,7 @@ _MAX_SHOWN = 5
 
 _MEASUREMENT = "Hemispherical-conical reflectance factor"
 
+#: Keys of a header before those of the axes, the coordinate of each, and its default.
 _SAMPLE = (
     ("Type", "type", "manmade"),
     ("Class", "class", "Paint"),
@@ -237,7 +238,6 @@ _SAMPLE = (
     ("Description", "description", "none"),
     ("Measurement", "measurement", _MEASUREMENT),
 )
-"""Keys of a header before those of the axes, the coordinate of each, and its default."""
 
 
 def write_ecostress_library(

@@ -288,8 +288,8 @@ def _own(header: EnviHeader, path: Path) -> xr.Dataset:
     return restored(path, names, keys, axes, _records(header, path), {})
 
 
+#: Key of a header that says that names lead back.
 _MARK = "hyperpaint library"
-"""Key of a header that says that names lead back."""
 
 _BAR = " | "
 _SHORT = {"member_reflectance": "member"}

@@ -15,34 +15,34 @@ from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
 
+#: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
+#: um). Visible nanometres taken for micrometres lie beyond.
 MIN_NM, MAX_NM = 100.0, 3e5
-"""Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end
-at 216 um). Visible nanometres taken for micrometres lie beyond."""
 
+#: Message where the caller would have something of our own libraries replaced.
 OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
-"""Message where the caller would have something of our own libraries replaced."""
 
+#: Median of values above which they are hardly reflectance as a fraction: a white panel's is 1.
 _MAX_MEDIAN = 1.1
-"""Median of values above which they are hardly reflectance as a fraction: a white panel's is 1."""
 
 _BRIGHT = 1.2
+#: Share of values above `_BRIGHT` from which on they are hardly reflectance: noise where air is opaque
+#: has a twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW
+#: cm-2 sr-1 nm-1 has 0.5.
 _MAX_BRIGHT_SHARE = 0.1
-"""Share of values above `_BRIGHT` from which on they are hardly reflectance: noise where air is opaque has a
-twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW cm-2 sr-1
-nm-1 has 0.5."""
 
+#: Largest value of a file below which a scale is hardly right: black coats have 0.02 to 0.05 somewhere.
 _MIN_BRIGHTEST = 0.01
-"""Largest value of a file below which a scale is hardly right: black coats have 0.02 to 0.05 somewhere."""
 
+#: Stored values that stand for none wherever they are met.
 _MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
-"""Stored values that stand for none wherever they are met."""
 
+#: No noise is below it [1], but marks of missing values at any scale.
 _MIN_REFLECTANCE = -0.5
-"""No noise is below it [1], but marks of missing values at any scale."""
 
+#: Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were
+#: convolved to another spectrometer, some share of that.
 _MAX_FILL_VALUE = -1e20
-"""Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were convolved
-to another spectrometer, some share of that."""
 
 
 @dataclass(frozen=True, eq=False)

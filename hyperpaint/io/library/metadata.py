@@ -25,8 +25,9 @@ from hyperpaint.base.schema import BAND, SIGNATURE, quality_attrs
 
 from .library_spectra import text_column
 
+#: Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has
+#: `signature`.
 VERSION = 2
-"""Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""
 MAX_BYTES = 16 * 2**20
 _MAX_DIMS = 4
 _DTYPES = (
@@ -127,8 +128,8 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
     return columns
 
 
+#: Names left out of tables: outlines as JSON, columns of the format, words that read as numbers.
 _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
-"""Names left out of tables: outlines as JSON, columns of the format, words that read as numbers."""
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:

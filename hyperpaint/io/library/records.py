@@ -33,8 +33,8 @@ _FEW_CELLS, _MANY_CELLS = 2**22, 2**29
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
 _MAX_SHOWN = 5
 
+#: Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one.
 Key = tuple[str, int, int]
-"""Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one."""
 
 
 @dataclass(frozen=True, eq=False)

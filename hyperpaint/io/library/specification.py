@@ -21,8 +21,8 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
 from .records import CENTRE
 
+#: Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`.
 VERSION = 2
-"""Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""
 UNKNOWN = "unknown"
 _MAX_TEXT_CHARS = 4000
 _MAX_NAMES = 5
@@ -36,6 +36,7 @@ class Term(NamedTuple):
     meaning: str
 
 
+#: What a library must say, or say to be unknown.
 TERMS = (
     Term(
         "quantity",
@@ -48,7 +49,6 @@ TERMS = (
     Term("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
     Term("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
 )
-"""What a library must say, or say to be unknown."""
 
 #: Reflectance beyond which units are doubtful: noise of a black panel, glint beside a panel.
 _REFLECTANCE_RANGE = (-0.1, 2.0)

@@ -43,9 +43,10 @@ _WRITERS: dict[str, Callable[..., Any]] = {
     "parquet": write_parquet_library,
     "zarr": _write_store,
 }
+#: Names of the formats.
 FORMATS = tuple(_WRITERS)
-"""Names of the formats."""
 
+#: What of a paint each format can hold, the default first.
 _CURVES = {
     "envi": ("centre", "all"),
     "ecostress": ("centre",),
@@ -53,7 +54,6 @@ _CURVES = {
     "zarr": ("all", "centre"),
     "parquet": ("centre", "all"),
 }
-"""What of a paint each format can hold, the default first."""
 
 _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 

@@ -17,24 +17,24 @@ from hyperpaint.base.errors import PaintWarning, TimeError
 from hyperpaint.io.files.text_tables import name_rows
 from hyperpaint.io.flightline.headwall import check_increasing
 
+#: GPS time minus UTC [s] from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC less 19 s).
 LEAP_SECONDS: Mapping[str, int] = {
     "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,
     "1990-01-01": 6, "1991-01-01": 7, "1992-07-01": 8, "1993-07-01": 9, "1994-07-01": 10, "1996-01-01": 11,
     "1997-07-01": 12, "1999-01-01": 13, "2006-01-01": 14, "2009-01-01": 15, "2012-07-01": 16,
     "2015-07-01": 17, "2017-01-01": 18,
 }  # fmt: skip
-"""GPS time minus UTC [s] from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC less 19 s)."""
 
+#: Day until which the IERS has promised `LEAP_SECONDS`; later times get the last value, with a warning.
 LEAP_SECONDS_EXPIRY = "2026-06-28"
-"""Day until which the IERS has promised `LEAP_SECONDS`; later times get the last value, with a warning."""
 
+#: NaT of a datetime64 as an integer.
 NAT = np.iinfo(np.int64).min
-"""NaT of a datetime64 as an integer."""
 
 NS_PER_S = 1_000_000_000
 WEEK_S = 604_800
+#: Nanoseconds from 1970 to the beginning of GPS time, on its own clock.
 GPS_EPOCH: int = np.datetime64("1980-01-06", "ns").astype(np.int64).item()
-"""Nanoseconds from 1970 to the beginning of GPS time, on its own clock."""
 _NS_PER_US = 1000
 _MAX_OFFSET_S = 1e9
 _DAY = 86_400_000_000  # us

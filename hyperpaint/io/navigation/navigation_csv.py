@@ -23,8 +23,8 @@ from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 _MAX_BYTES = 2**28
 _MAX_COLUMNS = 1000
 _MAX_COMMENTS = 1000
+#: Seconds from 1970, or 1980, to the end of the 22nd century.
 _MAX_TIME_S = 7e9
-"""Seconds from 1970, or 1980, to the end of the 22nd century."""
 _ALIASES: Mapping[str, str] = {
     **dict.fromkeys(("latitude", "lat"), "latitude"),
     **dict.fromkeys(("longitude", "lon", "lng", "long"), "longitude"),

@@ -48,15 +48,15 @@ _COLUMNS = {
     "pitch": ("pitch", 360.0),
     "yaw": ("heading", 360.0),
 }
+#: The largest magnitude of each that is a position or an angle at all [degree, m].
 LIMITS = dict(_COLUMNS.values())
-"""The largest magnitude of each that is a position or an angle at all [degree, m]."""
+#: ``latitude longitude altitude roll pitch heading``.
 POSE = tuple(LIMITS)
-"""``latitude longitude altitude roll pitch heading``."""
+#: Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public.
 ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
 )
-"""Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public."""
 _ATTITUDE = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"

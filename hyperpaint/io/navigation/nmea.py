@@ -20,8 +20,8 @@ from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
 _MAX_BYTES = 2**28
+#: Positions of a log: five hours at 20 Hz.
 _MAX_POSITIONS = 400_000
-"""Positions of a log: five hours at 20 Hz."""
 
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
 _CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
@@ -29,10 +29,10 @@ _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
 _DAY_S = 86_400
 _HALF_DAY_S = 43_200.0
+#: Qualities of GGA that are measured positions; not estimated, manual and simulated ones.
 _FIXES = (1, 2, 3, 4, 5, 9)
-"""Qualities of GGA that are measured positions; not estimated, manual and simulated ones."""
+#: Share of sentences with a wrong checksum above which a log is refused [1].
 _MAX_DAMAGED_SHARE = 0.5
-"""Share of sentences with a wrong checksum above which a log is refused [1]."""
 
 
 def is_nmea(head: bytes) -> bool:

@@ -38,8 +38,8 @@ from .spectrum_files import (
 Kind = Literal["binary", "text", "csv", "unknown"]
 
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
+#: What users call the files of an instrument's calibration, and the kind of block each replaces.
 _CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
-"""What users call the files of an instrument's calibration, and the kind of block each replaces."""
 
 _NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 _HEAD_BYTES = 16 * 1024

@@ -20,14 +20,14 @@ from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarni
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
 
+#: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
-"""Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm]."""
+#: Where the silicon detector hands over to the next, and where it ends in instruments that have no other.
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
-"""Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
 _MAX_BYTES = 2**29
+#: Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second.
 _MAX_VALUES = 24_000_000
-"""Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second."""
 
 _MAX_TIME_S = 7.2e9  # to the year 2198
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on

@@ -25,8 +25,8 @@ _TEXTS = {
     "PANEL_ID": "panel",
 }
 _NUMBERS = {"AMBIENT_TEMP": "ambient_temperature_degC", "DEVICE_TEMP": "device_temperature_degC"}
+#: Standard uncertainty, a fraction, of an expanded one (k = 2) in percent.
 _HALF_OF_PERCENT = 1.0 / 200.0
-"""Standard uncertainty, a fraction, of an expanded one (k = 2) in percent."""
 
 
 def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:

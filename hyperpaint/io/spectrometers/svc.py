@@ -40,8 +40,8 @@ from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
+#: Wavelengths at which the vendor's software ends a detector by default [nm].
 SVC_JOINS = (990.0, 1900.0)
-"""Wavelengths at which the vendor's software ends a detector by default [nm]."""
 
 _SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
 

@@ -22,8 +22,8 @@ from hyperpaint.base.schema import VARIABLES
 from .spectrum_files import listed, name_spectra
 from .svc_layout import DETECTORS, SvcFile, SvcOverlap, error_bits, pair, position_of
 
+#: The two scans of a file, in its order.
 SCANS = ("reference", "target")
-"""The two scans of a file, in its order."""
 
 _HALF_DIGIT = 0.005  # half of the last of two decimals
 _NAT = np.datetime64("NaT", "ns")
