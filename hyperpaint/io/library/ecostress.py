@@ -78,9 +78,9 @@ def is_ecostress(head: str) -> bool:
 def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
     """Read a spectrum of the ECOSTRESS or ASTER library.
 
-    scale: y of a reflectance of one, where the file does not say it.
+    scale: y of a reflectance of one, where the file does not state it.
     wavelength: To be used in place of the file's own [nm].
-    Raises FormatError: The header or the numbers are not as they should be, or it is no reflectance.
+    Raises FormatError: The header or the numbers are damaged, or the values are not reflectance.
     """
     source = path.name
     lines = lines_of(path, "a spectrum of the ECOSTRESS or ASTER library")
@@ -89,14 +89,25 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     for key in ("Name", "X Units", "Y Units", "Number of X Values"):
         if key not in fields:
             problems.add(f"the header has no {key!r}", code="key-missing")
-    file_scale = _scale_of(fields.get("Y Units", ""))
-    if other_quantity(fields.get("Y Units", "")):
-        problems.add(
-            f"'Y Units' is {fields['Y Units'][:60]!r}", expected="reflectance", code="quantity-wrong"
-        )
+    units = fields.get("Y Units", "")
+    file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
+    if other_quantity(units):
+        problems.add(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong")
     problems.raise_if_any()
     table = numbers_of_lines(lines, first, 2, source)
-    notes = _compared(fields, table, source)
+    if (count := fields["Number of X Values"]) != str(len(table)):
+        raise FormatError(
+            f"{source}: {len(table)} values",
+            expected=f"{count[:30]}, as the header says",
+            mend="copy the file again",
+            code="length-mismatch",
+        )
+    notes = []
+    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
+        stated = number(fields.get(key, ""))
+        # the header rounds
+        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
+            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
     factor, note = wavelength_factor(fields["X Units"], table[:, 0], source)
     if np.isnan(table[:, 0]).any():
         raise FormatError(f"{source}: a wavelength is not a number", code="number-unreadable")
@@ -123,7 +134,7 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
         if match and _SPELLED[match[1].lower()] not in fields:
             current = _SPELLED[match[1].lower()]
             fields[current] = [match[2].strip()]
-        elif "Number of X Values" in fields and _is_pair(line):
+        elif "Number of X Values" in fields and len(numbers(line.split(None, 2)) or ()) == 2:
             return {key: " ".join(filter(None, parts)) for key, parts in fields.items()}, at, wrapped
         elif current and line.strip():
             fields[current].append(line.strip())
@@ -135,35 +146,6 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
                 code="header-unreadable",
             )
     raise FormatError(f"{source}: no line of two numbers after the header", code="table-missing")
-
-
-def _is_pair(line: str) -> bool:
-    cells = line.split(None, 2)
-    return len(cells) == 2 and numbers(cells) is not None
-
-
-def _scale_of(units: str) -> float | None:
-    if PERCENT.search(units):
-        return 100.0
-    return 1.0 if _FRACTION.search(units) else None
-
-
-def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
-    count = fields["Number of X Values"]
-    if count != str(len(table)):
-        raise FormatError(
-            f"{source}: {len(table)} values",
-            expected=f"{count[:30]}, as the header says",
-            mend="copy the file again",
-            code="length-mismatch",
-        )
-    notes = []
-    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
-        stated = number(fields.get(key, ""))
-        # the header rounds
-        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
-            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
-    return notes
 
 
 def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
@@ -245,8 +227,8 @@ def write_ecostress_library(
 ) -> None:
     """Write the centre of every paint of a checked library to one text file each.
 
-    Bands that are not good, and bands at which no paint has a value, are left out. What else the library says
-    of its paints, in words or numbers, stands as JSON in "Additional Information".
+    Bands that are not good, and bands at which no paint has a value, are left out. Other columns of the
+    paints, of text or numbers, are written as JSON in "Additional Information".
 
     Raises SchemaError: Names cannot be written; or a paint has no value at a band at which others have one,
         since the format knows no missing values.
@@ -264,26 +246,7 @@ def write_ecostress_library(
     if "good" in library.variables:
         used_bands &= np.asarray(library["good"].values, np.bool_)
     values = values[:, used_bands]
-    _refuse_gaps(values, names)
-    micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
-    columns = {**_said_of_all(library, micrometres), **paint_columns(library)}
-    with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
-        for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
-            properties = {key: column[at] for key, column in columns.items()}
-            text = _text(name, properties, micrometres, values[at])
-            (folder / f"{stem}{_SUFFIX}").write_bytes(_encoded(text))
-            if progress is not None:
-                progress(at + 1, len(names))
-
-
-def _foreign(folder: Path) -> str:
-    for path in folder.iterdir():
-        if not (path.name.endswith(_SUFFIX) and path.is_file() and not path.is_symlink()):
-            return f"{path.name}, which no library has"
-    return ""
-
-
-def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
+    # the format knows no missing values
     problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
     gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
     for at in gaps[:_MAX_SHOWN]:
@@ -300,6 +263,36 @@ def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
     if not values.size:
         problems.add("no good band has values", code="empty-input")
     problems.raise_if_any()
+    # fields that the library declares once; columns of single paints win
+    micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
+    mirrored = library[CENTRE].attrs.get("mirror_reflection")
+    common = {
+        "origin": library.attrs.get("source"),
+        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
+        "wavelength_range": "VSWIR"
+        if micrometres.max() <= 3.0
+        else "TIR"
+        if micrometres.min() >= 2.0
+        else "All",
+    }
+    columns = {name: [str(value)] * len(names) for name, value in common.items() if value}
+    columns |= paint_columns(library)
+    with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
+        for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
+            text = _text(name, {key: column[at] for key, column in columns.items()}, micrometres, values[at])
+            # latin-1, the coding of these libraries, unless it loses characters
+            raw = text.encode("latin-1", "replace")
+            raw = raw if decoded_text(raw) == text else text.encode()
+            (folder / f"{stem}{_SUFFIX}").write_bytes(raw)
+            if progress is not None:
+                progress(at + 1, len(names))
+
+
+def _foreign(folder: Path) -> str:
+    for path in folder.iterdir():
+        if not (path.name.endswith(_SUFFIX) and path.is_file() and not path.is_symlink()):
+            return f"{path.name}, which no library has"
+    return ""
 
 
 def _file_names(names: Sequence[str]) -> list[str]:
@@ -323,30 +316,13 @@ def _file_names(names: Sequence[str]) -> list[str]:
     return unique_names(stems, suffix="_{}", fold=str.lower)
 
 
-def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
-    mirrored = library[CENTRE].attrs.get("mirror_reflection")
-    fields = {
-        "origin": library.attrs.get("source"),
-        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
-        "wavelength_range": _range(micrometres),
-    }
-    return {name: [str(value)] * library.sizes[SIGNATURE] for name, value in fields.items() if value}
-
-
-def _range(micrometres: Floats) -> str:
-    if micrometres.max() <= 3.0:
-        return "VSWIR"
-    return "TIR" if micrometres.min() >= 2.0 else "All"
-
-
 def _text(name: str, properties: dict[str, Any], micrometres: Floats, values: Floats) -> str:
-    properties = dict(properties)
     lines = [f"Name: {name}"]
     if "collection_date" not in properties and properties.get("time"):
         properties["collection_date"] = str(properties["time"])[:10]
-    for key, coordinate, otherwise in _SAMPLE:
+    for key, coordinate, default in _SAMPLE:
         entry = " ".join(str(properties.pop(coordinate, "") or "").split())
-        lines.append(f"{key}: {entry or otherwise}")
+        lines.append(f"{key}: {entry or default}")
     information = " ".join(str(properties.pop("additional_information", "") or "none").split())
     if properties:
         information = _METADATA + json.dumps(properties, ensure_ascii=False, allow_nan=False)
@@ -365,9 +341,3 @@ def _text(name: str, properties: dict[str, Any], micrometres: Floats, values: Fl
         *(f"{x}\t{100.0 * y:.9g}" for x, y in zip(axis, values, strict=True)),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _encoded(text: str) -> bytes:
-    """Return latin-1, the coding of these libraries, or UTF-8 where latin-1 loses characters."""
-    raw = text.encode("latin-1", "replace")
-    return raw if decoded_text(raw) == text else text.encode()

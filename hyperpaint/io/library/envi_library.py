@@ -51,7 +51,7 @@ def read_envi_library(
     path: The header or the data file.
     scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
         its ``z plot titles``.
-    wavelength, fwhm: To be used in place of those of the header [nm].
+    wavelength, fwhm: To be used in place of the header's [nm].
     Raises FormatError: The header is damaged, or does not fit the data file; or it is no library of
         reflectance, or one without wavelengths.
     Warns PaintWarning: Names are missing, or something was inferred that may make values wrong.
@@ -59,11 +59,20 @@ def read_envi_library(
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     _refuse_contradictions(header, header_path, data_path)
-    if _MARK in header.fields:
-        if scale is not None or wavelength is not None or fwhm is not None:
-            raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
-        return _own(header, data_path)
-    return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    source = data_path.name
+    if header.wavelength is None or header.dtype != np.dtype("<f4"):
+        raise FormatError(
+            f"{source}: the header is not a hyperpaint header",
+            mend="write the library again",
+            code="header-unreadable",
+        )
+    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
 
 
 def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
@@ -275,19 +284,6 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 # --- our own -----------------------------------------------------------------------------------------------
 
 
-def _own(header: EnviHeader, path: Path) -> xr.Dataset:
-    source = path.name
-    if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(
-            f"{source}: the header is not a hyperpaint header",
-            mend="write the library again",
-            code="header-unreadable",
-        )
-    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
-    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(path, names, keys, axes, _records(header, path), {})
-
-
 #: Key of a header that says that names lead back.
 _MARK = "hyperpaint library"
 
@@ -326,9 +322,9 @@ def _record_name(paint: str, variable: str, inner: int) -> str:
 def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
     """Return the names of the paints, and the key of each record.
 
-    text: The names of all records, as the header has them.
+    text: The names of all records in the header.
     count: Records of the file.
-    Raises FormatError: There are not as many names, or one leads nowhere.
+    Raises FormatError: There are not as many names, or one belongs to no paint.
     """
     if text.count(",") + 1 != count:
         raise FormatError(
@@ -345,21 +341,18 @@ def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
             mend="write the library again",
             code="record-unmatched",
         )
-    return names, [_key(record, places, source) for record in records]
-
-
-def _key(record: str, places: dict[str, int], source: str) -> Key:
-    if record in places:
-        return CENTRE, places[record], -1
-    paint, _, label = record.partition(_BAR)
-    match = _LABEL.fullmatch(label)
-    if paint not in places or match is None:
-        raise FormatError(
-            f"{source}: record {record[:80]!r} belongs to no paint",
-            mend="write the library again",
-            code="record-unmatched",
-        )
-    return _LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1
+    keys: list[Key] = [(CENTRE, place, -1) for place in range(len(names))]
+    for record in records[len(names) :]:
+        paint, _, label = record.partition(_BAR)
+        match = _LABEL.fullmatch(label)
+        if paint not in places or match is None:
+            raise FormatError(
+                f"{source}: record {record[:80]!r} belongs to no paint",
+                mend="write the library again",
+                code="record-unmatched",
+            )
+        keys.append((_LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1))
+    return names, keys
 
 
 def write_envi_library(

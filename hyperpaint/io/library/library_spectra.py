@@ -113,36 +113,29 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
 
     Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or given twice.
     """
+    description = f"{wavelength.size} wavelengths, not all of them finite"
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
         if low >= MIN_NM and high <= MAX_NM:
-            _refuse_twice(wavelength, source)
-            return
+            values, counts = np.unique(wavelength, return_counts=True)
+            if not (counts > 1).any():
+                return
+            raise FormatError(
+                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
+                f"{values[counts > 1][0]:g} nm",
+                expected="each once",
+                mend="leave out one of the two bands",
+                code="wavelength-duplicate",
+            )
         description = f"wavelengths from {low:g} to {high:g} nm"
         if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3:
-            description += " (are they nanometres, said to be micrometres?)"
-    else:
-        description = f"{wavelength.size} wavelengths, not all of them finite"
+            description += " (nanometres declared as micrometres?)"
     raise FormatError(
         f"{source}: {description}",
         expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
         mend="check their units, or pass wavelength= [nm]",
         code="wavelength-range",
     )
-
-
-def _refuse_twice(wavelength: Floats, source: str) -> None:
-    values, counts = np.unique(wavelength, return_counts=True)
-    if (counts > 1).any():
-        raise FormatError(
-            (
-                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
-                f"{values[counts > 1][0]:g} nm"
-            ),
-            expected="each once",
-            mend="leave out one of the two bands",
-            code="wavelength-duplicate",
-        )
 
 
 def reflectances(
@@ -160,7 +153,7 @@ def reflectances(
     ignore: Stored value of missing samples, besides the values of the USGS.
     is_reflectance: Values above 1 are accepted.
     Returns numpy.ndarray: float32; a fraction.
-    Raises FormatError: Neither says the scale, and the values are no fractions; or they do not fit float32.
+    Raises FormatError: The scale is unknown, and the values are no fractions; or they do not fit float32.
     Warns PaintWarning: Values far below 0 were taken for missing; or single spectra are hardly fractions.
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
@@ -172,12 +165,24 @@ def reflectances(
             lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
     values[lost] = np.nan
     divisor = scale if scale is not None else file_scale
-    _drop_marks(values, divisor, source)
+    # markers of missing values
+    with np.errstate(over="ignore"):
+        far_below = np.isfinite(values) & (values < _MIN_REFLECTANCE * (divisor or 1.0))
+        marks = np.isin(values, _MISSING_VALUES) | far_below
+    if marks.any():
+        count, example = int(marks.sum()), float(values[marks][0])
+        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
+        warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=6)
+        values[marks] = np.nan
     if divisor is None:
         _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
-    if divisor not in (None, 1.0):
+    elif divisor != 1.0:
         values /= divisor
-        _warn_of_scale(values, float(divisor or 1.0), source)
+        finite = values[np.isfinite(values)]
+        # scaled values that exceed 1, or are all near 0, make the scale doubtful
+        if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
+            msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
+            warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=6)
     with np.errstate(over="ignore"):
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
@@ -188,39 +193,25 @@ def reflectances(
     return reflectance
 
 
-def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
-    """Replace markers of missing values by NaN, with a warning."""
-    with np.errstate(over="ignore"):
-        marks = np.isin(values, _MISSING_VALUES) | (
-            np.isfinite(values) & (values < _MIN_REFLECTANCE * (scale or 1.0))
-        )
-    if marks.any():
-        count, example = int(marks.sum()), float(values[marks][0])
-        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
-        warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=7)
-        values[marks] = np.nan
-
-
-def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
+def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
     """Refuse values without a scale that are no fractions; warn where single spectra are not."""
     finite = np.isfinite(values)
     magnitudes = np.abs(values[finite])
     advice = (
-        "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it is "
-        "in hundredths of a percent, scale=1 where it is right"
+        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 where values are right"
     )
     if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
         raise FormatError(
-            (
-                f"{source}: values up to {magnitudes.max():g}, half of them above "
-                f"{np.median(magnitudes):g}, and no scale (radiance or counts?)"
-            ),
+            f"{source}: values up to {magnitudes.max():g}, half of them above "
+            f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
             expected="reflectance as a fraction",
             mend=advice,
             code="scale-missing",
         )
     with np.errstate(invalid="ignore"):
-        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
+        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > max_bright_share * np.maximum(
+            finite.sum(axis=1), 1
+        )
     if 2 * is_bright.sum() > len(values):
         raise FormatError(
             f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
@@ -228,27 +219,13 @@ def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
             mend=f"{advice} (for a text: quantity='reflectance')",
             code="scale-missing",
         )
-    bright = is_bright | [
-        bool(there.any()) and float(np.median(spectrum[there])) > _MAX_MEDIAN
-        for spectrum, there in zip(values, finite, strict=True)
+    is_bright = is_bright | [
+        bool(known.any()) and float(np.median(spectrum[known])) > _MAX_MEDIAN
+        for spectrum, known in zip(values, finite, strict=True)
     ]
-    if bright.any():
+    if is_bright.any():
         msg = (
-            f"{source}: {bright.sum()} of {len(values)} spectra have many values above "
+            f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
             f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
         warnings.warn(PaintWarning(msg, code="scale-missing"), stacklevel=7)
-
-
-def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
-    """Warn where scaled values exceed 1 or are all near 0, since the scale is then doubtful."""
-    finite = values[np.isfinite(values)]
-    if not finite.size or not finite.any():
-        return
-    if (finite > _BRIGHT).mean() <= _MAX_BRIGHT_SHARE and finite.max() >= _MIN_BRIGHTEST:
-        return
-    msg = (
-        f"{source}: reflectance up to {finite.max():.3g} where a stored {scale:g} is taken for 1; pass the "
-        "scale= that is right"
-    )
-    warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=7)

@@ -195,14 +195,13 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
     tables of classes.
     """
-    candidates = [
-        path
-        for path in paths
-        if not path.is_dir()
-        and not path.name.startswith(".")
-        and not path.name.endswith(_ANCILLARY)
-        and not _goes_with_spectra(_head(path))
-    ]
+    candidates = []
+    for path in paths:
+        if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
+            head = _head(path)
+            is_table = head[:20].lower().startswith(("spectra names,", '"spectra names"'))
+            if not is_table and not is_usgs_axis(head):
+                candidates.append(path)
     # a library of ENVI is two files
     headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
     candidates = [
@@ -211,17 +210,12 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
         if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
         or (path.with_suffix("") not in headers and path not in headers)
     ]
-    return sorted(candidates, key=lambda path: ([*_natural(path.stem.lower())], path.name))
 
+    def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+        parts = enumerate(_DIGITS.split(path.stem.lower()))
+        return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in parts], path.name
 
-def _goes_with_spectra(head: str) -> bool:
-    """Return whether a text holds wavelengths of USGS spectra, or the class table of ENVI spectra."""
-    return is_usgs_axis(head) or head[:20].lower().startswith(("spectra names,", '"spectra names"'))
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    parts = _DIGITS.split(text)
-    return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in enumerate(parts)]
+    return sorted(candidates, key=natural)
 
 
 def _head(path: Path) -> str:
@@ -237,9 +231,9 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         raise FormatError(f"{path}: {kind}", expected="a spectral library", code="file-not-found")
     try:
         return _by_content(path, options)
-    except StoreError:
-        raise
     except OSError as error:
+        if isinstance(error, StoreError):
+            raise
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error})", code="file-unreadable"
         ) from error
@@ -287,7 +281,13 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
         listed.
     """
-    opened = [(path, library.set_coords(_of_paints(library))) for path, library in opened]
+    opened = [
+        (
+            path,
+            library.set_coords([n for n, array in library.data_vars.items() if array.dims == (SIGNATURE,)]),
+        )
+        for path, library in opened
+    ]
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
     problems = Problems("the files cannot be made one library", FormatError)
@@ -314,7 +314,12 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     merged = xr.Dataset()
     for name in dict.fromkeys(name for library in libraries for name in library.data_vars):
         attrs = next(library[name].attrs for library in libraries if name in library)
-        values = [library[name].values if name in library else _unknown(library) for library in libraries]
+        values = [
+            library[name].values
+            if name in library
+            else np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
+            for library in libraries
+        ]
         merged[name] = ((SIGNATURE, BAND), np.concatenate(values), attrs)
     for name in _OF_BANDS:
         having = [library[name] for library in libraries if name in library.coords]
@@ -339,17 +344,9 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     return with_numbers_as_data(merged)
 
 
-def _of_paints(library: xr.Dataset) -> list[str]:
-    return [str(name) for name, array in library.data_vars.items() if array.dims == (SIGNATURE,)]
-
-
 def _grid(library: xr.Dataset) -> str:
     nm = library["wavelength"].values
     return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
-
-
-def _unknown(library: xr.Dataset) -> Array:
-    return np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
