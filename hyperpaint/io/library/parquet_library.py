@@ -86,6 +86,7 @@ def write_parquet_library(
     Raises StoreError: Files exist, or cannot be written.
     """
     with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow as pa
         import pyarrow.parquet as pq
     variables = spectral_variables(library)
     metadata = metadata_text(library, variables)
@@ -97,17 +98,13 @@ def write_parquet_library(
         metadata_file.write_bytes(metadata.encode())
         with pq.ParquetWriter(table, schema, compression="zstd") as writer:
             for block in blocks_of(library, variables, progress):
-                rows = [
-                    _row(
-                        common,
-                        names[paint],
-                        _own(columns, paint),
-                        (block.variable, int(paint), int(inner)),
-                        values,
-                    )
-                    for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True)
-                ]
-                writer.write_batch(_batch(rows, schema))
+                rows = []
+                for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
+                    properties = {name: column[paint] for name, column in columns.items()}
+                    key = (block.variable, int(paint), int(inner))
+                    rows.append(_row(common, names[paint], properties, key, values))
+                arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+                writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
 
 
 def _schema() -> pa.Schema:
@@ -139,20 +136,16 @@ def _common(library: xr.Dataset) -> dict[str, Any]:
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     attrs = {**library.attrs, **library[CENTRE].attrs}
     fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
-
-    def said(name: str) -> str:
-        return str(attrs.get(name, "unknown"))
-
     return {
         "source.library": "hyperpaint",
-        "source.library_version": said("paint_library_version"),
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
         "source.url": "",
-        "source.license": said("licence"),
-        "source.citation": said("title"),
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
         "material.category": "man_made",
         "material.subcategory": "car paint",
         "measurement.technique": "reflectance",
-        "measurement.geometry": said("measurement_geometry"),
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
         "spectral_data.type": "reflectance",
         "spectral_data.wavelength_unit": "nm",
         "spectral_data.wavelength_min": wavelength.min(),
@@ -161,10 +154,6 @@ def _common(library: xr.Dataset) -> dict[str, Any]:
         "spectral_data.wavelengths": wavelength,
         "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
     }
-
-
-def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
-    return {name: column[paint] for name, column in about.items()}
 
 
 def _row(
@@ -190,13 +179,6 @@ def _row(
         "quality.bad_band_count": missing,
         "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
     }
-
-
-def _batch(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
-    import pyarrow as pa
-
-    columns = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
-    return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
 # --- reading -----------------------------------------------------------------------------------------------
@@ -253,24 +235,25 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
             f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"
         )
     rows: list[dict[str, Any]] = []
-    values = 0
+    count = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
-        values += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
-        if values > _MAX_VALUES:
+        count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
+        if count > _MAX_VALUES:
             raise FormatError(
                 f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
             )
-        lists = ("spectral_data.wavelengths", "spectral_data.values")
-        plain = {name: batch.column(name) for name in _WANTED}
+        columns = {name: batch.column(name) for name in _WANTED}
         for at in range(batch.num_rows):
-            row = {name: plain[name][at].as_py() for name in _WANTED if name not in lists}
-            row |= {name: _numbers(plain[name][at].values) for name in lists}
+            row: dict[str, Any] = {}
+            for name, column in columns.items():
+                if name not in ("spectral_data.wavelengths", "spectral_data.values"):
+                    row[name] = column[at].as_py()
+                elif (values := column[at].values) is None:
+                    row[name] = np.empty(0)
+                else:
+                    row[name] = np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
             rows.append(row)
     return rows
-
-
-def _numbers(values: Any) -> Floats:
-    return np.empty(0) if values is None else np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
 
 
 def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
+from hyperpaint.base.arrays import Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import numbers
@@ -224,8 +224,9 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
                 code="length-mismatch",
             )
         places = () if inner[0] < 0 else (int(inner.max()) + 1,)
-        cells = paints * bands * (places or (1,))[0]
-        if cells > _most_cells(len(records) * bands):
+        cells, stored = paints * bands * (places or (1,))[0], len(records) * bands
+        # padding may take 64 times the stored cells, less in large files
+        if cells > max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored)):
             raise FormatError(
                 f"{source}: {len(records)} records of {variable!r} would need {cells} cells",
                 mend="check whether the file is damaged",
@@ -247,42 +248,39 @@ def restored(
     """Return the library of a file of records, with the metadata beside it.
 
     names: Of the paints; keys: of the records; axes: see `with_metadata`.
-    rows: Records, some at a time, each lot with the number of its first.
-    columns: What the file itself says of each paint: taken where the metadata do not say it.
+    rows: Blocks of records with the index of their first record.
+    columns: Of the paints in the file itself; columns of the metadata win.
     Raises FormatError: Records or metadata are damaged, or do not go together.
-    Warns PaintWarning: The metadata are missing, or the file says otherwise.
+    Warns PaintWarning: The metadata are missing, or the columns of the file differ.
     """
     bands = len(axes["wavelength"])
-    placed = placements(keys, len(names), bands, path.name)
+    by_variable = placements(keys, len(names), bands, path.name)
     sidecar = metadata_path(path)
     metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
-        text = f"{path.name}: {sidecar.name} is missing: names and columns are those of the file, units lost"
+        text = f"{path.name}: {sidecar.name} is missing: names and columns come from the file, units are lost"
         warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
-    for first, lot in rows:
-        for placement in placed.values():
-            placement.put(first, lot)
-    data = {name: placement.values for name, placement in placed.items()}
+    for first, block in rows:
+        for placement in by_variable.values():
+            placement.put(first, block)
+    data = {name: placement.values for name, placement in by_variable.items()}
     library = with_metadata(data, axes, names, metadata, path.name)
     written = {} if metadata is None else table_columns(library)
     if edited := [name for name, cells in columns.items() if list(cells) != written.get(name, cells)]:
-        text = f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is taken; delete it to "
-        warnings.warn(PaintWarning(f"{text}take the table", code="metadata-differ"), stacklevel=6)
-    # numbers of the table of variables would come without their units
-    taken = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
-    added = {name: (SIGNATURE, _column(cells)) for name, cells in columns.items() if name not in taken}
+        text = (
+            f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
+            "the table"
+        )
+        warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
+    # columns named in the table of variables would come without their units
+    reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
+    added = {}
+    for name, cells in columns.items():
+        if name not in reserved:
+            values = numbers(cell or "nan" for cell in cells)
+            is_text = values is None or not any(cells)
+            added[name] = (SIGNATURE, text_column(cells) if is_text else np.array(values))
     return library.assign_coords(added)
-
-
-def _column(cells: Sequence[str]) -> Array:
-    """Return cells as numbers where all are numbers or empty, else as text."""
-    values = numbers(cell or "nan" for cell in cells)
-    return text_column(cells) if values is None or not any(cells) else np.array(values)
-
-
-def _most_cells(stored: int) -> int:
-    """Return the most cells that padding may make of stored ones: 64 times as many, fewer in large files."""
-    return max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored))
 
 
 def with_metadata(
@@ -296,7 +294,7 @@ def with_metadata(
 
     data: Values of the variables, (signature, band) or (signature, place, band).
     axes: Wavelengths and further coordinates of the bands in the file of spectra.
-    names: Of the paints, as the file of spectra spells them; the metadata's own win.
+    names: Of the paints in the file of spectra; names in the metadata win.
     metadata: None where it is lost.
     Raises FormatError: The two do not go together.
     """
@@ -316,7 +314,10 @@ def with_metadata(
             )
             continue
         if values.ndim == 3 and metadata is not None:
-            values = _widened(values, metadata.sizes.get(dims[1]))
+            # members get their former padding, unless it is out of proportion
+            size, members = metadata.sizes.get(dims[1]), values.shape[1]
+            if size is not None and members <= size <= 8 * max(members, 8):
+                values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
             problems.add(
                 f"{name!r} is {values.shape}", expected=str(dict(library.sizes)), code="grid-mismatch"
@@ -331,14 +332,7 @@ def with_metadata(
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     if metadata is None:
         return library.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
-    return _with_variables(library, coords, metadata, problems)
-
-
-def _with_variables(
-    library: xr.Dataset, coords: dict[str, Any], metadata: Metadata, problems: Problems
-) -> xr.Dataset:
-    clash = metadata.variables.keys() & library.variables.keys()
-    for name in sorted(clash):
+    for name in sorted(metadata.variables.keys() & library.variables.keys()):
         problems.add(f"{name[:60]!r} is both among the spectra and in the metadata", code="name-clash")
     for name, (dims, values, _) in metadata.variables.items():
         if name in coords and name != SIGNATURE and not np.array_equal(values, coords[name][1]):
@@ -356,8 +350,8 @@ def _with_variables(
         if name in library.dims and dims != (name,):
             problems.add(f"{name!r} is the name of a dim", expected=f"dims ({name},)", code="dims-wrong")
     problems.raise_if_any()
-    missing = {name: coord for name, coord in coords.items() if name not in metadata.variables}
-    library = library.assign(metadata.variables).assign_coords(missing)
+    own_coords = {name: coord for name, coord in coords.items() if name not in metadata.variables}
+    library = library.assign(metadata.variables).assign_coords(own_coords)
     coordinates = sorted(metadata.coordinates & set(map(str, library.variables)))
     return library.set_coords(coordinates).assign_attrs(metadata.attrs)
 
@@ -371,12 +365,3 @@ def _dims_and_attrs(
     if row is not None and len(row.dims) == ndim:
         return row.dims, dict(row.attrs)
     return (SIGNATURE, BAND) if ndim == 2 else (SIGNATURE, f"place_of_{name}", BAND), {}
-
-
-def _widened(values: Floats32, size: int | None) -> Floats32:
-    """Return members with their former padding, unless it is out of proportion."""
-    if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
-        return values
-    widened = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)
-    widened[:, : values.shape[1]] = values
-    return widened

@@ -211,25 +211,21 @@ def library_terms(library: xr.Dataset) -> dict[str, Any]:
 # --- the rules ---------------------------------------------------------------------------------------------
 
 
-def _finding(rule: str, found: str, expected: str) -> LibraryFinding:
-    return LibraryFinding(rule, found, expected)
-
-
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
     """Check that the required variables exist, on their dims."""
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
         if name not in library.variables:
-            yield _finding("structure", f"{name!r} is missing", expected)
+            yield LibraryFinding("structure", f"{name!r} is missing", expected)
         elif problem := row.dim_problem(library[name]):
-            yield _finding("structure", problem.partition(",")[0], expected)
+            yield LibraryFinding("structure", problem.partition(",")[0], expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
         if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
             wrong = row_of.dim_problem(library[key])
             if wrong and array.dims != (SIGNATURE, *row_of.dims):
-                yield _finding(
+                yield LibraryFinding(
                     "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
                 )
 
@@ -237,24 +233,30 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
 def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
     names = library[SIGNATURE].values.tolist()
     if not names:
-        yield _finding("paint-names", "there is no paint", "at least one")
+        yield LibraryFinding("paint-names", "there is no paint", "at least one")
     if odd := [name for name in names if not isinstance(name, str) or not name.strip()]:
-        yield _finding("paint-names", f"{len(odd)} names are empty or no text", "a text for every paint")
+        yield LibraryFinding(
+            "paint-names", f"{len(odd)} names are empty or no text", "a text for every paint"
+        )
     if twice := sorted({str(name) for name in names if names.count(name) > 1}):
-        yield _finding("paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint")
+        yield LibraryFinding(
+            "paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint"
+        )
 
 
 def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
     wavelength = library["wavelength"]
     values = np.asarray(wavelength.values, np.float64)
     if wavelength.attrs.get("units") != "nm":
-        yield _finding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
+        yield LibraryFinding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
     low, high = _WAVELENGTH_RANGE_NM
     if not np.isfinite(values).all() or values.min(initial=low) < low or values.max(initial=high) > high:
-        yield _finding("wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm")
+        yield LibraryFinding(
+            "wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm"
+        )
     steps = np.diff(values)
     if not ((steps > 0).all() or (steps < 0).all()):
-        yield _finding(
+        yield LibraryFinding(
             "wavelength-order",
             f"{int((steps == 0).sum())} stand twice, or they turn back",
             "rising or falling",
@@ -262,21 +264,21 @@ def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
     if "fwhm" in library.variables:
         fwhm = np.asarray(library["fwhm"].values, np.float64)
         if library["fwhm"].attrs.get("units") != "nm" or not (fwhm[np.isfinite(fwhm)] > 0).all():
-            yield _finding(
+            yield LibraryFinding(
                 "fwhm", f"{np.nanmin(fwhm):g} {library['fwhm'].attrs.get('units')}", "positive, in nm"
             )
     if "good" in library.variables and library["good"].dtype != bool:
-        yield _finding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
+        yield LibraryFinding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
 
 
 def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
     reflectance = library[CENTRE]
     if reflectance.attrs.get("units") != "1":
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-units", f"units are {reflectance.attrs.get('units')!r}", "'1', a fraction"
         )
     if reflectance.dtype.kind != "f":
-        yield _finding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
+        yield LibraryFinding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
         return
     values = reflectance.transpose(SIGNATURE, BAND).values
     low, high = _REFLECTANCE_RANGE
@@ -287,11 +289,11 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
         odd = ((values < low) | (values > high) | np.isinf(values)) & good
     if odd.any():
         where = _paints_of(library, odd.any(axis=1))
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-range", f"{_extremes(values[odd])} in {where}", f"{low:g} to {high:g} in good bands"
         )
     if (empty := ~np.isfinite(values).any(axis=1)).any():
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in some band"
         )
 
@@ -304,13 +306,13 @@ def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
             values = library[name].values
             stated |= bool(np.isfinite(values).any())
             if (values < 0).any():
-                yield _finding("uncertainty-sign", f"{name} is negative", "0 or more")
+                yield LibraryFinding("uncertainty-sign", f"{name} is negative", "0 or more")
             if library[name].attrs.get("units") != "1":
-                yield _finding(
+                yield LibraryFinding(
                     "uncertainty-units", f"{name} has units {library[name].attrs.get('units')!r}", "'1'"
                 )
     if not stated and library.attrs.get("uncertainty") != UNKNOWN:
-        yield _finding(
+        yield LibraryFinding(
             "uncertainty",
             "neither spread nor uncertainty",
             f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
@@ -319,9 +321,9 @@ def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
         levels = library["quantile"].values
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
         if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
-            yield _finding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
+            yield LibraryFinding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
         elif (np.diff(values, axis=1) < 0).any():
-            yield _finding("quantiles", "a higher quantile lies lower", "rising with their level")
+            yield LibraryFinding("quantiles", "a higher quantile lies lower", "rising with their level")
 
 
 def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -329,13 +331,15 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
         name: library[name].values for name in ("n", "n_eff") if name in library.variables
     }
     if "n" in counts and (counts["n"] < 1).any():
-        yield _finding("n", f"{counts['n'].min()} pixels", "1 or more")
+        yield LibraryFinding("n", f"{counts['n'].min()} pixels", "1 or more")
     if len(counts) == 2 and (counts["n_eff"] > counts["n"] * (1 + 1e-6)).any():
-        yield _finding("n", "more independent pixels than pixels", "n_eff at most n")
+        yield LibraryFinding("n", "more independent pixels than pixels", "n_eff at most n")
     if "member_reflectance" in library.variables:
         members = library["member_reflectance"].transpose(SIGNATURE, "member", BAND)
         if members.sizes["member"] and not np.isfinite(members.values).any():
-            yield _finding("members", "no member has a value", "spectra of single pixels, or none of them")
+            yield LibraryFinding(
+                "members", "no member has a value", "spectra of single pixels, or none of them"
+            )
 
 
 def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -346,33 +350,33 @@ def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
             inside = values[np.isfinite(values)]
             if library[name].attrs.get("units") != "degree" or ((inside < low) | (inside > high)).any():
                 found = f"{name} {_extremes(inside)} {library[name].attrs.get('units')}"
-                yield _finding("angles", found, f"{low:g} to {high:g} degree")
+                yield LibraryFinding("angles", found, f"{low:g} to {high:g} degree")
     if "time" in library.variables and library["time"].dtype.kind != "M":
-        yield _finding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
+        yield LibraryFinding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
     if "diffuse_fraction" in library.variables:
         share = library["diffuse_fraction"].values
         if ((share < 0) | (share > 1)).any():
-            yield _finding("diffuse-fraction", _extremes(share), "0 to 1")
+            yield LibraryFinding("diffuse-fraction", _extremes(share), "0 to 1")
 
 
 def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
     """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):
-        yield _finding(
+        yield LibraryFinding(
             "version", f"{VERSION_NAME} is {version!r}", f"{VERSION}; hp.io.declare_library sets it"
         )
     title = library.attrs.get("title")
     if not isinstance(title, str) or not title.strip() or len(title) > _MAX_TEXT_CHARS:
-        yield _finding("title", f"title is {title!r:.40}", "a text")
+        yield LibraryFinding("title", f"title is {title!r:.40}", "a text")
     declared = library_terms(library)
     for term in TERMS:
         words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
         expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
         if declared[term.name] is None:
-            yield _finding(term.name, "not said", expected)
+            yield LibraryFinding(term.name, "not said", expected)
         elif odd := sorted({str(word) for word in words if not _is_word(word, term)}):
-            yield _finding(term.name, _some(odd), expected)
+            yield LibraryFinding(term.name, _some(odd), expected)
     contradiction = {
         BODY: INCLUDED,
         THROUGH_COAT: INCLUDED,
@@ -382,7 +386,7 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
     }
     for quantity, component in _pairs(declared["quantity"], declared["specular_component"]):
         if contradiction.get(quantity) == component:
-            yield _finding(
+            yield LibraryFinding(
                 "contradiction", f"{quantity}, specular component {component}", "both to say the same"
             )
             break

@@ -50,7 +50,10 @@ def read_usgs(
     title, values = _column(path)
     record = _TITLE.match(title)
     heading = record[3].strip() if record else title.strip()
-    name, spectrometer, measurement = _parts(heading)
+    name, spectrometer, measurement = heading, "", ""
+    words = heading.rsplit(None, 2)
+    if len(words) == 3 and _MEASUREMENT.fullmatch(words[2]):
+        name, spectrometer, measurement = words
     if is_usgs_axis(title):
         raise FormatError(
             f"{source}: {heading[:60]!r} holds no spectrum",
@@ -84,14 +87,6 @@ def read_usgs(
         columns={key: text_column([value]) for key, value in columns.items()},
         notes=notes,
     )
-
-
-def _parts(heading: str) -> tuple[str, str, str]:
-    """Return name, spectrometer and kind of measurement (such as AREF) of a heading."""
-    words = heading.rsplit(None, 2)
-    if len(words) < 3 or not _MEASUREMENT.fullmatch(words[2]):
-        return heading, "", ""
-    return words[0], words[1], words[2]
 
 
 def _column(path: Path) -> tuple[str, Floats]:

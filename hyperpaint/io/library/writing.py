@@ -157,16 +157,11 @@ def write_library(
     path = _named(path, chosen)
     library = checked_library(with_whole_numbers(library, LIBRARY_VARIABLES))
     if (curves or kinds[0]) == "centre":
-        library = _centres(library)
+        others = [name for name in spectral_variables(library) if name != CENTRE]
+        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
+        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
     _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
     return path
-
-
-def _centres(library: xr.Dataset) -> xr.Dataset:
-    """Return a library with the centres only."""
-    others = [name for name in spectral_variables(library) if name != CENTRE]
-    inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
-    return library.drop_vars(others).drop_dims(inner, errors="ignore")
 
 
 def _named(path: Path, format: str) -> Path:
