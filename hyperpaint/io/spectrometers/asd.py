@@ -147,30 +147,27 @@ def open_asd(
         warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
         stamped = [s for s in stamped if s.utc_offset_h is not None]
     offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
-    times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
+    times = np.full(len(spectra), np.datetime64("NaT", "ns"))
+    for place, spectrum in enumerate(spectra):
+        if spectrum.local_time is not None and id(spectrum) in offsets:
+            offset = np.timedelta64(round(offsets[id(spectrum)] * 3600e9), "ns")
+            times[place] = np.datetime64(spectrum.local_time, "ns") - offset
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
-    extra = _scale_of(spectra) if quantity == "reflectance" else {}
+    extra = {}
+    if quantity == "reflectance":
+        panels = sorted({spectrum.panel for spectrum in spectra} - {""})
+        extra = (
+            {"reflectance_scale": "absolute", "panel": listed(panels)}
+            if panels
+            else {"reflectance_scale": "relative"}
+        )
     return xr.Dataset(
         {quantity: label(values, quantity, **extra)},
         coords=_coords(spectra, times[order]),
         attrs={"instrument": "ASD"},
     )
-
-
-def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
-    if spectrum.local_time is None or offset_h is None:
-        return np.datetime64("NaT", "ns")
-    return np.datetime64(spectrum.local_time, "ns") - np.timedelta64(round(offset_h * 3600e9), "ns")
-
-
-def _scale_of(spectra: Sequence[Spectrum]) -> dict[str, str]:
-    """Return the scale of reflectance, relative or absolute, as attributes."""
-    panels = sorted({spectrum.panel for spectrum in spectra} - {""})
-    if not panels:
-        return {"reflectance_scale": "relative"}
-    return {"reflectance_scale": "absolute", "panel": listed(panels)}
 
 
 def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
@@ -204,12 +201,12 @@ def find_files(paths: Paths) -> list[Path]:
 
     Raises FormatError: Nothing is there.
     """
-    return find_paths(paths, _files_of_folder, ".asd files, text exports or a csv")
 
+    def of_folder(files: list[Path]) -> list[Path]:
+        binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
+        return binaries or [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES]
 
-def _files_of_folder(files: list[Path]) -> list[Path]:
-    binaries = [p for p in files if p.suffix.lower() == ".asd" or p.suffix[1:].isdigit()]
-    return binaries or [p for p in files if p.suffix.lower() in _TEXT_SUFFIXES]
+    return find_paths(paths, of_folder, ".asd files, text exports or a csv")
 
 
 def read_spectra(
@@ -222,7 +219,7 @@ def read_spectra(
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
 
     Returns spectra : list of Spectrum: In the order of ``files``.
-    Returns quantity : str: What they are.
+    Returns quantity : str: Their quantity.
     Raises FormatError: See `open_asd`.
     Raises SchemaError: See `open_asd`.
     """
@@ -230,7 +227,18 @@ def read_spectra(
         raise SchemaError(
             f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
         )
-    external = _external_calibration(calibration or {})
+    # calibration files of the caller, by kind of block
+    calibration = calibration or {}
+    if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
+        raise SchemaError(
+            f"calibration keys {unknown}",
+            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
+            code="key-unknown",
+        )
+    calibration_files = for_all(calibration.values(), read_asd)
+    external = {
+        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
+    }
     contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
     if absolute and wanted != "reflectance":
@@ -247,7 +255,12 @@ def read_spectra(
         for spectrum in of_file
     ]
     require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
-    _warn_of_dark(contents, wanted)
+    with_dark = [
+        content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
+    ]
+    if with_dark and wanted != "counts":
+        text = f"the dark current was not subtracted, so that {wanted} is biased, in: {listed(with_dark)}"
+        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
     return mask_undefined(spectra, wanted), wanted
 
 
@@ -302,6 +315,7 @@ def _spectra_of(
 ) -> list[Spectrum]:
     if isinstance(content, AsdFile):
         wavelength, values, saturated = _derived(content, quantity, external, absolute=absolute)
+        panel = external.get("ABS", content.calibrations.get("ABS"))
         return [
             Spectrum(
                 content.name,
@@ -313,7 +327,7 @@ def _spectra_of(
                 dark_utc=content.dark_utc,
                 gps=content.gps,
                 saturated=saturated,
-                panel=_panel_of(content, external) if absolute else "",
+                panel=panel.name if absolute and panel is not None else "",
             )
         ]
     if absolute:
@@ -336,26 +350,6 @@ def _spectra_of(
         )
         for column, values in zip(content.spectra, content.values, strict=True)
     ]
-
-
-def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
-    unknown = sorted(set(calibration) - set(_CALIBRATION_KEYS))
-    if unknown:
-        raise SchemaError(
-            f"calibration keys {unknown}",
-            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
-            code="key-unknown",
-        )
-    read = for_all(calibration.values(), read_asd)
-    return {_CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
-
-
-def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
-    binaries = [content for content in contents if isinstance(content, AsdFile)]
-    with_dark = [file.name for file in binaries if not file.dark_subtracted]
-    if with_dark and quantity != "counts":
-        text = f"the dark current was not subtracted, so that {quantity} is biased, in: {listed(with_dark)}"
-        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=3)
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
@@ -453,6 +447,10 @@ def _derived(
     Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
     """
     wavelength, values = file.wavelength, file.spectrum
+    # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
+    ends = [splice if splice > 0 else np.inf for splice in file.splices]
+    detector = np.searchsorted([ends[0], max(ends)], wavelength)
+    saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
     if quantity == "reflectance":
         if file.reference is None:
             raise FormatError(
@@ -465,24 +463,28 @@ def _derived(
             with np.errstate(all="ignore"):
                 values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
     elif quantity in _NEEDED_BLOCKS:
+        blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
+        lamp_counts, lamp_ms = blocks["FO"]
+        if file.integration_ms <= 0 or lamp_ms <= 0:
+            raise FormatError(
+                f"{file.name}: integration times {file.integration_ms:g} ms, calibration {lamp_ms:g} ms",
+                expected="positive numbers",
+                code="value-out-of-range",
+            )
         with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-            values = file.spectrum * _responsivity(file, quantity, external)
-        vnir = wavelength <= _splices(file)[0]
+            per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+            if quantity == "radiance":
+                per_count = per_count * blocks["BSE"][0] / np.pi
+            values = file.spectrum * per_count
+        vnir = wavelength <= ends[0]
         if not vnir.any():
             raise FormatError(
                 f"{file.name}: all wavelengths lie beyond the first splice",
                 mend="copy the file again",
                 code="wavelength-range",
             )
-        return wavelength[vnir], values[vnir], _saturated(file)[vnir]
-    return wavelength, values, _saturated(file)
-
-
-def _panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
-    """Return the name of the panel for absolute reflectance; empty without one."""
-    if "ABS" in external:
-        return external["ABS"].name
-    return file.calibrations["ABS"].name if "ABS" in file.calibrations else ""
+        return wavelength[vnir], values[vnir], saturated[vnir]
+    return wavelength, values, saturated
 
 
 def _needed_blocks(
@@ -508,29 +510,3 @@ def _needed_blocks(
             code="calibration-missing",
         )
     return blocks
-
-
-def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> Floats:
-    """Return irradiance or radiance per count (wavelength)."""
-    blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
-    lamp_counts, lamp_ms = blocks["FO"]
-    if file.integration_ms <= 0 or lamp_ms <= 0:
-        raise FormatError(
-            f"{file.name}: integration time {file.integration_ms:g} ms, of the calibration {lamp_ms:g} ms",
-            expected="positive numbers",
-            code="value-out-of-range",
-        )
-    per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
-    return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
-
-
-def _splices(file: AsdFile) -> list[float]:
-    """Return the last wavelengths of VNIR and SWIR 1, infinite without a further detector."""
-    return [splice if splice > 0 else np.inf for splice in file.splices]
-
-
-def _saturated(file: AsdFile) -> npt.NDArray[np.bool_]:
-    first, second = _splices(file)
-    detector = np.searchsorted([first, max(first, second)], file.wavelength)
-    flags = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])
-    return flags[detector]

@@ -101,11 +101,8 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         contradictory.
     """
     path = Path(path)
-    return _parse(read_limited(path, _MAX_BYTES, "an ASD spectrometer's file"), path.name)
-
-
-def _parse(data: bytes, name: str) -> AsdFile:
-    cursor = Cursor(data, name)
+    data = read_limited(path, _MAX_BYTES, "an ASD spectrometer's file")
+    cursor = Cursor(data, path.name)
     if data[:3] not in _VERSIONS:
         raise cursor.error(
             f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown"
@@ -131,16 +128,24 @@ def _parse(data: bytes, name: str) -> AsdFile:
         raise cursor.error(
             f"{cursor.left} bytes follow the last block of a version {version} file", code="file-damaged"
         )
+    first, step, dark_s = header["first_wavelength"], header["wavelength_step"], header["dark_epoch"]
+    local_time = _local_time(cursor, header["saved"])
+    if not (0 < first < 1e5 and 0 < step < 1e4):
+        raise cursor.error(
+            f"first wavelength {first} nm, step {step} nm", expected="positive numbers", code="file-damaged"
+        )
+    wavelength: Floats = first + step * np.arange(channels, dtype=np.float64)
+    wavelength.flags.writeable = False
     return AsdFile(
-        name=name,
+        name=path.name,
         version=version,
         comment=_plain_text(header["comment"]),
         description=description,
-        local_time=_local_time(cursor, header["saved"]),
+        local_time=local_time,
         utc_offset_h=None if reference is None else _utc_offset_h(reference_ole, header["reference_epoch"]),
-        dark_utc=_epoch(header["dark_epoch"]),
+        dark_utc=dt.datetime(1970, 1, 1) + dt.timedelta(seconds=dark_s) if dark_s > 0 else None,
         data_type=_DATA_TYPES[header["data_type"]],
-        wavelength=_wavelength(cursor, header),
+        wavelength=wavelength,
         spectrum=spectrum,
         reference=reference,
         integration_ms=nominal_integration_ms(header["integration_ms"]),
@@ -177,17 +182,6 @@ def _header(cursor: Cursor) -> dict[str, Any]:
     return header
 
 
-def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> Floats:
-    first, step = header["first_wavelength"], header["wavelength_step"]
-    if not (0 < first < 1e5 and 0 < step < 1e4):
-        raise cursor.error(
-            f"first wavelength {first} nm, step {step} nm", expected="positive numbers", code="file-damaged"
-        )
-    wavelength: Floats = first + step * np.arange(header["channels"], dtype=np.float64)
-    wavelength.flags.writeable = False
-    return wavelength
-
-
 def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
     second, minute, hour, day, month, year = tm[:6]
     try:
@@ -206,10 +200,6 @@ def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
     seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
     hours = round(seconds / 900.0) / 4.0  # zones differ by quarters of an hour
     return hours if abs(seconds - hours * 3600.0) < 60.0 and -12.0 <= hours <= 14.0 else None
-
-
-def _epoch(seconds: int) -> dt.datetime | None:
-    return dt.datetime(1970, 1, 1) + dt.timedelta(seconds=seconds) if seconds > 0 else None
 
 
 _TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
@@ -319,25 +309,10 @@ class Cursor:
 
 def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
     """Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind."""
+    blocks: dict[str, AsdCalibration] = {}
     if version < 6 or (version == 6 and cursor.at_end):
-        return {}
-    _classifier(cursor)
-    calibrations = {}
-    if version >= 7:
-        _dependent_variables(cursor)
-        calibrations = _calibrations(cursor, channels)
-    if version >= 8:
-        cursor.values("i", "the audit count")
-        for _ in range(cursor.safe_array(2, "the audit log")):
-            cursor.text("an audit event")
-        cursor.values("Bq", "the signature")
-        for _ in range(7):
-            cursor.text("the signature")
-        cursor.bytes(128, "the signature")
-    return calibrations
-
-
-def _classifier(cursor: Cursor) -> None:
+        return blocks
+    # classifier
     cursor.values("BB", "the classifier block")
     for _ in range(20):
         cursor.text("the classifier block")
@@ -346,31 +321,38 @@ def _classifier(cursor: Cursor) -> None:
         cursor.text("a constituent")
         cursor.text("a constituent")
         cursor.values("9di2d", "a constituent")
-
-
-def _dependent_variables(cursor: Cursor) -> None:
-    cursor.values("hh", "the dependent variables")
-    for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
-        cursor.text("the label of a dependent variable")
-    count = cursor.safe_array(4, "the dependent variables")
-    cursor.bytes(4 * count, "the dependent variables")
-
-
-def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
-    (count,) = cursor.values("B", "the number of calibration blocks")
-    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
-    blocks: dict[str, AsdCalibration] = {}
-    for number, name, milliseconds, *gains in heads:
-        if not 0 <= number < len(_CALIBRATION_KINDS):
-            raise cursor.error(f"calibration block of type {number}", expected="0 to 3", code="file-damaged")
-        kind = _CALIBRATION_KINDS[number]
-        if kind in blocks:
-            raise cursor.error(
-                f"two calibration blocks of kind {kind}", expected="one of each", code="file-damaged"
-            )
-        values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
-        integration_ms = nominal_integration_ms(milliseconds)
-        blocks[kind] = AsdCalibration(kind, _plain_text(name), integration_ms, (gains[0], gains[1]), values)
+    if version >= 7:
+        # dependent variables
+        cursor.values("hh", "the dependent variables")
+        for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
+            cursor.text("the label of a dependent variable")
+        count = cursor.safe_array(4, "the dependent variables")
+        cursor.bytes(4 * count, "the dependent variables")
+        # calibration blocks: all heads, then all values
+        (count,) = cursor.values("B", "the number of calibration blocks")
+        heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
+        for number, name, milliseconds, *gains in heads:
+            if not 0 <= number < len(_CALIBRATION_KINDS):
+                raise cursor.error(
+                    f"calibration block of type {number}", expected="0 to 3", code="file-damaged"
+                )
+            kind = _CALIBRATION_KINDS[number]
+            if kind in blocks:
+                raise cursor.error(
+                    f"two calibration blocks of kind {kind}", expected="one of each", code="file-damaged"
+                )
+            values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
+            ms = nominal_integration_ms(milliseconds)
+            blocks[kind] = AsdCalibration(kind, _plain_text(name), ms, (gains[0], gains[1]), values)
+    if version >= 8:
+        # audit log and signature
+        cursor.values("i", "the audit count")
+        for _ in range(cursor.safe_array(2, "the audit log")):
+            cursor.text("an audit event")
+        cursor.values("Bq", "the signature")
+        for _ in range(7):
+            cursor.text("the signature")
+        cursor.bytes(128, "the signature")
     return blocks
 
 

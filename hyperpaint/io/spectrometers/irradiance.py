@@ -158,7 +158,10 @@ def open_irradiance(
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
-    times = _utc_middle(series, clock_offset_s, STAMP_TO_MID_EXPOSURES[stamp] * window)
+    # UTC at the middle of each sample
+    shift_s = STAMP_TO_MID_EXPOSURES[stamp] * window
+    seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
+    times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
@@ -406,12 +409,6 @@ def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]
             code="type-wrong",
         )
     return time, wavelength
-
-
-def _utc_middle(series: _Series, clock_offset_s: float, shift_s: Floats) -> npt.NDArray[np.datetime64]:
-    seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
-    times: npt.NDArray[np.datetime64] = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
-    return times
 
 
 def _refuse_duplicates(

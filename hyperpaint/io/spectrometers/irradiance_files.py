@@ -73,23 +73,19 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
     path = Path(path)
+    name = path.name
     data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
-    if (count := data.count(b",")) > _MAX_VALUES:
+    if (commas := data.count(b",")) > _MAX_VALUES:
         raise FormatError(
-            f"{path}: {count} values",
+            f"{path}: {commas} values",
             expected=f"at most {_MAX_VALUES}",
             mend="make several files of it, or Zarr",
             code="file-too-large",
         )
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    text = data.decode("utf-8-sig", errors="replace")
+    text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
     del data  # it may be large
-    return _parse(path.name, text, count)
-
-
-def _parse(name: str, text: str, commas: int) -> IrradianceTable:
-    """Return the table in a text with ``commas`` commas, row by row."""
     comments: dict[str, str] = {}
+    # rows are split one at a time
     rows = (
         (line_number, [cell.strip().strip('"') for cell in line.strip().split(",")])
         for line_number, line in _beside_comments(text, comments)
@@ -101,13 +97,20 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
             expected="an irradiance series",
             code="format-unknown",
         )
-    wavelength = _wavelength(name, header[1:])
+    wavelength = np.array(numbers(header[1:]) or [], np.float64)
+    if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
+        raise FormatError(
+            f"{name}: the header is 'time,{','.join(header[1:])[:60]}'",
+            expected="'time' and increasing positive wavelengths [nm]",
+            code="header-unreadable",
+        )
     times, lines = [], []
     values = np.empty((commas // len(wavelength) + 1, len(wavelength)))
     for index, (line_number, cells) in enumerate(rows):
         try:
-            lines.append(line_number)
-            times.append(_time(cells[0]))
+            time = dt.datetime.fromisoformat(cells[0])
+            if time.year not in _YEARS:
+                raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
             if len(cells) != len(wavelength) + 1:
                 raise ValueError(f"{len(cells) - 1} values")
             values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
@@ -117,6 +120,8 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
                 expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
                 code="row-unreadable",
             ) from error
+        lines.append(line_number)
+        times.append(time)
     if not times:
         raise FormatError(
             f"{name}: no rows", expected=f"a time and {len(wavelength)} values in each", code="table-missing"
@@ -127,6 +132,13 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
             mend="give a zone to all stamps, or to none",
             code="zone-missing",
         )
+    width = number(comments.get("fwhm_nm", ""))
+    if "fwhm_nm" in comments and (width is None or not width > 0):
+        raise FormatError(
+            f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}'",
+            expected="a positive number",
+            code="number-unreadable",
+        )
     return IrradianceTable(
         name,
         tuple(times),
@@ -134,7 +146,7 @@ def _parse(name: str, text: str, commas: int) -> IrradianceTable:
         wavelength,
         values[: len(times)],
         comments.get("units"),
-        _width(name, comments),
+        width if "fwhm_nm" in comments else None,
     )
 
 
@@ -146,37 +158,6 @@ def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int,
             comments[key.strip().lower()] = value.strip()
         elif line.strip():
             yield line_number, line
-
-
-def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
-    wavelength = np.array(numbers(cells) or [], np.float64)
-    if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
-        raise FormatError(
-            f"{name}: the header is 'time,{','.join(cells)[:60]}'",
-            expected="'time' and increasing positive wavelengths [nm]",
-            code="header-unreadable",
-        )
-    return wavelength
-
-
-def _time(cell: str) -> dt.datetime:
-    time = dt.datetime.fromisoformat(cell)
-    if time.year not in _YEARS:
-        raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
-    return time
-
-
-def _width(name: str, comments: dict[str, str]) -> float | None:
-    if "fwhm_nm" not in comments:
-        return None
-    width = number(comments["fwhm_nm"])
-    if width is None or not width > 0:
-        raise FormatError(
-            f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}'",
-            expected="a positive number",
-            code="number-unreadable",
-        )
-    return width
 
 
 _SUFFIXES = (".nc", ".nc4", ".h5")

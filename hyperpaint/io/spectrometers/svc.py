@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import label
 
@@ -134,7 +133,16 @@ def open_svc(
     files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
     contents = for_all(files, read_svc)
     side = SCANS.index(scan)
-    wanted = quantity or _common_quantity(contents, side)
+    # by default reflectance from targets with both scans in radiance
+    wanted = quantity or common_quantity(
+        (
+            "reflectance"
+            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
+            else file.units[side],
+            file.name,
+        )
+        for file in contents
+    )
 
     def measure(pair_: tuple[SvcFile, Path]) -> SvcMeasurement:
         return _measurement(*pair_, wanted, side, joins, trim=overlap == "trim")
@@ -197,42 +205,46 @@ def _check_arguments(
         check_utc_offset(utc_offset_h)
 
 
-def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
-    """Return the quantity of the files: reflectance from targets with both scans in radiance."""
-    return common_quantity(
-        (
-            "reflectance"
-            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
-            else file.units[side],
-            file.name,
-        )
-        for file in contents
-    )
-
-
 def _measurement(
     file: SvcFile, path: Path, quantity: str, side: int, joins: tuple[float, float] | None, *, trim: bool
 ) -> SvcMeasurement:
     overlap = overlap_of(file.header)
     detector = detectors_of(file, overlap.joins)
-    if quantity == "reflectance":
-        values = _reflectance(file)
-    elif file.units[side] != quantity:
+    of_reference, of_target = file.units
+    if (quantity == "reflectance" or side == 0) and not file.has_reference:
         raise FormatError(
-            f"{file.name}: its {SCANS[side]} is in {file.units[side]}",
-            expected=quantity,
-            mend=(
-                f"pass quantity={file.units[side]!r}, or save the file in {quantity} with the "
-                "vendor's software"
-            ),
-            code="quantity-wrong",
+            f"{file.name}: no white reference was taken",
+            mend="pass quantity='radiance'" if quantity == "reflectance" else "pass scan='target'",
+            code="reference-missing",
         )
-    elif side == 0 and not file.has_reference:
-        raise FormatError(
-            f"{file.name}: no white reference was taken", mend="pass scan='target'", code="reference-missing"
-        )
-    else:
+    if quantity != "reflectance":
+        if file.units[side] != quantity:
+            raise FormatError(
+                f"{file.name}: its {SCANS[side]} is in {file.units[side]}",
+                expected=quantity,
+                mend=(
+                    f"pass quantity={file.units[side]!r}, or save the file in {quantity} with the "
+                    "vendor's software"
+                ),
+                code="quantity-wrong",
+            )
         values = (file.reference, file.target)[side] * _SCALE[quantity]
+    else:
+        # the ratio of the scans, which must be in the same units and of the same integration times
+        times = items(file.header.get("integration", ""))
+        if of_reference != of_target:
+            raise FormatError(
+                f"{file.name}: its reference is in {of_reference} and its target in {of_target}",
+                mend=f"pass quantity={of_target!r}",
+                code="units-conflict",
+            )
+        if of_target == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
+            raise FormatError(
+                f"{file.name}: reference and target are counts of different or unknown integration times",
+                mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
+                code="integration-time-conflict",
+            )
+        values = ratio(file.target, file.reference)
     at = _handovers(file, joins) if trim else ()
     used = _trimmed(file, at)
     if not used.any():
@@ -250,29 +262,6 @@ def _measurement(
         detector=None if detector is None else detector[used],
         trimmed_at=at,
     )
-
-
-def _reflectance(file: SvcFile) -> Floats:
-    times = items(file.header.get("integration", ""))
-    if not file.has_reference:
-        raise FormatError(
-            f"{file.name}: no white reference was taken, so no reflectance",
-            mend="pass quantity='radiance'",
-            code="reference-missing",
-        )
-    if file.units[0] != file.units[1]:
-        raise FormatError(
-            f"{file.name}: its reference is in {file.units[0]} and its target in {file.units[1]}",
-            mend=f"pass quantity={file.units[1]!r}",
-            code="units-conflict",
-        )
-    if file.units[1] == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
-        raise FormatError(
-            f"{file.name}: reference and target are counts of different or unknown integration times",
-            mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
-            code="integration-time-conflict",
-        )
-    return ratio(file.target, file.reference)
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:

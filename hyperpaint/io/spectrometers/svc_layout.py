@@ -94,16 +94,41 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     lines = decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     header, first = _header(path.name, lines)
     wavelength, reference, target, percent = _table(path.name, lines, first)
-    _refuse_truncated(path.name, header, len(wavelength))
+    # a file that keeps the overlap has a row for every channel of its instrument
+    model = _CHANNELS.search(header.get("instrument", ""))
+    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    if model and overlap_preserved and len(wavelength) < int(model[1]):
+        raise FormatError(
+            f"{path.name}: {len(wavelength)} rows",
+            expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
+            mend="copy the file again from the instrument",
+            code="file-truncated",
+        )
+    units = _units(path.name, header)
+    if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
+        raise FormatError(
+            f"{path.name}: wavelengths are not all positive numbers of nanometres",
+            mend="copy the file again",
+            code="wavelength-range",
+        )
+    # wavelengths step back where the next detector begins
+    starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
+    if len(starts) > _MAX_DETECTORS:
+        raise FormatError(
+            f"{path.name}: the wavelengths step back {len(starts) - 1} times",
+            expected=f"at most {_MAX_DETECTORS - 1} times, where detectors overlap",
+            mend="copy the file again",
+            code="wavelength-unordered",
+        )
     return SvcFile(
         name=path.name,
         header=MappingProxyType(header),
-        units=_units(path.name, header),
+        units=units,
         wavelength=wavelength,
         reference=reference,
         target=target,
         percent=percent,
-        starts=_detector_starts(path.name, wavelength),
+        starts=starts,
     )
 
 
@@ -177,36 +202,6 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     for column in columns:
         column.flags.writeable = False
     return columns
-
-
-def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
-    if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
-        raise FormatError(
-            f"{name}: wavelengths are not all positive numbers of nanometres",
-            mend="copy the file again",
-            code="wavelength-range",
-        )
-    starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
-    if len(starts) > _MAX_DETECTORS:
-        raise FormatError(
-            f"{name}: the wavelengths step back {len(starts) - 1} times",
-            expected=f"at most {_MAX_DETECTORS - 1} times, where detectors overlap",
-            mend="copy the file again",
-            code="wavelength-unordered",
-        )
-    return starts
-
-
-def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
-    model = _CHANNELS.search(header.get("instrument", ""))
-    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
-    if model and overlap_preserved and rows < int(model[1]):
-        raise FormatError(
-            f"{name}: {rows} rows",
-            expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
-            mend="copy the file again from the instrument",
-            code="file-truncated",
-        )
 
 
 def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
