@@ -154,7 +154,21 @@ def write_dirsig_scene(
     vis,nir README.txt geometry ground.jsim ground.scene maps materials paints.json
     """
     libraries = list(paints) if isinstance(paints, Sequence) else [paints]
-    _check_options(origin, max_curves, texture_m)
+    problems = Problems("no DIRSIG scene can be written", SchemaError)
+    if not isinstance(max_curves, int) or max_curves < 1:
+        problems.add(
+            f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
+        )
+    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
+        problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
+    place = np.asarray(origin, np.float64)
+    if place.shape != (3,) or not np.isfinite(place).all() or not (abs(place[:2]) <= [90.0, 360.0]).all():
+        problems.add(
+            f"origin={origin!r}",
+            expected="latitude and longitude [degree] and height [m]",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
@@ -205,24 +219,6 @@ _FOLDERS = (
     "materials/brdf",
     "maps",
 )
-
-
-def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
-    problems = Problems("no DIRSIG scene can be written", SchemaError)
-    if not isinstance(max_curves, int) or max_curves < 1:
-        problems.add(
-            f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
-        )
-    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
-        problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
-    three = np.asarray(origin, np.float64)
-    if three.shape != (3,) or not np.isfinite(three).all() or not (abs(three[:2]) <= [90.0, 360.0]).all():
-        problems.add(
-            f"origin={origin!r}",
-            expected="latitude and longitude [degree] and height [m]",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
 
 
 def _surfaces(
@@ -304,7 +300,12 @@ def _write_materials(
             record["fit_file"] = ""
             if coat_brdf and is_body and surfaces[number].coat_index:
                 record["fit_file"] = f"brdf/{record['id']}.fit"
-                (build / record["fit_file"]).write_text(_fit_of(build, record, surfaces[number]))
+                # the written centre includes the coat
+                micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
+                surface = surfaces[number]
+                body = np.maximum(whole - surface.mirrored, 0.0)
+                text = fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
+                (build / record["fit_file"]).write_text(text)
         records += library_records
         if progress is not None:
             progress(len(records), len(surfaces))
@@ -328,13 +329,6 @@ def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Da
     for values in whole.values():
         values.attrs["mirror_reflection"] = INCLUDED
     return plain.assign(whole)
-
-
-def _fit_of(build: Path, record: Mapping[str, Any], surface: _Surface) -> str:
-    """Return the ``.fit`` file of a coated paint, from its written centre, which includes the coat."""
-    micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
-    body = np.maximum(whole - surface.mirrored, 0.0)
-    return fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
 
 
 def _attrs(
@@ -373,21 +367,22 @@ def _attrs(
 
 def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
     """Write a texture picture for every population, and name it in the record."""
+    grid = np.linspace(window[0], window[1], 301)
     for record in records:
         record["texture"] = ""
         if record["curves"] < 2:
             continue
+        # mean reflectance of every curve over the window
         curves = read_emissivity(build / "materials" / record["emissivity_file"]).curves
-        picture = texture_picture(np.array([_mean(curve, window) for curve in curves]), record["id"])
+        means = [
+            float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
+            for curve in curves
+        ]
+        picture = texture_picture(np.array(means), record["id"])
         if picture is not None:
             record["texture"] = f"{record['id']}.pgm"
             head = f"P5\n{picture.shape[1]} {picture.shape[0]}\n255\n".encode()
             (build / "maps" / record["texture"]).write_bytes(head + picture.tobytes())
-
-
-def _mean(curve: Any, window: Sequence[float]) -> float:
-    grid = np.linspace(window[0], window[1], 301)
-    return float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
 
 
 def _write_geometry(

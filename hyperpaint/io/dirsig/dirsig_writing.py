@@ -237,8 +237,11 @@ def write_dirsig(
             )
             for record in records
         )
-        attrs = {**coat.attrs, "surface": surface, "curves_of": kind, **_source(library)}
-        # by which an export is known for one
+        attrs = {**coat.attrs, "surface": surface, "curves_of": kind}
+        for name in ("title", "source", "provenance", "references", "license"):
+            if name in library.attrs:
+                attrs[f"library_{name}"] = str(library.attrs[name])
+        # identifies the folder as an export
         marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
         written = {
             "materials.mat": materials_text(entries),
@@ -442,15 +445,6 @@ def _colour(wavelength: Array, reflectance: Array) -> list[float]:
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
-
-
-def _source(library: xr.Dataset) -> dict[str, str]:
-    texts = {
-        name: library.attrs[name]
-        for name in ("title", "source", "provenance", "references", "license")
-        if name in library.attrs
-    }
-    return {f"library_{name}": str(value) for name, value in texts.items()}
 
 
 def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:

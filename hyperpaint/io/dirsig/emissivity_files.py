@@ -246,14 +246,29 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
         rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
             axis, emissivity = table.T.copy()
-            if wrong := (_wavelength_problem(axis) if new else _wavenumber_problem(axis)):
-                problems.add(f"curve {number}, from line {line}: {wrong}", code="wavelength-unordered")
+            where = f"curve {number}, from line {line}"
+            if not new and not np.array_equal(axis, _WAVENUMBERS):
+                problems.add(
+                    f"{where}: {len(axis)} rows",
+                    expected=f"the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 [cm-1]",
+                    code="grid-mismatch",
+                )
+            elif not np.isfinite(axis).all() or axis[0] <= 0.0 or (new and (np.diff(axis) <= 0.0).any()):
+                problems.add(
+                    f"{where}: wavelengths do not ascend from above 0",
+                    mend="sort the rows, one a wavelength",
+                    code="wavelength-unordered",
+                )
+            elif new and axis[-1] > _MAX_WAVELENGTH_UM:
+                problems.add(
+                    f"{where}: wavelengths up to {axis[-1]:g}",
+                    expected="micrometres",
+                    mend="divide nanometres by 1000",
+                    code="wavelength-range",
+                )
             elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
                 problems.add(
-                    (
-                        f"curve {number}, from line {line}: emissivity from {emissivity.min():g} to "
-                        f"{emissivity.max():g}"
-                    ),
+                    f"{where}: emissivity from {emissivity.min():g} to {emissivity.max():g}",
                     expected="0 to 1",
                     mend="divide percent by 100",
                     code="value-out-of-range",
@@ -281,23 +296,6 @@ def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
         f"line {line + wrong}: {_shown(lines[wrong])}", expected="two numbers", code="row-unreadable"
     )
     return None
-
-
-def _wavenumber_problem(wavenumber: Floats) -> str:
-    if np.array_equal(wavenumber, _WAVENUMBERS):
-        return ""
-    return (
-        f"{len(wavenumber)} rows, expected the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 cm-1 of "
-        "the old layout"
-    )
-
-
-def _wavelength_problem(wavelength: Floats) -> str:
-    if not np.isfinite(wavelength).all() or wavelength[0] <= 0.0 or (np.diff(wavelength) <= 0.0).any():
-        return "wavelengths do not ascend from above 0; sort the rows, one a wavelength"
-    if wavelength[-1] > _MAX_WAVELENGTH_UM:
-        return f"wavelengths up to {wavelength[-1]:g}, expected micrometres; are these nanometres?"
-    return ""
 
 
 def _shown(line: bytes) -> str:

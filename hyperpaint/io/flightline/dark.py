@@ -158,17 +158,15 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         counts = counts.transpose(*CUBE)
         _check_shape(counts.shape[1:], shape, f"dark {name}")
     frames = sum_dark(counts, f"dark {name}")
-    exposure = _exposure(opened, path, name)
-    return _Reference(name, frames, _time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
-
-
-def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
+    exposure = None
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
-        return float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
-    stated = (
-        exposure_seconds(pairs, f"dark {name}: {source}") for source, pairs in exposure_sources(path, opened)
-    )
-    return next((seconds for seconds in stated if seconds is not None), None)
+        exposure = float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
+    else:
+        for file, pairs in exposure_sources(path, opened):
+            exposure = exposure_seconds(pairs, f"dark {name}: {file}")
+            if exposure is not None:
+                break
+    return _Reference(name, frames, _time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
 
 
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
@@ -251,7 +249,7 @@ def _combine(references: list[_Reference]) -> Dark:
 def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
     """Return the variance of a dark count (band, cross_track) from few lines; None from one line each.
 
-    That of an element is leant on the mean of all, with as many lines as would make it a measure by itself.
+    The variance of an element is shrunk to the mean of all with the weight of `_NOISE_LINES` lines.
     """
     several = [frames for frames in references if frames.lines > 1]
     if not several:

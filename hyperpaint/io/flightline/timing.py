@@ -147,7 +147,18 @@ def line_times(
         time = clock.at(np.zeros(1, np.int64)) + np.round((frame - frame[0]) * period_us).astype(
             "timedelta64[ns]"
         )
-    _report_outside(cube, np.isnat(time[recorded]), clock)
+    outside = np.isnat(time[recorded])
+    if outside.any():
+        if outside.all():
+            raise TimeError(
+                f"{cube.name}: no line lies inside {clock.source}",
+                mend="give the record of this flight",
+                code="time-uncovered",
+            )
+        missing = np.flatnonzero(outside)
+        shown = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
+        text = f"{cube.name}: {shown} lie outside {clock.source} and have no time and place"
+        warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
     half = np.round(np.asarray(exposure_time) * STAMP_TO_MID_EXPOSURES[timing.stamp] * _NS_PER_S).astype(
         "timedelta64[ns]"
     )
@@ -199,15 +210,35 @@ def _clock(
             )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
+        names = (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
+        files = ", ".join(name for name in names if (cube.parent / name).is_file())
+        beside = f" (beside the cube: {files})" if files else ""
         raise TimeError(
             f"{cube.name}: no line times",
-            mend=f"give frame_index and nav, or start_time and frame_period{_found_beside(cube)}",
+            mend=f"give frame_index and nav, or start_time and frame_period{beside}",
             code="time-missing",
         )
     if index.clock == "time of day" and timing.gps_time is not None:
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
-        return _from_date(timing)
+        # midnight of the date on the recording computer's clock
+        text = str(timing.date)
+        try:
+            midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
+        except ValueError:
+            midnight = None
+        if midnight is None or not "1980" <= text < "2200":
+            raise TimeError(
+                f"date {text[:40]!r}", expected="a date such as '2024-06-01'", code="time-unreadable"
+            )
+        if timing.clock_offset_s is None:
+            raise TimeError(
+                "date without clock_offset_s",
+                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 if it ran on UTC)",
+                code="clock-offset-missing",
+            )
+        utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
+        return _steady(0, int(utc[0]), "date and time of day")
     if nav is None:
         raise TimeError(
             f"{cube.name}: {index.name} holds no UTC",
@@ -215,34 +246,6 @@ def _clock(
             code="time-missing",
         )
     return nav.clock_for(index)
-
-
-def _found_beside(cube: Path) -> str:
-    number = cube_number(cube)
-    names = [f"frameIndex_{number}.txt", "imu_gps.txt"]
-    files = [name for name in names if (cube.parent / name).is_file()]
-    return f" (beside the cube: {', '.join(files)})" if files else ""
-
-
-def _from_date(timing: Timing) -> Clock:
-    text = str(timing.date)
-    try:
-        midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
-    except ValueError:
-        midnight = None
-    if midnight is None or not "1980" <= text < "2200":
-        raise TimeError(f"date {text[:40]!r}", expected="a date such as '2024-06-01'", code="time-unreadable")
-    if timing.clock_offset_s is None:
-        raise TimeError(
-            "date without clock_offset_s",
-            mend=(
-                "pass clock_offset_s, where UTC = the computer's clock + clock_offset_s (0.0 if it "
-                "ran on UTC)"
-            ),
-            code="clock-offset-missing",
-        )
-    utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
-    return _steady(0, int(utc[0]), "date and time of day")
 
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
@@ -259,39 +262,20 @@ def _check_rate(
     cube: Path,
 ) -> None:
     """Warn where stated period, exposure and stamps contradict each other."""
+
+    def warn(text: str, code: str) -> None:
+        warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
+
     if index.fitted:
-        message = f"{index.name} holds whole seconds: line times are a straight line through them"
-        warnings.warn(PaintWarning(f"{cube.name}: {message}", code="time-rounded"), stacklevel=3)
+        warn(f"{index.name} holds whole seconds: line times are a straight line through them", "time-rounded")
     if len(rows) < 2:
         return
     period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
     stated = timing.frame_period
     if stated and abs(period / stated - 1.0) > 0.05:
-        message = f"frame_period {stated * 1e3:g} ms, but {index.name} steps by {period * 1e3:.4g} ms a frame"
-        warnings.warn(
-            PaintWarning(f"{cube.name}: {message}; the stamps are used", code="frame-rate-conflict"),
-            stacklevel=3,
-        )
-    longest = float(np.max(exposure_time))
-    if longest > 1.01 * period:
-        message = f"exposure {longest * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
-        warnings.warn(
-            PaintWarning(f"{cube.name}: {message}; is its unit right?", code="exposure-too-long"),
-            stacklevel=3,
-        )
-
-
-def _report_outside(cube: Path, outside: NDArray[np.bool_], clock: Clock) -> None:
-    if not outside.any():
-        return
-    if outside.all():
-        raise TimeError(
-            f"{cube.name}: no line lies inside {clock.source}",
-            mend="give the record of this flight",
-            code="time-uncovered",
-        )
-    lines = np.flatnonzero(outside)
-    message = f"{len(lines)} of {len(outside)} lines ({lines[0]} to {lines[-1]}) lie outside {clock.source}"
-    warnings.warn(
-        PaintWarning(f"{cube.name}: {message}: no time, no place", code="time-uncovered"), stacklevel=3
-    )
+        steps = f"{index.name} steps by {period * 1e3:.4g} ms a frame; the stamps are used"
+        warn(f"frame_period {stated * 1e3:g} ms, but {steps}", "frame-rate-conflict")
+    longest_ms = float(np.max(exposure_time)) * 1e3
+    if float(np.max(exposure_time)) > 1.01 * period:
+        between = f"{period * 1e3:.4g} ms between frames; check its unit"
+        warn(f"exposure {longest_ms:g} ms is longer than the {between}", "exposure-too-long")

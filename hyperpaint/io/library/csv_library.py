@@ -13,7 +13,6 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -107,36 +106,20 @@ def read_csv_library(path: Path) -> xr.Dataset:
     Warns PaintWarning: The metadata are missing.
     """
     source = path.name
-    table = _table(path)
-    check_wavelengths(table.wavelength, source)
-    if not table.names:
-        raise FormatError(
-            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
-        )
-    rows = [(0, np.array(table.rows, np.float32))]
-    return restored(path, table.names, table.keys, {"wavelength": table.wavelength}, rows, table.columns)
-
-
-class _Table(NamedTuple):
-    """Content of one file."""
-
-    wavelength: Floats
-    names: list[str]  # of the paints
-    columns: dict[str, list[str]]  # what is said of each paint
-    keys: list[Key]  # one a row
-    rows: list[Floats32]
-
-
-def _table(path: Path) -> _Table:
-    problems = Problems(f"{path.name} cannot be read", FormatError)
+    problems = Problems(f"{source} cannot be read", FormatError)
+    # the first row: headings, then wavelengths
     cells = _cells(path)
     first_row = next(cells, [])
     if first_row[:1] == [""]:
-        first_row, cells = first_row[1:], _without_index(cells, path.name)
-    head, wavelength = _head(first_row, path.name)
+        first_row, cells = first_row[1:], _without_index(cells, source)
+    head, wavelength = _head(first_row, source)
     has_kind = head[1:3] == _KIND
     first = 3 if has_kind else 1
-    table = _Table(wavelength, [], {text_of_cell(name): [] for name in head[first:]}, [], [])
+    # a row a spectrum
+    names: list[str] = []
+    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first:]}
+    keys: list[Key] = []
+    rows: list[Floats32] = []
     owner = _Owner()
     for at, row in enumerate(cells, 2):
         row[: len(head)] = map(text_of_cell, row[: len(head)])
@@ -152,13 +135,18 @@ def _table(path: Path) -> _Table:
                 break
             continue
         if key[0] == CENTRE:
-            table.names.append(row[0])
-            for column, cell in zip(table.columns.values(), row[first:], strict=False):
+            names.append(row[0])
+            for column, cell in zip(columns.values(), row[first:], strict=False):
                 column.append(cell)
-        table.keys.append(key)
-        table.rows.append(values)
+        keys.append(key)
+        rows.append(values)
     problems.raise_if_any()
-    return table
+    check_wavelengths(wavelength, source)
+    if not names:
+        raise FormatError(
+            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+        )
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
 
 
 class _Owner:

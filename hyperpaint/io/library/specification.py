@@ -373,10 +373,16 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
     for term in TERMS:
         words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
         expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
+        invalid = {
+            str(word)
+            for word in words
+            if not (isinstance(word, str) and word.strip() and len(word) <= _MAX_TEXT_CHARS)
+            or (term.words and word not in term.words)
+        }
         if declared[term.name] is None:
             yield LibraryFinding(term.name, "not said", expected)
-        elif odd := sorted({str(word) for word in words if not _is_word(word, term)}):
-            yield LibraryFinding(term.name, _some(odd), expected)
+        elif invalid:
+            yield LibraryFinding(term.name, _some(sorted(invalid)), expected)
     contradiction = {
         BODY: INCLUDED,
         THROUGH_COAT: INCLUDED,
@@ -384,24 +390,16 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
         "8/d SCI": EXCLUDED,
         "8/d SCE": INCLUDED,
     }
-    for quantity, component in _pairs(declared["quantity"], declared["specular_component"]):
-        if contradiction.get(quantity) == component:
+    # the two words of every paint, each declared for all paints or for each
+    both = (declared["quantity"], declared["specular_component"])
+    size = max(len(words) if isinstance(words, list) else 1 for words in both)
+    lists = (words if isinstance(words, list) else [words] * size for words in both)
+    for quantity, component in zip(*lists, strict=False):
+        if contradiction.get(str(quantity)) == str(component):
             yield LibraryFinding(
                 "contradiction", f"{quantity}, specular component {component}", "both to say the same"
             )
             break
-
-
-def _is_word(word: Any, term: Term) -> bool:
-    is_text = isinstance(word, str) and bool(word.strip()) and len(word) <= _MAX_TEXT_CHARS
-    return is_text and (not term.words or word in term.words)
-
-
-def _pairs(first: Any, second: Any) -> Iterator[tuple[str, str]]:
-    """Yield the two words of every paint, each declared for all paints or for each."""
-    size = max(len(each) if isinstance(each, list) else 1 for each in (first, second))
-    lists = (each if isinstance(each, list) else [each] * size for each in (first, second))
-    yield from zip(*([str(word) for word in words] for words in lists), strict=False)
 
 
 def _some(names: list[str]) -> str:

@@ -128,7 +128,10 @@ def read_control_points(path: str | Path) -> xr.Dataset:
             )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
-    crs = _crs(comments)
+    # the last CRS in the comments
+    pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
+    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
+    crs = maps[-1][:10_000] if maps else None
     named = {units[name] for name in ("east", "north")} - {""}
     # without pyproj, metres stay unchanged: pyproj is needed only where the CRS is used
     of_map = crs and (any(_metres(unit) != 1.0 for unit in named) or (named and find_spec("pyproj")))
@@ -162,13 +165,6 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         for name in ("east", "north"):
             points[name].attrs["units"] = "m" if axis[1] == 1.0 else axis[0]
     return points if crs is None else points.assign_attrs(crs=crs)
-
-
-def _crs(comments: list[str]) -> str | None:
-    """Return the last CRS in the comments."""
-    pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
-    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
-    return maps[-1][:10_000] if maps else None
 
 
 def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:

@@ -115,7 +115,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         {name: value[has_time] for name, value in values.items()},
         convention.replace(angle_unit=unit),
         assumed=tuple(name for name in assumed if name != "angle_unit"),
-        time_scale=_scale(clock_settings, clock),
+        time_scale=clock_settings.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc"),
         week=clock_settings.get("gps_week"),
         leap_seconds=clock_settings.get("leap_seconds"),
         attrs={"rows_without_time": left_out} if left_out else {},
@@ -354,13 +354,6 @@ def _counted(
     if clock == "gps" and has_time.any() and (seconds[has_time] <= 2.0 * WEEK_S).all():
         clock = "week"
     return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
-
-
-def _scale(clock_settings: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
-    scale: Literal["gps", "utc"] = clock_settings.get("time_scale") or (
-        "gps" if clock in ("gps", "week") else "utc"
-    )
-    return scale
 
 
 def _iso(

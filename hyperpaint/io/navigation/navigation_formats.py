@@ -29,7 +29,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 from hyperpaint.io.files.reading import numbered_lines
-from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_text, table_of
+from hyperpaint.io.files.text_tables import MOST_ROWS, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
@@ -62,7 +62,19 @@ def read_sbet(path: str | Path) -> PoseRecord:
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    records = _sbet_records(path)
+    with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
+        count, rest = divmod(size, _SBET_RECORD.itemsize)
+        if rest or not count:
+            raise FormatError(
+                f"{path}: {size} bytes",
+                expected=f"whole records of {_SBET_RECORD.itemsize} bytes",
+                mend="copy the file again, or check its format",
+                code="file-truncated",
+            )
+        records = np.fromfile(file, _SBET_RECORD, count)
+    if records.size != count:
+        raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
     values = {name: records[name].astype(np.float64) for name in ("altitude", "roll", "pitch")}
     # numbers of a damaged file may overflow; the result is refused below
     with np.errstate(invalid="ignore", over="ignore"):
@@ -80,23 +92,6 @@ def read_sbet(path: str | Path) -> PoseRecord:
         for name, meaning in _SBET_OTHERS.items()
     }
     return PoseRecord(path.name, "Applanix SBET", stamp, "week", values, _SBET_CONVENTION, others=others)
-
-
-def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
-        size = os.fstat(file.fileno()).st_size
-        count, rest = divmod(size, _SBET_RECORD.itemsize)
-        if rest or not count:
-            raise FormatError(
-                f"{path}: {size} bytes",
-                expected=f"whole records of {_SBET_RECORD.itemsize} bytes",
-                mend="copy the file again, or check its format",
-                code="file-truncated",
-            )
-        records = np.fromfile(file, _SBET_RECORD, count)
-    if records.size != count:
-        raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
-    return records
 
 
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
@@ -118,7 +113,16 @@ def read_lcf(path: str | Path) -> PoseRecord:
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    table = _lcf_table(path)
+    text = read_text(path, _MAX_LCF_BYTES, MOST_ROWS)
+    cells = (
+        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
+        for number, line in numbered_lines(text)
+        if line.strip()
+    )
+    first = next(cells, None)
+    width = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
+    rows = itertools.chain(() if first is None else (first,), cells)
+    table = table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
     problems = Problems(f"{path} cannot be used as a Resonon .lcf file", FormatError)
     values = {
         name: limited_numbers(table, name, _MAX_LCF_TIME_S if name == "time" else LIMITS[name], problems)
@@ -156,19 +160,6 @@ def read_lcf(path: str | Path) -> PoseRecord:
     )
 
 
-def _lcf_table(path: Path) -> Table:
-    text = read_text(path, _MAX_LCF_BYTES, MOST_ROWS)
-    cells = (
-        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
-        for number, line in numbered_lines(text)
-        if line.strip()
-    )
-    first = next(cells, None)
-    width = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
-    rows = itertools.chain(() if first is None else (first,), cells)
-    return table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
-
-
 _EPH_ATT_BANDS = {
     "gpstime": "time",
     "lat": "latitude",
@@ -200,7 +191,26 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
-    _refuse_others(header, header_path, data_path)
+    problems = Problems(f"{header_path} cannot be used as navigation", FormatError)
+    if not is_eph_att(header):
+        names = ", ".join(header.band_names)[:120]
+        problems.add(f"band names are {names!r}", expected=", ".join(_EPH_ATT_BANDS), code="column-missing")
+    if header.samples != 1:
+        problems.add(
+            f"samples is {header.samples}", expected="1 (a row of navigation is a line)", code="dims-wrong"
+        )
+    if header.dtype.kind != "f":
+        problems.add(f"values are {header.dtype}", expected="float64 (data type 5)", code="type-wrong")
+    stored_bytes = data_path.stat().st_size
+    expected_bytes = header.header_offset + header.lines * header.line_bytes
+    if stored_bytes != expected_bytes or stored_bytes > _MAX_EPH_ATT_BYTES:
+        problems.add(
+            f"{data_path.name} has {stored_bytes} bytes",
+            expected=f"{expected_bytes}, as its header says",
+            mend="copy it again",
+            code="file-size",
+        )
+    problems.raise_if_any()
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
@@ -228,29 +238,6 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
         week=_week_of_name(data_path.name, int(stamp[0])),
     )
-
-
-def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:
-    problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    if not is_eph_att(header):
-        names = ", ".join(header.band_names)[:120]
-        problems.add(f"band names are {names!r}", expected=", ".join(_EPH_ATT_BANDS), code="column-missing")
-    if header.samples != 1:
-        problems.add(
-            f"samples is {header.samples}", expected="1 (a row of navigation is a line)", code="dims-wrong"
-        )
-    if header.dtype.kind != "f":
-        problems.add(f"values are {header.dtype}", expected="float64 (data type 5)", code="type-wrong")
-    stored_bytes = data.stat().st_size
-    expected_bytes = header.header_offset + header.lines * header.line_bytes
-    if stored_bytes != expected_bytes or stored_bytes > _MAX_EPH_ATT_BYTES:
-        problems.add(
-            f"{data.name} has {stored_bytes} bytes",
-            expected=f"{expected_bytes}, as its header says",
-            mend="copy it again",
-            code="file-size",
-        )
-    problems.raise_if_any()
 
 
 def _week_of_name(name: str, first: int) -> int | None:

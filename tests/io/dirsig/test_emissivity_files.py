@@ -113,7 +113,7 @@ def test_the_last_line_needs_no_end(tmp_path: Path) -> None:
         (93, "0.6 0.9", "curve 0, from line 94: wavelengths do not ascend"),
         (93, "0.5 0.9", "do not ascend"),
         (93, "0 0.9", "do not ascend"),
-        (94, "500 0.9", "up to 500, expected micrometres; are these nanometres"),
+        (94, "500 0.9", "up to 500, expected micrometres"),
         (94, "0.5 90", "emissivity from 0.9 to 90"),
         (94, "0.5 -0.1", "expected 0 to 1"),
         (94, "0.5 1e999", "expected 0 to 1"),
