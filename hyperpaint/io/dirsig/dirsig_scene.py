@@ -44,7 +44,7 @@ from .scene_texts import (
     texture_picture,
 )
 
-#: Curves of a population at the most, unless asked for otherwise.
+#: Default of the largest number of curves of a population.
 MAX_CURVES = 64
 
 _WINDOW_NM = (400.0, 700.0)  # of a texture's picture
@@ -58,7 +58,7 @@ class _Surface(NamedTuple):
 
     spectrum: str
     coat_index: float
-    roughness: float  # 0 where it is not written
+    roughness: float  # 0 where not written
 
     @property
     def mirrored(self) -> float:

@@ -41,11 +41,11 @@ from .paint_curves import (
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
-#: Name of the file by which an export is known for one.
+#: Name of the file that identifies an export.
 MARKER = "paints.json"
 
 FORMAT = "hyperpaint DIRSIG export"
-#: What lies in exports of paints and of scenes.
+#: Names of files and folders in exports.
 _OWN = re.compile(
     r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
@@ -93,7 +93,7 @@ def _foreign(folder: Path) -> str:
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
 _MAX_SHOWN = 20
-#: Curves whose text is made at a time.
+#: Curves formatted as text at a time.
 _CURVES_AT_ONCE = 64
 
 _RGB = (640.0, 550.0, 460.0)
@@ -252,7 +252,7 @@ def write_dirsig(
         for name, text in written.items():
             # a name may hold halves of surrogate pairs, which no encoding has
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    _warn(records, gaps_said=gaps is not None)
+    _warn(records, gaps_chosen=gaps is not None)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
 
 
@@ -447,7 +447,7 @@ def _colour(wavelength: Array, reflectance: Array) -> list[float]:
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
 
 
-def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
+def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
     """Warn of changes to the spectra."""
     messages = []
     for key, change in (
@@ -459,7 +459,7 @@ def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
         ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
     ):
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
-        if number and not (gaps_said and "interpolated" in key):
+        if number and not (gaps_chosen and "interpolated" in key):
             messages.append(f"{number} {change} (in {paints} of {len(records)} paints)")
     if messages:
         warnings.warn(

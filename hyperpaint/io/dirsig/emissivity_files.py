@@ -34,10 +34,10 @@ from hyperpaint.io.files.reading import read_limited_text
 #: Line before every curve of a new ``.ems`` file.
 CURVE_BEGIN = "CURVE_BEGIN"
 
-#: Of an emissivity or reflectance, as DIRSIG's own files have them.
+#: Decimals of an emissivity or reflectance, as in DIRSIG's own files.
 DECIMALS = 6
 
-#: Of a wavelength in micrometres: a ten-thousandth of a nanometre.
+#: Decimals of a wavelength [um]: a ten-thousandth of a nanometre.
 WAVELENGTH_DECIMALS = 7
 
 _ANGLES = 91
@@ -112,7 +112,7 @@ class ColumnText:
         return texts.tobytes()
 
 
-#: Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB.
+#: Largest ``.ems`` file [bytes]: a thousand curves of 2000 wavelengths have some 36 MB.
 MAX_BYTES = 128 * 2**20
 
 MAX_CURVES = 100_000

@@ -10,7 +10,7 @@ from hyperpaint.base.mirrored_light import INCLUDED
 
 from .material_list import Section
 
-#: Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals.
+#: Parameters of DIRSIG's temperature solver Therm; its keys are in capitals.
 THERMAL = (
     "specific_heat",
     "mass_density",
@@ -28,7 +28,7 @@ _CURVES = {
 }
 
 
-#: What DIRSIG's own files say of a radiometry solver.
+#: Settings of the radiometry solvers in DIRSIG's own files.
 _SOLVERS = {
     "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
     "Generic": (

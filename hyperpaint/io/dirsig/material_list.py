@@ -22,7 +22,7 @@ from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
 _MAX_ID_CHARS, _MAX_NAME_CHARS = 48, 120
-#: What is written otherwise in ASCII, an umlaut with two letters; other accents are dropped.
+#: ASCII spellings of letters, an umlaut as two letters; other accents are dropped.
 _LETTERS = str.maketrans(
     {
         "ä": "ae",
@@ -117,7 +117,7 @@ class Section:
     """A section of the tag format."""
 
     name: str  # Before the bracket
-    # What is in it, in its order: pairs of a key and a value, and sections
+    # Content in file order: pairs of key and value, and sections
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
@@ -138,8 +138,8 @@ class Material:
     """An entry of a material list."""
 
     id: str  # Token by which geometry names it
-    name: str  # For people
-    entry: Section  # All that the file says of it
+    name: str  # Name for readers
+    entry: Section  # Complete entry of the file
 
     @property
     def emissivity_file(self) -> str | None:

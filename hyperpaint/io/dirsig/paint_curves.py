@@ -24,7 +24,7 @@ class Coat:
     """Treatment of the light mirrored by the clear coat."""
 
     mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
-    is_declared: bool  # Whether the library says so
+    is_declared: bool  # Whether the library declares it
     # Specular fraction of DIRSIG's reflectance; ``library`` takes it from ``specular_reflectance``
     specular: float | str
 
@@ -70,7 +70,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         declared = mirror_reflection(library)
     except SchemaError as error:
         problems.add_error("", error)
-    # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
+    # the safe guess for measured reflectance: a coat counted twice would go unnoticed
     mirror = declared or INCLUDED
     if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
         problems.add(
@@ -112,7 +112,7 @@ GAPS = ("interpolate", "refuse")
 #: Wavelengths that can be written [nm].
 MIN_NM, MAX_NM = 1.0, 1e5
 
-#: Of curves held at a time.
+#: Bytes of the curves held at a time.
 _BLOCK_BYTES = 8 * 2**20
 
 
@@ -127,7 +127,7 @@ class Choices:
     curves: str  # A key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
     extrapolate: bool  # Whether curves are held constant beyond the measured range
-    gaps: str  # What is done about bands without values between others: one of `GAPS`
+    gaps: str  # Treatment of bands without values between others: one of `GAPS`
     max_curves: int | None = None  # Curves of a paint at the most; None for all
 
 
@@ -140,15 +140,15 @@ class PaintCurves:
     curves: Array  # Reflectance of the population (curve, wavelength) [1], complete ones first
     complete: int  # Curves of which no sample was filled in
     gaps: Array  # Where samples of curves were filled in (wavelength,) [nm]
-    measured: tuple[float, float]  # First and last wavelength that were measured [nm]
+    measured: tuple[float, float]  # First and last measured wavelength [nm]
     extrapolated: str  # Where a sample was added beyond that: ``below``, ``above``, both, or empty
     # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
     # between others
     interpolated: int
     centre_interpolated: int
     left_out: int  # Members without values at the ends, which are not written
-    is_centre: bool  # Whether no member reaches both ends, so that the centre stands for them
-    thinned: int = 0  # Curves left out since there were more than asked for
+    is_centre: bool  # Whether no member reaches both ends, so that the centre is written instead
+    thinned: int = 0  # Curves left out above `max_curves`
 
 
 class Axis:
@@ -232,7 +232,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         raise PaintProblemError(
             "fewer than two bands have a value", mend="leave the paint out", code="value-missing"
         )
-    if not len(curves):  # a paint of which no member was kept
+    if not len(curves):  # a paint without members
         curves = centre[np.newaxis]
     measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
     below, above = _beyond(measured, choices)

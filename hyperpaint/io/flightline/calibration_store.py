@@ -43,7 +43,7 @@ _OPTIONAL = (
     "look_angle",
     "masked",
 )
-#: What a lab calibration adds, of which nothing but units and dims is asked.
+#: Further variables of a lab calibration; only their units and dims are checked.
 _OF_A_SWEEP = (
     "radiance_gain_u_random",
     "radiance_gain_u_systematic",

@@ -32,7 +32,7 @@ from .timing import Timing, line_times, utc_of
 
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
-#: Lines from which the spread of a dark cube is a measure of read noise.
+#: Smallest number of lines of a dark cube from which read noise is estimated.
 _NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
 
@@ -45,7 +45,7 @@ class Dark:
     exposures: tuple[float | None, ...]  # Seconds of each reference, None where unknown
     # Spread over the lines (band, cross_track) without rounding noise, or None from too few lines
     read_noise: xr.DataArray | None
-    source: str  # Says where they come from
+    source: str  # Source of the counts
     uncertainty: xr.DataArray | None = None  # Of the mean, from that spread (band, cross_track), or None
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
@@ -200,7 +200,7 @@ def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> 
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
     except TimeError:
-        return None  # without a zone it orders nothing
+        return None  # unusable without a zone
 
 
 def _middle(times: NDArray[np.datetime64]) -> np.datetime64:

@@ -219,7 +219,7 @@ class GrowingLine:
 
         ``first_pose``: the first row of the navigation that it needs.
         """
-        assert self._inputs is not None  # there has been a look
+        assert self._inputs is not None  # set by `look`
         header = self.header
         timing = self._timing
         self._view.mkdir(parents=True, exist_ok=True)

@@ -94,7 +94,7 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
 def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
     """Return focal length [mm] and pixel pitch [um] from the comment lines of a header, if stated.
 
-    None also where pixels are binned: which of rows and columns lie across the track is not said.
+    None also where pixels are binned, since the binned axis is unknown.
     """
     plain = {" ".join(key.split()).lower(): text for key, text in pairs.items()}
     if any(text.strip() != "1" for key, text in plain.items() if key.endswith(" binning")):
@@ -179,7 +179,7 @@ class FrameIndex:
     # ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
     # the first row's day on the recording computer
     clock: Literal["instrument", "time of day"]
-    fitted: bool = False  # The file holds whole seconds, the stamps are the straight line through them
+    fitted: bool = False  # The file holds whole seconds; the stamps are fitted by a straight line
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:

@@ -59,7 +59,7 @@ class LineTimes:
     # ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
     place: Mapping[str, NDArray[np.float64]] = field(repr=False)
     dropped: int  # Number of frames missing between the first and the last, blank lines included
-    source: str  # Says where the times come from
+    source: str  # Source of the times
 
 
 def utc_of(value: Any, name: str) -> np.datetime64:

@@ -206,7 +206,7 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     sampled = below.any() and inside.any() and above.any()
     if not sampled or np.diff(near).max() > RULES.oxygen_step_nm:
         return
-    # the lower one: paint that is black to the eye alone rises from one to the other
+    # the lower shoulder, since paint that is black in the visible only rises across the band
     shoulder = np.minimum(values[:, below].mean(axis=1), values[:, above].mean(axis=1))
     dip = shoulder - values[:, inside].min(axis=1)
     light = np.flatnonzero(dip > RULES.min_oxygen_depth * np.maximum(shoulder, 1e-6))

@@ -222,7 +222,7 @@ def _values(cells: list[str], bands: int) -> Floats32 | None:
         return None
     text = "".join(cells)
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
-        with contextlib.suppress(ValueError):  # an empty cell, perhaps
+        with contextlib.suppress(ValueError):  # such as an empty cell
             plain = list(map(float, cells))  # several times faster than `numbers`
     plain = plain or numbers(cells)
     if plain is None:

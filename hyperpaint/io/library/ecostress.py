@@ -35,7 +35,7 @@ from .text_spectra import (
     wavelength_factor,
 )
 
-#: Of a header, in their order.
+#: Keys of a header, in file order.
 _KEYS = (
     "Name",
     "Type",

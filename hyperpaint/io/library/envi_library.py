@@ -284,7 +284,7 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 # --- our own -----------------------------------------------------------------------------------------------
 
 
-#: Key of a header that says that names lead back.
+#: Key of a header written by hyperpaint.
 _MARK = "hyperpaint library"
 
 _BAR = " | "

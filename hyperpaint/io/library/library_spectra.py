@@ -19,10 +19,10 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_a
 #: um). Visible nanometres taken for micrometres lie beyond.
 MIN_NM, MAX_NM = 100.0, 3e5
 
-#: Message where the caller would have something of our own libraries replaced.
-OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
+#: Message for options that replace data of a library of hyperpaint.
+OWN_AXES = "{} is a library of hyperpaint, which has its own; wavelength=, fwhm= and scale= are for others"
 
-#: Median of values above which they are hardly reflectance as a fraction: a white panel's is 1.
+#: Median above which values are not reflectance as a fraction: a white panel has 1.
 _MAX_MEDIAN = 1.1
 
 _BRIGHT = 1.2
@@ -31,16 +31,16 @@ _BRIGHT = 1.2
 #: cm-2 sr-1 nm-1 has 0.5.
 _MAX_BRIGHT_SHARE = 0.1
 
-#: Largest value of a file below which a scale is hardly right: black coats have 0.02 to 0.05 somewhere.
+#: Largest value of a file below which a scale is doubtful: black coats reach 0.02 to 0.05.
 _MIN_BRIGHTEST = 0.01
 
-#: Stored values that stand for none wherever they are met.
+#: Stored values that mark missing samples.
 _MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
 
-#: No noise is below it [1], but marks of missing values at any scale.
+#: Reflectance below the reach of noise [1]: markers of missing values lie below at any scale.
 _MIN_REFLECTANCE = -0.5
 
-#: Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were
+#: Fill values lie below: deleted points of USGS spectra are -1.23e34, and where spectra were
 #: convolved to another spectrometer, some share of that.
 _MAX_FILL_VALUE = -1e20
 
@@ -54,11 +54,11 @@ class Spectra:
     names: Sequence[str]  # of the spectra, as the file spells them
     wavelength: Floats  # (band) [nm], in the order of the file
     reflectance: Floats32  # (signature, band) float32, as a fraction; NaN where there is no value
-    fwhm: Floats | None = None  # (band); None where the file does not say
+    fwhm: Floats | None = None  # (band); None where not in the file
     good: npt.NDArray[np.bool_] | None = None
     # Further variables on (signature, band): rows of `LIBRARY_VARIABLES` by name
     others: Mapping[str, Floats32] = field(default_factory=dict)
-    # What the file says of each spectrum in words
+    # Further columns of the spectra
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
     notes: Sequence[str] = ()  # inferred or doubtful properties
 

@@ -91,7 +91,7 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
             for name in names
         },
     }
-    # xarray gathers coordinates from sets: their order is another one in every run
+    # xarray gathers coordinates from sets, whose order differs from run to run
     variables = {
         str(name): _described(str(name), library.variables[name], name in library.coords, problems)
         for name in sorted(library.variables, key=str)

@@ -36,7 +36,7 @@ class Term(NamedTuple):
     meaning: str
 
 
-#: What a library must say, or say to be unknown.
+#: Declarations of every library; a word may be ``unknown``.
 TERMS = (
     Term(
         "quantity",
@@ -146,7 +146,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
             _spreads,
             _populations,
             _places,
-            _said,
+            _declarations,
         )
         for rule in rules:
             findings.extend(rule(dataset))
@@ -359,7 +359,7 @@ def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
             yield LibraryFinding("diffuse-fraction", _extremes(share), "0 to 1")
 
 
-def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
+def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
     """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):

@@ -12,7 +12,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
-#: Bytes of a text file that is read whole: 100,000 bands of 30 spectra.
+#: Largest text file [bytes]: 100,000 bands of 30 spectra.
 MAX_BYTES = 32 * 2**20
 
 _MAX_SHOWN = 5

@@ -150,7 +150,7 @@ def _candidates(path: Path, kind: str) -> list[Path]:
         except OSError:
             continue
         fitting = [n for n in names if n.lower().endswith(".txt") and any(w in n.lower() for w in words)]
-        if kind != "wave":  # spectra convolved to another spectrometer say so in their names
+        if kind != "wave":  # names of spectra convolved to another spectrometer hold "wavelength"
             fitting = [name for name in fitting if "wavelength" not in name.lower()]
         if fitting:
             return [above / name for name in fitting[:_MAX_CANDIDATES] if (above / name) != path.absolute()]

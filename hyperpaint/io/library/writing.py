@@ -46,7 +46,7 @@ _WRITERS: dict[str, Callable[..., Any]] = {
 #: Names of the formats.
 FORMATS = tuple(_WRITERS)
 
-#: What of a paint each format can hold, the default first.
+#: Curves that each format can hold, the default first.
 _CURVES = {
     "envi": ("centre", "all"),
     "ecostress": ("centre",),

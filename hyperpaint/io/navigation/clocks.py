@@ -25,7 +25,7 @@ LEAP_SECONDS: Mapping[str, int] = {
     "2015-07-01": 17, "2017-01-01": 18,
 }  # fmt: skip
 
-#: Day until which the IERS has promised `LEAP_SECONDS`; later times get the last value, with a warning.
+#: Day until which `LEAP_SECONDS` is valid (IERS); later times get the last value, with a warning.
 LEAP_SECONDS_EXPIRY = "2026-06-28"
 
 #: NaT of a datetime64 as an integer.
@@ -135,9 +135,9 @@ class ClockCorrection:
     """Conversion of the time stamps of a navigation record to UTC."""
 
     offset_s: float = 0.0  # UTC = stamp + ``offset_s`` [s]
-    # What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken
+    # Time scale of the stamps: ``"utc"``, or ``"gps"``, from which leap seconds are subtracted
     time_scale: Literal["utc", "gps"] = "utc"
-    leap_seconds: int | None = None  # GPS minus UTC [s] where `LEAP_SECONDS` is not to be used
+    leap_seconds: int | None = None  # GPS minus UTC [s], in place of `LEAP_SECONDS`
 
     def __post_init__(self) -> None:
         if not abs(self.offset_s) <= _MAX_OFFSET_S:
@@ -164,7 +164,7 @@ class Clock:
 
     stamp: NDArray[np.int64]  # microseconds of the clock, strictly increasing, (knot,)
     utc: NDArray[np.int64]  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
-    source: str  # says where the knots come from
+    source: str  # source of the knots
     daily: bool = False  # the stamps are times of day, so that one past midnight may be a day early or late
 
     def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:

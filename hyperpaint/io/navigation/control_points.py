@@ -21,7 +21,7 @@ from .navigation_records import limited_numbers
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
 _MAX_COORDINATE = 1e8
-_UNIT_TOLERANCE = 1e-9  # of rounding; feet of two kinds differ by 2e-6
+_UNIT_TOLERANCE = 1e-9  # of rounding; international and US survey feet differ by 2e-6
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -45,7 +45,7 @@ _METRES = {
     "cm": 0.01,
     "mm": 0.001,
 }
-#: Words that make a label one of a length which is not read: refused, not taken for metres.
+#: Words for lengths other than metres: a label with one is refused, not taken for metres.
 _LENGTHS = {
     *("yd", "yds", "yard", "yards", "inch", "inches", "mi", "mile", "miles", "nmi"),
     *("furlong", "furlongs", "fathom", "fathoms", "chain", "chains"),

@@ -23,7 +23,7 @@ from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 _MAX_BYTES = 2**28
 _MAX_COLUMNS = 1000
 _MAX_COMMENTS = 1000
-#: Seconds from 1970, or 1980, to the end of the 22nd century.
+#: Largest time [s], counted from 1970 or 1980: end of the 22nd century.
 _MAX_TIME_S = 7e9
 _ALIASES: Mapping[str, str] = {
     **dict.fromkeys(("latitude", "lat"), "latitude"),
@@ -33,7 +33,7 @@ _ALIASES: Mapping[str, str] = {
     "pitch": "pitch",
     **dict.fromkeys(("heading", "yaw", "true heading"), "heading"),
 }
-#: What a time column counts from, by its name; "" where only a stamp with a zone tells.
+#: Origin of a time column by its name; "" where a stamp with a zone is needed.
 _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("utc", "utc time", "time utc"), "utc"),
     **dict.fromkeys(("time", "timestamp", "datetime", "date time"), ""),

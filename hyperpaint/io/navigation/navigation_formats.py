@@ -40,7 +40,7 @@ _SBET_FIELDS = (
     *("x_acceleration", "y_acceleration", "z_acceleration", "x_rate", "y_rate", "z_rate"),
 )
 _SBET_RECORD = np.dtype([(name, "<f8") for name in _SBET_FIELDS])
-#: Bytes: 44 hours at 200 Hz.
+#: Largest SBET file [bytes]: 44 hours at 200 Hz.
 _MAX_SBET_BYTES = 2**32
 _SBET_OTHERS = {
     "platform_heading": "Heading from the north of the wander frame",
@@ -97,7 +97,7 @@ def read_sbet(path: str | Path) -> PoseRecord:
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
 _MAX_LCF_BYTES = 2**28
 _MAX_LCF_CELLS = 64
-#: Seconds from 1980 to 2199.
+#: Largest time [s], counted from 1980: the year 2199.
 _MAX_LCF_TIME_S = 7e9
 _LCF_CONVENTION = Convention(roll_positive="right_wing_up", angle_unit="radian")
 

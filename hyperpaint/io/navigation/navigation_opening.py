@@ -36,7 +36,7 @@ Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _HEAD_BYTES = 4096
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
-#: Of the year 2199: nanoseconds overflow in the 23rd century.
+#: GPS week in the year 2199; nanoseconds overflow in the 23rd century.
 _MAX_GPS_WEEK = 11_479
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",

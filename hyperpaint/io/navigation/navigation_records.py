@@ -39,7 +39,7 @@ _DATE_TIME = re.compile(
     r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2})(?:\.([0-9]{1,9}))?Z?"
 )
-#: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
+#: Name in the file to name in a flight line, and largest possible magnitude.
 _COLUMNS = {
     "lat": ("latitude", 90.0),
     "lon": ("longitude", 360.0),
@@ -48,7 +48,7 @@ _COLUMNS = {
     "pitch": ("pitch", 360.0),
     "yaw": ("heading", 360.0),
 }
-#: The largest magnitude of each that is a position or an angle at all [degree, m].
+#: Largest possible magnitude of positions and angles [degree, m].
 LIMITS = dict(_COLUMNS.values())
 #: ``latitude longitude altitude roll pitch heading``.
 POSE = tuple(LIMITS)

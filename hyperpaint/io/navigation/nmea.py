@@ -20,7 +20,7 @@ from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
 _MAX_BYTES = 2**28
-#: Positions of a log: five hours at 20 Hz.
+#: Largest number of positions in a log: five hours at 20 Hz.
 _MAX_POSITIONS = 400_000
 
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
@@ -153,7 +153,7 @@ class _Log:
         try:
             self._readers[kind](fields)
         except (ValueError, LookupError):
-            if len(self.problems) < 5:  # a few suffice
+            if len(self.problems) < 5:  # the first ones suffice
                 self.problems.add(
                     f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
                 )

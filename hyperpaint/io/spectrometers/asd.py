@@ -38,7 +38,7 @@ from .spectrum_files import (
 Kind = Literal["binary", "text", "csv", "unknown"]
 
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
-#: What users call the files of an instrument's calibration, and the kind of block each replaces.
+#: Keys of calibration files, and the kind of block that each replaces.
 _CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
 
 _NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
@@ -471,7 +471,7 @@ def _derived(
                 expected="positive numbers",
                 code="value-out-of-range",
             )
-        with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+        with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
             per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
             if quantity == "radiance":
                 per_count = per_count * blocks["BSE"][0] / np.pi

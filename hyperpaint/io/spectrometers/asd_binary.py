@@ -82,7 +82,7 @@ class AsdFile:
     instrument: str  # model and serial number
     instrument_number: int
     fore_optic: int  # field of view [degree], 0 none, 180 and more a cosine receptor
-    dark_subtracted: bool  # whether the dark current was taken off
+    dark_subtracted: bool  # whether the dark current was subtracted
     saturated: frozenset[str]  # detectors that the instrument found saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
 
 

@@ -31,7 +31,7 @@ _GAP_INTERVALS = 2.5
 _MARGIN = np.timedelta64(60, "s")
 #: Range of sunlight, and range of the resolutions of spectrometers [nm].
 _SUNLIT_NM, _WIDTHS_NM = (200.0, 2600.0), (0.02, 100.0)
-#: Pairs of samples with one stamp that a message names.
+#: Largest number of sample pairs in a message.
 _MAX_SHOWN = 20
 
 

@@ -22,11 +22,11 @@ from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, num
 
 #: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
-#: Where the silicon detector hands over to the next, and where it ends in instruments that have no other.
+#: Wavelengths at which the silicon detector ends, beside another detector and alone.
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
 
 _MAX_BYTES = 2**29
-#: Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second.
+#: Largest number of values of a file: three hours of an ASD instrument, one spectrum a second.
 _MAX_VALUES = 24_000_000
 
 _MAX_TIME_S = 7.2e9  # to the year 2198

@@ -147,7 +147,7 @@ def ratio(
 ) -> npt.NDArray[np.float64]:
     """Return the ratio, NaN where the denominator is zero or undefined."""
     quotient = np.full(numerator.shape, np.nan)
-    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+    with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
         np.divide(numerator, denominator, out=quotient, where=denominator != 0.0)
     return quotient
 

@@ -44,7 +44,7 @@ class SvcFile:
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
-    # What the scans of reference and target are in: ``radiance``, ``counts`` or ``irradiance``
+    # Quantity of the scans of reference and target: ``radiance``, ``counts`` or ``irradiance``
     units: tuple[str, str]
     # Nanometres; they step back where a detector ends and the next one, which overlaps it, begins
     wavelength: Floats
@@ -226,7 +226,7 @@ _RECORD = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]?")
 _REMOVED = re.compile(r"remove\s*@\s*(\d{3,4})(?:[.,]0)?\s*,\s*(\d{3,4})(?![\d])", re.IGNORECASE)
 _MATCHING = re.compile(r"matching type:\s*([^\]]*)", re.IGNORECASE)
 _ANGLE = re.compile(r"(\d{3,5})[.,](\d{1,8})\s*,?\s*([NSEW])", re.ASCII | re.IGNORECASE)
-_MAX_FACTORS_CHARS = 2000  # characters of the line that are looked at
+_MAX_FACTORS_CHARS = 2000  # leading characters that are parsed
 _BITS = re.compile(r"[0-9]{1,9}")
 
 
