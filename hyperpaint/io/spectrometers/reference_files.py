@@ -141,7 +141,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
         raise FormatError(
             f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
         ) from error
-    problems = Problems(f"{path} is not a list of paints and references", FormatError)
+    problems = Problems(f"{path} is no list of paints and references", FormatError)
     pairs = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
     references_by_paint: dict[str, dict[str, None]] = {}
     for paint, reference in pairs:

@@ -346,7 +346,7 @@ def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
     assert made.extrapolated.values.tolist() == ["below and above"] * 3
     assert "below and above" in (tmp_path / "out/README.txt").read_text()
     assert made.range.values.tolist() == [[380.0, 1100.0]] * 3
-    with pytest.raises(SchemaError, match="nothing of 1200 to 1300 nm"):
+    with pytest.raises(SchemaError, match="wavelength-uncovered"):
         hp.write_dirsig(paints, tmp_path / "far", wavelength_range=(1200, 1300), extrapolate=True)
 
 

@@ -91,7 +91,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     before = files(out)
-    with pytest.raises(StoreError, match="exists; pass overwrite=True"):
+    with pytest.raises(StoreError, match="overwrite=True"):
         hp.write_dirsig(library(seed=1), out)
     assert files(out) == before
     hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
@@ -103,7 +103,7 @@ def test_an_export_with_files_of_others_is_never_replaced(tmp_path: Path) -> Non
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     (out / "thesis.txt").write_text("precious")
-    with pytest.raises(StoreError, match=r"thesis\.txt, which no export has"):
+    with pytest.raises(StoreError, match=r"thesis\.txt"):
         hp.write_dirsig(library(), out, overwrite=True)
     assert (out / "thesis.txt").read_text() == "precious"
 
@@ -143,7 +143,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("hyperpaint.io.files.publishing.flush_group", full)
-    with pytest.raises(StoreError, match="cannot be written: No space left"):
+    with pytest.raises(StoreError, match="No space left"):
         hp.write_dirsig(library(seed=1), out, overwrite=True)
     assert files(out) == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

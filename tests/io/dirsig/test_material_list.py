@@ -93,7 +93,7 @@ def test_ids_are_there_once(tmp_path: Path) -> None:
 
 
 def test_a_list_of_too_many_lines_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="400001 lines, expected a DIRSIG material list of at most 400000"):
+    with pytest.raises(FormatError, match="400001 lines"):
         read_materials(written(tmp_path, "\n" * 400_001))
 
 

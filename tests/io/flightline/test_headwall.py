@@ -78,7 +78,7 @@ def test_exposure_that_is_none(pairs: dict[str, str]) -> None:
 def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read"):
         read_settings(tmp_path / "settings.txt")
-    with pytest.raises(FormatError, match="a folder, expected a text file"):
+    with pytest.raises(FormatError, match="a folder"):
         read_settings(tmp_path)
 
 
@@ -260,5 +260,5 @@ def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
 def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
     path = tmp_path / "frameIndex_0.txt"
     path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MOST_ROWS)
-    with pytest.raises(FormatError, match="at most 2000000; cut it to the flight, or give an SBET file"):
+    with pytest.raises(FormatError, match="at most 2000000"):
         read_table(path, "frame index", needs=["frame#"])

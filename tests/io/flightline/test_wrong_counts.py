@@ -58,5 +58,5 @@ def test_a_dark_that_is_radiance_is_refused(folder: Path, counts: np.ndarray[Any
 
 
 def test_what_the_user_says_against_the_header_is_refused(folder: Path) -> None:
-    with pytest.raises(FormatError, match="its header says counts; correct the header"):
+    with pytest.raises(FormatError, match=r"header.* counts"):
         open_line(folder, quantity="radiance", radiance_units="W m-2 sr-1 nm-1")

@@ -101,9 +101,9 @@ def test_sli__without_wavelengths_takes_those_given(tmp_path: Path) -> None:
     given = hp.open_library(path, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0))
     assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
     assert given["fwhm"].values.tolist() == [5.0] * 3
-    with pytest.raises(FormatError, match="2 values of wavelength for 3 bands"):
+    with pytest.raises(FormatError, match="length-mismatch"):
         hp.open_library(path, wavelength=[450, 550])
-    with pytest.raises(FormatError, match="expected one finite number a band"):
+    with pytest.raises(FormatError, match="value-out-of-range"):
         hp.open_library(path, wavelength=[[450, np.nan]])
 
 
@@ -142,7 +142,7 @@ def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
     assert "bands is 2, expected 1" in str(caught.value)
     assert "23 bytes, expected 48" in str(caught.value)
     header.write_text(header.read_text().replace("Spectral Library", "Standard"))
-    with pytest.raises(FormatError, match=r"expected a spectral library|wavelength"):
+    with pytest.raises(FormatError, match=r"spectral library|wavelength"):
         hp.open_library(header)
 
 

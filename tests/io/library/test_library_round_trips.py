@@ -253,7 +253,7 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
         hp.open_library(path)
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match=r"shape \(2,\), expected \(5,\)"):
+    with pytest.raises(FormatError, match="metadata-damaged"):
         hp.open_library(path)
 
 
@@ -290,7 +290,7 @@ def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path:
     np.testing.assert_allclose(found["reflectance"].values, library["reflectance"].values, rtol=1e-6)
     np.testing.assert_allclose(found["wavelength"].values, library["wavelength"].values)
     del percent["reflectance"].attrs["units"]
-    with pytest.raises(SchemaError, match="'reflectance' has no units"):
+    with pytest.raises(SchemaError, match=r"'reflectance'.*units"):
         hp.write_library(percent, tmp_path / "more.sli")
 
 
@@ -324,7 +324,7 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
         )
     with pytest.raises(FormatError, match="choice-unknown"):
         hp.write_library(library, tmp_path / "paints.xlsx")
-    with pytest.raises(SchemaError, match="attribute 'when' of the library"):
+    with pytest.raises(SchemaError, match=r"'when'.*type-wrong"):
         hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv")
     assert list(tmp_path.iterdir()) == []
 

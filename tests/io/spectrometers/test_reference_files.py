@@ -99,7 +99,7 @@ def test_all_bad_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.sig").write_text("nothing")
     (tmp_path / "b.asd").write_bytes(b"asd" + b"\0" * 20)
     (tmp_path / "c.txt").write_text("poem")
-    with pytest.raises(FormatError, match="references cannot be opened") as caught:
+    with pytest.raises(FormatError, match="references cannot") as caught:
         open_references([tmp_path / name for name in ("a.sig", "b.asd", "c.txt")])
     for name in ("a.sig", "b.asd", "c.txt"):
         assert name in str(caught.value)

@@ -287,7 +287,7 @@ def test_files_that_differ(write) -> None:
     with pytest.raises(FormatError, match=r"a\.sig.*grid-mismatch"):
         open_svc(paths)
     paths = [write("a.sig"), write("c.sig", units="Counts, Counts")]
-    with pytest.raises(FormatError, match=r"(?s)pass quantity=.*reflectance: a\.sig.*counts: c\.sig"):
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
         open_svc(paths)
 
 
@@ -343,12 +343,12 @@ def test_declared_or_not_a_huge_table_is_refused_early(tmp_path) -> None:
     with pytest.raises(FormatError, match="file-too-large"):
         open_svc(path)
     path.write_text(svc_text().replace("data=", "x\n" * 500_000 + "data="))
-    with pytest.raises(FormatError, match="500171 lines, expected an SVC"):
+    with pytest.raises(FormatError, match="500171 lines"):
         open_svc(path)
     path.write_text(svc_text(factors="1.0, " * 200_000, comm="[" * 10**6, error="9" * 10**6))
     assert np.isfinite(open_svc(path)["factor_target"].item())
     path.write_bytes(b"/*** Spectra Vista SIG Data ***/\n" + bytes(5 * 2**20))
-    with pytest.raises(FormatError, match="expected an SVC spectrometer's file of at most"):
+    with pytest.raises(FormatError, match="SVC spectrometer's file"):
         open_svc(path)
 
 

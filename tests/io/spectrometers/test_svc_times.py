@@ -95,7 +95,7 @@ def test_gps_times(text, expected) -> None:
 
 @pytest.mark.parametrize("text", ["noon", "2460", "240000", "106000", "100061", "-10000", "1e5", "9" * 500])
 def test_what_is_no_gps_time(text) -> None:
-    with pytest.raises(ValueError, match="expected a time of day, HHMMSS"):
+    with pytest.raises(ValueError, match="time of day, HHMMSS"):
         read_gps_time(text)
 
 
@@ -129,7 +129,7 @@ def test_times_of_several_files(tmp_path) -> None:
     np.testing.assert_array_equal(found, expected)
     found = open_svc(tmp_path, utc_offset_h=-5, dayfirst=True)["time"].values
     assert found[0] == np.datetime64("2025-06-05T14:42:59")
-    with pytest.warns(PaintWarning, match=r"pass utc_offset_h=. Files: a\.sig, b\.sig"):
+    with pytest.warns(PaintWarning, match=r"a\.sig, b\.sig \[zone-"):
         assert np.isnat(open_svc(tmp_path)["time"].values).all()
 
 
