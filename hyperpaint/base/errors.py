@@ -352,9 +352,9 @@ class Problems:
         self._problems.append(Problem(found, expected, mend, option, code))
 
     def add_error(self, subject: str, error: Exception) -> None:
-        """Note an error on a subject, with its parts, mends and codes."""
+        """Note an error, with its parts, mends and codes; a subject stands before its message."""
         if isinstance(error, PaintError):
-            self._problems.append(error.about(subject).problem)
+            self._problems.append((error.about(subject) if subject else error).problem)
         else:
             self.add(f"{subject}: {error}")
 

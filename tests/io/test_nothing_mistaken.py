@@ -128,7 +128,7 @@ WRONG = [
     Case("heading in hundredths of a degree", poses(heading=4000.0), "heading"),
     Case("degrees said to be radian", poses(unit="radian"), "heading"),
     Case("local time without a zone", poses(stamp="2024-05-21T12:00:{:02d}"), "zone"),
-    Case("seconds of what", poses(stamp="2160{:02d}"), "from when"),
+    Case("seconds of what", poses(stamp="2160{:02d}"), "time-origin-unknown"),
     Case("a panel in percent", given(lambda: Panel(*PATCH, 50.0)), "expected 0 to 1"),
     Case("its uncertainty in percent", given(lambda: Panel(*PATCH, 0.5, uncertainty=2.0)), "fraction of 1"),
     Case("a tilt in hundredths of a degree", given(lambda: hp.Tilt(500.0, 180.0)), "0 to 90"),

@@ -1,4 +1,4 @@
-"""A whole scene of triangles for the simulator DIRSIG: geometry, materials with populations, maps, lists."""
+"""Scenes of triangles as DIRSIG files: geometry, materials with populations, texture maps, lists."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array
@@ -43,11 +44,8 @@ from .scene_texts import (
     texture_picture,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Default of the largest number of curves of a population.
 MAX_CURVES = 64
-"""Curves of a population at the most, unless asked for otherwise."""
 
 _WINDOW_NM = (400.0, 700.0)  # of a texture's picture
 #: Wavelengths that materials must cover [nm] for a scene to have the feature.
@@ -56,11 +54,11 @@ _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    """What faces are made of: a spectrum, under a coat of a refractive index and roughness, or none (0)."""
+    """Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness."""
 
     spectrum: str
     coat_index: float
-    roughness: float  # 0 where it is not written
+    roughness: float  # 0 where not written
 
     @property
     def mirrored(self) -> float:
@@ -89,8 +87,7 @@ def write_dirsig_scene(
 
     Written are the geometry as OBJ with its MTL, a geometry list, the ``.scene``, a skeleton of a ``.jsim``,
     the materials with their spectra, a texture map of every population, and a README that says how to run
-    it, what each construct was checked against, and what could not be checked. The folder appears when all
-    is written, or not at all.
+    it, and which constructs were checked. The folder appears when all is written, or not at all.
 
     Parameters
     ----------
@@ -157,7 +154,21 @@ def write_dirsig_scene(
     vis,nir README.txt geometry ground.jsim ground.scene maps materials paints.json
     """
     libraries = list(paints) if isinstance(paints, Sequence) else [paints]
-    _check_options(origin, max_curves, texture_m)
+    problems = Problems("no DIRSIG scene can be written", SchemaError)
+    if not isinstance(max_curves, int) or max_curves < 1:
+        problems.add(
+            f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
+        )
+    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
+        problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
+    place = np.asarray(origin, np.float64)
+    if place.shape != (3,) or not np.isfinite(place).all() or not (abs(place[:2]) <= [90.0, 360.0]).all():
+        problems.add(
+            f"origin={origin!r}",
+            expected="latitude and longitude [degree] and height [m]",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
@@ -179,11 +190,14 @@ def write_dirsig_scene(
         _write_geometry(build / "geometry", scene, stem, ordered, face_surface, texture_m)
         entries = (
             material_section(
-                record, surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
-                rad_solver="Generic" if record["fit_file"] else "Classic", thermal=None, double_sided=True,
+                record,
+                surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
+                rad_solver="Generic" if record["fit_file"] else "Classic",
+                thermal=None,
+                double_sided=True,
             )
             for record in ordered
-        )  # fmt: skip
+        )
         window = attrs["window_nm"]
         texts = {
             f"materials/{stem}.mat": materials_text(entries),
@@ -198,32 +212,26 @@ def write_dirsig_scene(
 
 
 _FOLDERS = (
-    "geometry/lists", "geometry/objects", f"materials/{EMISSIVITY}", f"materials/{REFLECTANCE}",
-    "materials/brdf", "maps",
-)  # fmt: skip
-
-
-def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
-    problems = Problems("no DIRSIG scene can be written", SchemaError)
-    if not isinstance(max_curves, int) or max_curves < 1:
-        problems.add(f"max_curves={max_curves!r}, expected a whole number above 0")
-    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
-        problems.add(f"texture_m={texture_m!r}, expected 0.001 to 10000 m")
-    three = np.asarray(origin, np.float64)
-    if three.shape != (3,) or not np.isfinite(three).all() or not (abs(three[:2]) <= [90.0, 360.0]).all():
-        problems.add(f"origin={origin!r}, expected latitude and longitude [degree] and height [m]")
-    problems.raise_if_any()
+    "geometry/lists",
+    "geometry/objects",
+    f"materials/{EMISSIVITY}",
+    f"materials/{REFLECTANCE}",
+    "materials/brdf",
+    "maps",
+)
 
 
 def _surfaces(
     scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
-    """Return what faces are made of, and which of it every face is (face,)."""
+    """Return the distinct surfaces, and the surface of every face (face,)."""
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
     names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
     for key in repaint.keys() - names:
-        problems.add(f"repaint[{key!r}] names no instance, material or spectrum of the scene")
+        problems.add(
+            f"repaint[{key!r}] names no instance, material or spectrum of the scene", code="key-unknown"
+        )
     problems.raise_if_any()
     pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
     distinct, face_pair = np.unique(pair, return_inverse=True)
@@ -242,14 +250,18 @@ def _surfaces(
 
 
 def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    """Return, of every library, the surfaces that it paints: their numbers, and places of their paints."""
+    """Return for every library its surfaces: their numbers, and the places of their paints."""
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    places = [{str(name): place for place, name in enumerate(each[SIGNATURE].values)} for each in libraries]
+    places = [
+        {str(name): place for place, name in enumerate(library[SIGNATURE].values)} for library in libraries
+    ]
     for number, surface in enumerate(surfaces):
         owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
         if owner is None:
-            problems.add(f"spectrum {surface.spectrum!r} of the scene is in no library")
+            problems.add(
+                f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
+            )
         else:
             shares[owner].append((number, places[owner][surface.spectrum]))
     problems.raise_if_any()
@@ -257,11 +269,16 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
 
 
 def _write_materials(
-    build: Path, libraries: Sequence[xr.Dataset], shares: Sequence[list[tuple[int, int]]],
-    surfaces: Sequence[_Surface], choices: Choices, *, coat_brdf: bool,
+    build: Path,
+    libraries: Sequence[xr.Dataset],
+    shares: Sequence[list[tuple[int, int]]],
+    surfaces: Sequence[_Surface],
+    choices: Choices,
+    *,
+    coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Write the spectra of all surfaces, and return their records, which say of which ``surface``."""
+) -> list[dict[str, Any]]:
+    """Write the spectra of all surfaces; return their records, with the number of their ``surface``."""
     records: list[dict[str, Any]] = []
     for library, share in zip(libraries, shares, strict=True):
         if not share:
@@ -271,11 +288,11 @@ def _write_materials(
         is_body = mirror_reflection(library) == EXCLUDED
         part = _with_coats(library.isel({SIGNATURE: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
         taken = [Material(record["id"], record["name"], Section("")) for record in records]
-        mine = paint_records(part, taken)
+        library_records = paint_records(part, taken)
         kind = "members" if "member_reflectance" in part.variables else "centre"
         coat = coat_of(part, "library" if _SPECULAR in part.variables else 0.0)
-        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, mine, None)
-        for record, number in zip(mine, numbers, strict=True):
+        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, library_records, None)
+        for record, number in zip(library_records, numbers, strict=True):
             record |= {
                 "surface": number,
                 "mirror_reflection": EXCLUDED if is_body else coat.mirror_reflection,
@@ -283,17 +300,20 @@ def _write_materials(
             record["fit_file"] = ""
             if coat_brdf and is_body and surfaces[number].coat_index:
                 record["fit_file"] = f"brdf/{record['id']}.fit"
-                (build / record["fit_file"]).write_text(_fit_of(build, record, surfaces[number]))
-        records += mine
+                # the written centre includes the coat
+                micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
+                surface = surfaces[number]
+                body = np.maximum(whole - surface.mirrored, 0.0)
+                text = fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
+                (build / record["fit_file"]).write_text(text)
+        records += library_records
         if progress is not None:
             progress(len(records), len(surfaces))
     return records
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    """Return a library whose coats mirror so much (signature,) [1]: beside the body, or as a BRDF with it."""
-    import xarray as xr
-
+    """Return a library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF."""
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
@@ -309,13 +329,6 @@ def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Da
     for values in whole.values():
         values.attrs["mirror_reflection"] = INCLUDED
     return plain.assign(whole)
-
-
-def _fit_of(build: Path, record: Mapping[str, Any], surface: _Surface) -> str:
-    """Return the ``.fit`` file of a coated paint, whose centre, coat included, is written already."""
-    micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
-    body = np.maximum(whole - surface.mirrored, 0.0)
-    return fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
 
 
 def _attrs(
@@ -353,29 +366,33 @@ def _attrs(
 
 
 def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
-    """Write a picture for every population, and name it in its record."""
+    """Write a texture picture for every population, and name it in the record."""
+    grid = np.linspace(window[0], window[1], 301)
     for record in records:
         record["texture"] = ""
         if record["curves"] < 2:
             continue
+        # mean reflectance of every curve over the window
         curves = read_emissivity(build / "materials" / record["emissivity_file"]).curves
-        picture = texture_picture(np.array([_mean(curve, window) for curve in curves]), record["id"])
+        means = [
+            float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
+            for curve in curves
+        ]
+        picture = texture_picture(np.array(means), record["id"])
         if picture is not None:
             record["texture"] = f"{record['id']}.pgm"
             head = f"P5\n{picture.shape[1]} {picture.shape[0]}\n255\n".encode()
             (build / "maps" / record["texture"]).write_bytes(head + picture.tobytes())
 
 
-def _mean(curve: Any, window: Sequence[float]) -> float:
-    """Return the mean reflectance of a curve over wavelengths [nm]."""
-    grid = np.linspace(window[0], window[1], 301)
-    return float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
-
-
 def _write_geometry(
-    build: Path, scene: Triangles, stem: str, records: Sequence[Mapping[str, Any]],
-    face_surface: NDArray[np.int64], texture_m: float,
-) -> None:  # fmt: skip
+    build: Path,
+    scene: Triangles,
+    stem: str,
+    records: Sequence[Mapping[str, Any]],
+    face_surface: NDArray[np.int64],
+    texture_m: float,
+) -> None:
     identifiers = [record["id"] for record in records]
     with open(build / "objects" / f"{stem}.obj", "w", encoding="ascii", newline="\n") as file:
         for line in obj_lines(scene, identifiers, face_surface, f"{stem}.mtl", texture_m):
@@ -387,8 +404,6 @@ def _write_geometry(
 
 
 def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> xr.Dataset:
-    import xarray as xr
-
     def column(key: str, dtype: Any) -> tuple[str, Array]:
         return SIGNATURE, np.array([record[key] for record in records], dtype)
 

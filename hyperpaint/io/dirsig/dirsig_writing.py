@@ -1,4 +1,4 @@
-"""A paint library as materials of the simulator DIRSIG, in a folder of its own."""
+"""A paint library as a folder of materials of the simulator DIRSIG."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
@@ -26,8 +27,8 @@ from .material_list import Material, material_ids, material_names, materials_tex
 from .paint_curves import (
     CURVES,
     GAPS,
-    LONGEST,
-    SHORTEST,
+    MAX_NM,
+    MIN_NM,
     Axis,
     Choices,
     Coat,
@@ -38,21 +39,18 @@ from .paint_curves import (
     curves_of,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
+#: Name of the file that identifies an export.
 MARKER = "paints.json"
-"""Name of the file by which an export is known for one."""
 
 FORMAT = "hyperpaint DIRSIG export"
+#: Names of files and folders in exports.
 _OWN = re.compile(
     r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
-"""What lies in exports of paints and of scenes."""
 
-_MOST_BYTES = 256 * 2**20
+_MAX_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 
@@ -60,16 +58,21 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 def export_folder(
     folder: str | os.PathLike[str], *, overwrite: bool, inside: Sequence[str] = (EMISSIVITY, REFLECTANCE)
 ) -> Iterator[Path]:
-    """Yield a folder to write an export to, which gets its place when the block ends well.
+    """Yield a folder for an export, moved to its place when the block ends without error.
 
     ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced;
     ``inside``: folders to make in it.
 
     Raises `StoreError`: The place holds anything else, or an export that may not be replaced; another writes
-    there; or it cannot be written. Also for whatever the disk refuses inside.
+    there; or it, or a file inside, cannot be written.
     """
     if _URL.match(os.fspath(folder)):
-        raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")
+        raise StoreError(
+            f"{os.fspath(folder)!r} is a URL",
+            expected="a folder",
+            mend="write to a folder and copy it",
+            code="folder-is-url",
+        )
     place = Path(os.path.abspath(folder))
     with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
         for name in inside:
@@ -79,7 +82,7 @@ def export_folder(
 
 def _foreign(folder: Path) -> str:
     try:
-        document = json.loads(read_limited(folder / MARKER, _MOST_BYTES, "an export"))
+        document = json.loads(read_limited(folder / MARKER, _MAX_BYTES, "an export"))
     except (FormatError, ValueError, RecursionError):
         document = None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -89,9 +92,9 @@ def _foreign(folder: Path) -> str:
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
-_MOST_SHOWN = 20
-_AT_ONCE = 64
-"""Curves whose text is made at a time."""
+_MAX_SHOWN = 20
+#: Curves formatted as text at a time.
+_CURVES_AT_ONCE = 64
 
 _RGB = (640.0, 550.0, 460.0)
 
@@ -170,7 +173,7 @@ def write_dirsig(
         What was written (signature): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
         ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
         and ``centre_interpolated``, members ``left_out`` and ``thinned``, the range and ``extrapolated``. Its
-        attributes say what became of mirrored light: ``mirror_reflection``, ``specular_term``.
+        attributes describe the treatment of mirrored light: ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
@@ -217,7 +220,11 @@ def write_dirsig(
     """
     kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
     if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
-        raise SchemaError(f"max_curves={max_curves!r}, expected a whole number above 0, or None")
+        raise SchemaError(
+            f"max_curves={max_curves!r}",
+            expected="a whole number above 0, or None",
+            code="value-out-of-range",
+        )
     coat = coat_of(library, specular)
     axis = Axis(library)
     choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
@@ -230,8 +237,11 @@ def write_dirsig(
             )
             for record in records
         )
-        attrs = {**coat.attrs, "surface": surface, "curves_of": kind, **_source(library)}
-        # by which an export is known for one
+        attrs = {**coat.attrs, "surface": surface, "curves_of": kind}
+        for name in ("title", "source", "provenance", "references", "license"):
+            if name in library.attrs:
+                attrs[f"library_{name}"] = str(library.attrs[name])
+        # identifies the folder as an export
         marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
         written = {
             "materials.mat": materials_text(entries),
@@ -240,9 +250,9 @@ def write_dirsig(
             MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
         }
         for name, text in written.items():
-            # what is no letter in any encoding may stand in a name all the same
+            # a name may hold halves of surrogate pairs, which no encoding has
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    _warn(records, gaps_said=gaps is not None)
+    _warn(records, gaps_chosen=gaps is not None)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
 
 
@@ -256,7 +266,7 @@ def _checked(
     thermal: Mapping[str, float] | None,
     specular: float | str,
 ) -> str:
-    """Return the kind of curves; refuse a call that makes no sense."""
+    """Return the kind of curves; refuse invalid arguments."""
     problems = Problems("no DIRSIG materials can be written", SchemaError)
     kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are judged without reading values: an empty library has them, too
@@ -264,37 +274,55 @@ def _checked(
     names = {"reflectance", "wavelength", CURVES.get(kind, "reflectance")} & {*map(str, library.variables)}
     require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
     if kind not in CURVES:
-        problems.add(f"curves={curves!r}, expected {', '.join(CURVES)}")
+        problems.add(f"curves={curves!r}", expected=", ".join(CURVES), code="choice-unknown")
     elif CURVES[kind] not in library.variables:
-        problems.add(f"curves={kind!r} needs {CURVES[kind]}, which the library has not; pass curves='centre'")
+        problems.add(
+            f"curves={kind!r} needs {CURVES[kind]}, which the library lacks",
+            mend="pass curves='centre'",
+            code="variable-missing",
+        )
     elif library[CURVES[kind]].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
-        problems.add(f"{CURVES[kind]} is {library[CURVES[kind]].dtype}, expected numbers")
+        problems.add(
+            f"{CURVES[kind]} is {library[CURVES[kind]].dtype}", expected="numbers", code="type-wrong"
+        )
     if not library.sizes[SIGNATURE]:
-        problems.add("the library has no paints")
+        problems.add("the library has no paints", code="empty-input")
     if wavelength_range is not None and not _is_range(wavelength_range):
         problems.add(
-            f"wavelength_range={wavelength_range!r}, expected two wavelengths such as (400, 1000) [nm]"
+            f"wavelength_range={wavelength_range!r}",
+            expected="two wavelengths such as (400, 1000) [nm]",
+            code="value-out-of-range",
         )
     if gaps not in (None, *GAPS):
-        problems.add(f"gaps={gaps!r}, expected {' or '.join(GAPS)}")
+        problems.add(f"gaps={gaps!r}", expected=" or ".join(GAPS), code="choice-unknown")
     if surface not in SURFACES:
-        problems.add(f"surface={surface!r}, expected {' or '.join(SURFACES)}")
+        problems.add(f"surface={surface!r}", expected=" or ".join(SURFACES), code="choice-unknown")
     elif surface == "SimpleReflectance" and specular != 0.0:
-        problems.add("SimpleReflectance has no specular term; leave specular away, or use ClassicEmissivity")
+        problems.add(
+            "SimpleReflectance has no specular term",
+            mend="leave specular out, or use ClassicEmissivity",
+            code="option-conflict",
+        )
     if not (rad_solver.isascii() and rad_solver.isalnum()):
-        problems.add(f"rad_solver={rad_solver!r}, expected a name such as 'Classic'")
+        problems.add(
+            f"rad_solver={rad_solver!r}", expected="a name such as 'Classic'", code="value-out-of-range"
+        )
     if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(_is_number, thermal.values()))):
-        problems.add(f"thermal={dict(thermal)!r}, expected numbers for all of {', '.join(THERMAL)}")
+        problems.add(
+            f"thermal={dict(thermal)!r}",
+            expected=f"numbers for all of {', '.join(THERMAL)}",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     return kind
 
 
-def _is_range(given: Any) -> bool:
+def _is_range(value: Any) -> bool:
     try:
-        low, high = given
+        low, high = value
     except (TypeError, ValueError):
         return False
-    return _is_number(low) and _is_number(high) and SHORTEST <= low < high <= LONGEST
+    return _is_number(low) and _is_number(high) and MIN_NM <= low < high <= MAX_NM
 
 
 def _is_number(value: Any) -> bool:
@@ -302,7 +330,7 @@ def _is_number(value: Any) -> bool:
 
 
 def paint_records(library: xr.Dataset, taken: Collection[Material]) -> list[dict[str, Any]]:
-    """Return the beginning of every paint's record: what it is called, where its files are, what is known.
+    """Return the first part of every paint's record: names, files, and columns of the library.
 
     IDs and names of materials that are ``taken`` are not used again.
     """
@@ -336,7 +364,7 @@ def write_spectra(
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write the files of all paints, and complete their records; after a problem only look for others."""
+    """Write the files of all paints and complete their records; after a fault, only check the rest."""
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in blocks_of(library, choices):
@@ -345,22 +373,32 @@ def write_spectra(
             try:
                 spectra = curves_of(axis, centre, curves, choices)
             except PaintProblemError as error:
-                problems.append(Problem(f"{record['paint']!r}: {error}"))
+                problems.append(error.about(repr(record["paint"])).problem)
                 continue
             mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
-            fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
-                                     None if mirror is None else mirror[axis.order])  # fmt: skip
+            fraction = coat.fraction(
+                np.where(axis.good, centre[axis.order], np.nan),
+                None if mirror is None else mirror[axis.order],
+            )
             if not problems:
                 key = spectra.wavelength.tobytes()
                 if key not in formats:
-                    formats.clear()  # paints in turn are alike; what they need is not kept for ever
+                    formats.clear()  # successive paints share wavelengths; older formats are dropped
                     formats[key] = ColumnText(spectra.wavelength, CURVE_BEGIN), ColumnText(spectra.wavelength)
                 record |= _write_paint(spectra, fraction, build, record, *formats[key])
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
-        more = [Problem(f"and {len(problems) - _MOST_SHOWN} more paints")] if problems[_MOST_SHOWN:] else []
-        raise SchemaError("paints cannot be written for DIRSIG", problems=problems[:_MOST_SHOWN] + more)
+        rest = (
+            [Problem(f"and {len(problems) - _MAX_SHOWN} more paints", code="paint-unwritable")]
+            if problems[_MAX_SHOWN:]
+            else []
+        )
+        raise SchemaError(
+            "paints cannot be written for DIRSIG",
+            problems=problems[:_MAX_SHOWN] + rest,
+            code="paint-unwritable",
+        )
 
 
 def _write_paint(
@@ -375,8 +413,8 @@ def _write_paint(
     clipped = 0
     with open(build / record["emissivity_file"], "wb") as file:
         file.write(emissivity_head(len(spectra.curves)))
-        for start in range(0, len(spectra.curves), _AT_ONCE):
-            total = spectra.curves[start : start + _AT_ONCE] / (1.0 - fraction)
+        for start in range(0, len(spectra.curves), _CURVES_AT_ONCE):
+            total = spectra.curves[start : start + _CURVES_AT_ONCE] / (1.0 - fraction)
             clipped += int(((total < 0.0) | (total > 1.0)).sum())
             file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
     outside = int(((spectra.centre < 0.0) | (spectra.centre > 1.0)).sum())
@@ -403,46 +441,48 @@ def _write_paint(
 
 
 def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    """Return red, green and blue for DIRSIG's editor: reflectance there, brightened; white where unknown."""
+    """Return red, green and blue for DIRSIG's editor, brightened; white where unknown."""
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
 
 
-def _source(library: xr.Dataset) -> dict[str, str]:
-    """Return what the library says of itself."""
-    texts = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
-            if name in library.attrs}  # fmt: skip
-    return {f"library_{name}": str(value) for name, value in texts.items()}
-
-
-def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
-    """Tell what was done to the spectra that their reader would not expect."""
+def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
+    """Warn of changes to the spectra."""
     messages = []
-    for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
-                      ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
-                      ("left_out", "members that lack an end of the range were left out"),
-                      ("is_centre", "paints have no member that reaches both ends: their centre is written"),
-                      ("interpolated", "samples in gaps of curves were filled in by straight lines"),
-                      ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
-                      ):  # fmt: skip
+    for key, change in (
+        ("clipped", "samples outside 0 to 1 were clipped"),
+        ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
+        ("left_out", "members that lack an end of the range were left out"),
+        ("is_centre", "paints have no member that reaches both ends: their centre is written"),
+        ("interpolated", "samples in gaps of curves were filled in by straight lines"),
+        ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
+    ):
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
-        if number and not (gaps_said and "interpolated" in key):
-            messages.append(f"{number} {what} (in {paints} of {len(records)} paints)")
+        if number and not (gaps_chosen and "interpolated" in key):
+            messages.append(f"{number} {change} (in {paints} of {len(records)} paints)")
     if messages:
-        warnings.warn(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
+            stacklevel=3,
+        )
 
 
 def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:
-    import xarray as xr
-
     def column(key: str, dtype: Any) -> tuple[str, Array]:
         return SIGNATURE, np.array([record[key] for record in records], dtype)
 
     counts = (
-        "curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out",
-        "thinned", "bands",
-    )  # fmt: skip
+        "curves",
+        "complete",
+        "clipped",
+        "centre_clipped",
+        "interpolated",
+        "centre_interpolated",
+        "left_out",
+        "thinned",
+        "bands",
+    )
     values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
     values["specular_fraction"] = column("specular_fraction", np.float64)

@@ -20,35 +20,33 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import read_limited_text
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Line before every curve of a new ``.ems`` file.
 CURVE_BEGIN = "CURVE_BEGIN"
-"""Line before every curve of a new ``.ems`` file."""
 
+#: Decimals of an emissivity or reflectance, as in DIRSIG's own files.
 DECIMALS = 6
-"""Of an emissivity or reflectance, as DIRSIG's own files have them."""
 
+#: Decimals of a wavelength [um]: a ten-thousandth of a nanometre.
 WAVELENGTH_DECIMALS = 7
-"""Of a wavelength in micrometres: a ten-thousandth of a nanometre."""
 
 _ANGLES = 91
 
 
 def emissivity_head(count: int) -> bytes:
-    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for every degree.
+    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for each degree.
 
-    The weights are 1, as nearly all files have them: what an imager measured holds for its own view only.
+    The weights are 1, as in nearly all files: an imager measures one view angle only.
 
     Examples
     --------
@@ -77,9 +75,12 @@ class ColumnText:
     def __init__(self, wavelength: Sequence[float] | npt.NDArray[Any], title: str = "") -> None:
         written = [f"{value / 1000.0:.{WAVELENGTH_DECIMALS}f}" for value in np.asarray(wavelength, float)]
         steps = itertools.pairwise(zip(map(float, written), written, strict=True))
-        if equal := next((one[1] for one, other in steps if other[0] <= one[0]), ""):
+        if equal := next((first[1] for first, second in steps if second[0] <= first[0]), ""):
             raise SchemaError(
-                f"two wavelengths at or below {equal} um in turn, expected them to ascend; keep one of them"
+                f"two successive wavelengths at or below {equal} um",
+                expected="ascending wavelengths",
+                mend="keep one of them",
+                code="wavelength-unordered",
             )
         head = f"{title}\n" if title else ""
         rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in written]
@@ -94,29 +95,30 @@ class ColumnText:
 
     def text(self, values: npt.NDArray[Any]) -> bytes:
         """Return the text of spectra (spectrum, wavelength) between 0 and 1."""
-        left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
-        texts = np.repeat(self._template[np.newaxis], len(left), axis=0)
+        digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
+        texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)
         tables = [
-            (texts[:, place].reshape(len(left), -1, width), columns) for place, columns, width in self._runs
+            (texts[:, place].reshape(len(digits_left), -1, width), columns)
+            for place, columns, width in self._runs
         ]
         for digit in range(DECIMALS + 1):
-            rest = left // np.uint32(10)
-            shown = (left - rest * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
+            quotient = digits_left // np.uint32(10)
+            shown = (digits_left - quotient * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
             # counted from the end of the row: the line feed, the decimals, the point, the whole number
             at = -2 - digit if digit < DECIMALS else -3 - digit
             for table, columns in tables:
                 table[:, :, at] = shown[:, columns]
-            left = rest
+            digits_left = quotient
         return texts.tobytes()
 
 
-MOST_BYTES = 128 * 2**20
-"""Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
+#: Largest ``.ems`` file [bytes]: a thousand curves of 2000 wavelengths have some 36 MB.
+MAX_BYTES = 128 * 2**20
 
-MOST_CURVES = 100_000
+MAX_CURVES = 100_000
 _WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)
-_LONGEST = 100.0  # [um]
-_MOST_SHOWN = 8
+_MAX_WAVELENGTH_UM = 100.0  # [um]
+_MAX_SHOWN = 8
 
 # quantifiers that give nothing back: a long line is read once
 _NUMBER = rb"[+-]?+(?:[0-9]{1,40}+(?:\.[0-9]{0,40}+)?+|\.[0-9]{1,40}+)(?:[eE][+-]?+[0-9]{1,4}+)?+"
@@ -139,7 +141,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Emissivity:
-    """What an ``.ems`` file holds."""
+    """Content of an ``.ems`` file."""
 
     weights: Floats  # Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
     curves: tuple[Curve, ...]  # At least one
@@ -153,11 +155,11 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
     ------
     FormatError
         The file cannot be read, or is not what `hyperpaint.io.dirsig.emissivity_files` says: another number
-        of curves than it tells, wavelengths that do not ascend or are no micrometres, emissivity outside 0 to
-        1, anything else in between; all are listed.
+        of curves than its first line states, wavelengths that do not ascend or are not in micrometres,
+        emissivity outside 0 to 1, other text in between; all are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "a DIRSIG emissivity file")
+    data = read_limited_text(place, MAX_BYTES, "a DIRSIG emissivity file")
     return _parse(data, str(place))
 
 
@@ -169,10 +171,18 @@ def _parse(data: bytes, name: str) -> Emissivity:
     lines = text.split(b"\n", _ANGLES + 1)
     match = _COUNT.fullmatch(lines[0])
     count = int(match[1]) if match else 0
-    if not 1 <= count <= MOST_CURVES:
-        problems.add(f"line 1: {_shown(lines[0])}, expected a number of curves, 1 to {MOST_CURVES}")
+    if not 1 <= count <= MAX_CURVES:
+        problems.add(
+            f"line 1: {_shown(lines[0])}",
+            expected=f"a number of curves, 1 to {MAX_CURVES}",
+            code="number-unreadable",
+        )
     if len(lines) < _ANGLES + 2:
-        problems.add(f"{len(lines) - 1} lines, expected the number of curves, {_ANGLES} weights and curves")
+        problems.add(
+            f"{len(lines) - 1} lines",
+            expected=f"the number of curves, {_ANGLES} weights and curves",
+            code="file-truncated",
+        )
         problems.raise_if_any()
     weights = _weights(lines[1:-1], problems)
     problems.raise_if_any()
@@ -183,83 +193,109 @@ def _parse(data: bytes, name: str) -> Emissivity:
 
 def _weights(lines: list[bytes], problems: Problems) -> Floats:
     wrong = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
-    for angle in wrong[:_MOST_SHOWN]:
-        problems.add(f"line {angle + 2}: {_shown(lines[angle])}, expected the weight of {angle} degrees")
+    for angle in wrong[:_MAX_SHOWN]:
+        problems.add(
+            f"line {angle + 2}: {_shown(lines[angle])}",
+            expected=f"the weight of {angle} degrees",
+            code="number-unreadable",
+        )
     if wrong:
         return np.ones(_ANGLES)
     weights = np.array([float(line) for line in lines])
     if not (np.isfinite(weights).all() and weights.min() >= 0.0):
-        problems.add("a weight of a view angle is negative or beyond numbers, expected 0 or more")
+        problems.add(
+            "a weight of a view angle is negative or not finite",
+            expected="0 or more",
+            code="value-out-of-range",
+        )
     return weights
 
 
 def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
-    """Return the layout and the curves of what follows the weights."""
+    """Return the layout and the curves that follow the weights."""
     blank = len(body) - len(body.lstrip(b" \t\n"))
     start = body.rfind(b"\n", 0, blank) + 1
     new = _NEW_MARK.match(body, start) is not None
     if not new and not _OLD_MARK.match(body, start):
         line = _ANGLES + 2 + body.count(b"\n", 0, start)
         first = body[start : body.find(b"\n", start)]
-        problems.add(f"line {line}: {_shown(first)}, expected {CURVE_BEGIN} or the number 0 of a curve")
+        problems.add(
+            f"line {line}: {_shown(first)}",
+            expected=f"{CURVE_BEGIN} or the number 0 of a curve",
+            code="row-unreadable",
+        )
         return "", []
     layout, mark = ("new", _NEW_MARK) if new else ("old", _OLD_MARK)
     marks = list(mark.finditer(body, start))
     if len(marks) != count:
-        problems.add(f"{len(marks)} curves, expected the {count} of line 1; is the file cut off?")
+        problems.add(
+            f"{len(marks)} curves",
+            expected=f"{count}, as line 1 says",
+            mend="check whether the file is cut off",
+            code="length-mismatch",
+        )
         return layout, []
     curves = []
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
     line = _ANGLES + 3 + body.count(b"\n", 0, start)
     for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):
         if not new and int(heading[1]) != number:
-            problems.add(f"line {line - 1}: curve {int(heading[1])}, expected {number}")
+            problems.add(
+                f"line {line - 1}: curve {int(heading[1])}", expected=str(number), code="row-unreadable"
+            )
         rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
             axis, emissivity = table.T.copy()
-            if wrong := (_wavelength_problem(axis) if new else _wavenumber_problem(axis)):
-                problems.add(f"curve {number}, from line {line}: {wrong}")
+            where = f"curve {number}, from line {line}"
+            if not new and not np.array_equal(axis, _WAVENUMBERS):
+                problems.add(
+                    f"{where}: {len(axis)} rows",
+                    expected=f"the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 [cm-1]",
+                    code="grid-mismatch",
+                )
+            elif not np.isfinite(axis).all() or axis[0] <= 0.0 or (new and (np.diff(axis) <= 0.0).any()):
+                problems.add(
+                    f"{where}: wavelengths do not ascend from above 0",
+                    mend="sort the rows, one a wavelength",
+                    code="wavelength-unordered",
+                )
+            elif new and axis[-1] > _MAX_WAVELENGTH_UM:
+                problems.add(
+                    f"{where}: wavelengths up to {axis[-1]:g}",
+                    expected="micrometres",
+                    mend="divide nanometres by 1000",
+                    code="wavelength-range",
+                )
             elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
                 problems.add(
-                    f"curve {number}, from line {line}: emissivity from {emissivity.min():g} to "
-                    f"{emissivity.max():g}, expected 0 to 1; is it percent?"
+                    f"{where}: emissivity from {emissivity.min():g} to {emissivity.max():g}",
+                    expected="0 to 1",
+                    mend="divide percent by 100",
+                    code="value-out-of-range",
                 )
             else:
                 curves.append(Curve(axis if new else 1e4 / axis, emissivity))
-        if len(problems) >= _MOST_SHOWN:
+        if len(problems) >= _MAX_SHOWN:
             break
         line += rows.count(b"\n") + 1
     return layout, curves
 
 
 def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
-    """Return rows of two numbers (row, 2), None where they are anything else."""
+    """Return rows of two numbers (row, 2), None for any other text."""
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():
-        problems.add(f"line {line}: a curve without rows, expected wavelength and emissivity")
+        problems.add(
+            f"line {line}: a curve without rows", expected="wavelength and emissivity", code="table-missing"
+        )
         return None
     lines = rows.rstrip(b" \t\n").split(b"\n")
     wrong = next((number for number, row in enumerate(lines) if not _ONE_ROW.fullmatch(row)), 0)
-    problems.add(f"line {line + wrong}: {_shown(lines[wrong])}, expected two numbers")
-    return None
-
-
-def _wavenumber_problem(wavenumber: Floats) -> str:
-    if np.array_equal(wavenumber, _WAVENUMBERS):
-        return ""
-    return (
-        f"{len(wavenumber)} rows, expected the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 cm-1 of "
-        "the old layout"
+    problems.add(
+        f"line {line + wrong}: {_shown(lines[wrong])}", expected="two numbers", code="row-unreadable"
     )
-
-
-def _wavelength_problem(wavelength: Floats) -> str:
-    if not np.isfinite(wavelength).all() or wavelength[0] <= 0.0 or (np.diff(wavelength) <= 0.0).any():
-        return "wavelengths do not ascend from above 0; sort the rows, one a wavelength"
-    if wavelength[-1] > _LONGEST:
-        return f"wavelengths up to {wavelength[-1]:g}, expected micrometres; are these nanometres?"
-    return ""
+    return None
 
 
 def _shown(line: bytes) -> str:
@@ -280,14 +316,15 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     FormatError
         As `read_emissivity`; or its curves are on different wavelengths.
     """
-    import xarray as xr
-
     place = Path(path)
     file = read_emissivity(place)
     wavelength = file.curves[0].wavelength
     if not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves):
         raise FormatError(
-            f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
+            f"{place}: curves on different wavelengths",
+            expected="the same for all",
+            mend="read each curve with read_emissivity",
+            code="grid-mismatch",
         )
     members = 1.0 - np.array([curve.emissivity for curve in file.curves])
     centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)

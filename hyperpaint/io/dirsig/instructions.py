@@ -1,4 +1,4 @@
-"""What goes with the spectra: the materials, a fragment of a geometry list, and how to use them."""
+"""Materials, a fragment of a geometry list, and instructions beside the spectra of an export."""
 
 from __future__ import annotations
 
@@ -10,11 +10,16 @@ from hyperpaint.base.mirrored_light import INCLUDED
 
 from .material_list import Section
 
+#: Parameters of DIRSIG's temperature solver Therm; its keys are in capitals.
 THERMAL = (
-    "specific_heat", "mass_density", "thermal_conductivity", "solar_absorption", "thermal_emissivity",
-    "exposed_area", "thickness",
-)  # fmt: skip
-"""Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals."""
+    "specific_heat",
+    "mass_density",
+    "thermal_conductivity",
+    "solar_absorption",
+    "thermal_emissivity",
+    "exposed_area",
+    "thickness",
+)
 
 _CURVES = {
     "members": "one curve for every pixel, from which DIRSIG's texture can draw",
@@ -23,14 +28,18 @@ _CURVES = {
 }
 
 
+#: Settings of the radiometry solvers in DIRSIG's own files.
 _SOLVERS = {
     "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
     "Generic": (
-        ("INITIAL_SAMPLE_COUNT", "100"), ("SAMPLE_DECAY_RATE", "2"), ("MAX_BOUNCES", "3"),
-        ("MU_SAMPLES", "10"), ("PHI_SAMPLES", "20"), ("MIN_QUAD_SAMPLES", "1"),
+        ("INITIAL_SAMPLE_COUNT", "100"),
+        ("SAMPLE_DECAY_RATE", "2"),
+        ("MAX_BOUNCES", "3"),
+        ("MU_SAMPLES", "10"),
+        ("PHI_SAMPLES", "20"),
+        ("MIN_QUAD_SAMPLES", "1"),
     ),
-}  # fmt: skip
-"""What DIRSIG's own files say of a radiometry solver."""
+}
 
 
 def material_section(
@@ -104,7 +113,7 @@ def glist_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def readme_text(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, str]) -> str:
-    """Return how to add the paints to a scene, and what was done to their spectra."""
+    """Return the README: how to add the paints to a scene, and the changes to their spectra."""
     first = records[0]
     return f"""Paints for DIRSIG
 =================
@@ -157,21 +166,21 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 
 def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return how many curves were left out for their number."""
-    rows = [f"{each['id']} {each['thinned']}" for each in records if each["thinned"]]
+    """Return the sentence on curves left out by ``max_curves``."""
+    rows = [f"{record['id']} {record['thinned']}" for record in records if record["thinned"]]
     text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
     return text + ", ".join(rows) + "." if rows else ""
 
 
-_MOST_GAPS = 12
+_MAX_GAPS = 12
 
 
 def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return where curves had gaps, paint by paint."""
+    """Return the gaps of the curves, paint by paint."""
     rows = []
     for record in records:
-        gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MOST_GAPS]] + ["..."] * (
-            len(record["gaps"]) > _MOST_GAPS
+        gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MAX_GAPS]] + ["..."] * (
+            len(record["gaps"]) > _MAX_GAPS
         )
         alone = "; no member reaches both ends: the centre stands for them" if record["is_centre"] else ""
         if gaps or alone:

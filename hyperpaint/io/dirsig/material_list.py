@@ -21,23 +21,43 @@ from typing import Any
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
-_LONGEST_ID, _LONGEST_NAME = 48, 120
+_MAX_ID_CHARS, _MAX_NAME_CHARS = 48, 120
+#: ASCII spellings of letters, an umlaut as two letters; other accents are dropped.
 _LETTERS = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "æ": "ae", "Æ": "Ae",
-     "ø": "oe", "Ø": "Oe", "å": "aa", "Å": "Aa", "œ": "oe", "Œ": "Oe", "ł": "l", "Ł": "L", "µ": "u",
-     "\u2013": "-", "\u2014": "-", "\u2019": "'"}
-)  # fmt: skip
-"""What is written otherwise in ASCII, an umlaut with two letters; other accents are dropped."""
+    {
+        "ä": "ae",
+        "ö": "oe",
+        "ü": "ue",
+        "Ä": "Ae",
+        "Ö": "Oe",
+        "Ü": "Ue",
+        "ß": "ss",
+        "æ": "ae",
+        "Æ": "Ae",
+        "ø": "oe",
+        "Ø": "Oe",
+        "å": "aa",
+        "Å": "Aa",
+        "œ": "oe",
+        "Œ": "Oe",
+        "ł": "l",
+        "Ł": "L",
+        "µ": "u",
+        "\u2013": "-",
+        "\u2014": "-",
+        "\u2019": "'",
+    }
+)
 _UNSAFE = re.compile(r"[^ -~]|[{}=\"#<>&;]")
 _NO_TOKEN = re.compile(r"[^A-Za-z0-9]+")
+#: Device names, which are no file names on Windows.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
-"""Names of devices, which are no files on Windows."""
 
 
 def plain_name(name: str) -> str:
-    """Return a name in ASCII without what the tag format gives a meaning.
+    """Return a name in ASCII without the signs of the tag format.
 
-    Umlauts become two letters, other accents are dropped, and what is left becomes an underscore.
+    Umlauts become two letters, other accents are dropped, and other signs become underscores.
 
     Examples
     --------
@@ -47,11 +67,11 @@ def plain_name(name: str) -> str:
     # one spelling for letters with accents, whichever way they were typed
     text = unicodedata.normalize("NFC", name).translate(_LETTERS)
     text = "".join(sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
-    return " ".join(_UNSAFE.sub("_", " ".join(text.split())).split())[:_LONGEST_NAME].strip()
+    return " ".join(_UNSAFE.sub("_", " ".join(text.split())).split())[:_MAX_NAME_CHARS].strip()
 
 
 def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a plain name for every name, no two alike.
+    """Return a distinct plain name for every name.
 
     Examples
     --------
@@ -64,7 +84,7 @@ def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[st
 
 
 def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a token for every name, no two alike on any file system: it also names the paint's files.
+    """Return a token for every name, distinct on every file system, which also names the paint's files.
 
     Examples
     --------
@@ -73,7 +93,7 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
     """
     tokens = []
     for number, name in enumerate(names, start=1):
-        token = _NO_TOKEN.sub("_", plain_name(name)).strip("_")[:_LONGEST_ID].strip("_")
+        token = _NO_TOKEN.sub("_", plain_name(name)).strip("_")[:_MAX_ID_CHARS].strip("_")
         if token.isdigit() or token.lower() in _DEVICES:
             # a scene's own materials are often numbered
             token = f"paint_{token}"
@@ -81,10 +101,10 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
     return unique_names(tokens, taken, suffix="_{}", fold=str.casefold)
 
 
-MOST_BYTES = 16 * 2**20
-MOST_LINES = 400_000
-_DEEPEST = 16
-_MOST_SHOWN = 8
+MAX_BYTES = 16 * 2**20
+MAX_LINES = 400_000
+_MAX_DEPTH = 16
+_MAX_SHOWN = 8
 _OPENED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*+)[ \t]*+\{")
 _VARIABLE = re.compile(r"([A-Za-z_][A-Za-z0-9_.]*+)[ \t]*+=[ \t]*+(.*+)")
 _LOOK_UP = re.compile(r"([^ \t:{}=]++)[ \t]*+:[ \t]*+([^ \t:{}=]++)")
@@ -97,15 +117,15 @@ class Section:
     """A section of the tag format."""
 
     name: str  # Before the bracket
-    # What is in it, in its order: pairs of a key and a value, and sections
+    # Content in file order: pairs of key and value, and sections
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
-        """Return the value of a key, None where it is not there."""
+        """Return the value of a key, None without one."""
         return next((item[1] for item in self.items if isinstance(item, tuple) and item[0] == key), None)
 
     def section(self, name: str) -> Section | None:
-        """Return the section of a name, None where there is none."""
+        """Return the section of a name, None without one."""
         return next((item for item in self.sections() if item.name == name), None)
 
     def sections(self) -> Iterator[Section]:
@@ -118,22 +138,22 @@ class Material:
     """An entry of a material list."""
 
     id: str  # Token by which geometry names it
-    name: str  # For people
-    entry: Section  # All that the file says of it
+    name: str  # Name for readers
+    entry: Section  # Complete entry of the file
 
     @property
     def emissivity_file(self) -> str | None:
-        """Path in the file of an emissivity, as written; never followed here."""
+        """Path of the emissivity file, as written; not opened."""
         return self._of("EMISSIVITY_PROP", "FILENAME")
 
     @property
     def reflectance_file(self) -> str | None:
-        """Path in the file of a two-column reflectance, as written."""
+        """Path of the two-column reflectance file, as written."""
         return self._of("REFLECTANCE_PROP", "TXT_FILENAME")
 
     @property
     def specular_fraction(self) -> float | None:
-        """Share of reflectance that is specular, None where it is not told."""
+        """Share of reflectance that is specular, None where not stated."""
         text = self._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         return None if text is None else float(text)
 
@@ -154,23 +174,22 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list", MOST_LINES)
+    data = read_limited_text(place, MAX_BYTES, "a DIRSIG material list", MAX_LINES)
     problems = Problems(f"{place} is no DIRSIG material list", FormatError)
     top = _parse(decoded_text(data), problems)
     problems.raise_if_any()
     entries = [item for item in top if item.name == _ENTRY]
     materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
     counts = Counter(material.id for material in materials)
-    for token in [token for token, count in counts.items() if count > 1][:_MOST_SHOWN]:
-        problems.add(f"ID {token[:40]!r} is there twice, expected another for every material")
+    for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]:
+        problems.add(f"ID {token[:40]!r} occurs twice", expected="one ID a material", code="id-duplicate")
     if not top:
-        problems.add(f"no section, expected some {_ENTRY} {{ ... }}")
+        problems.add("no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
     problems.raise_if_any()
     return tuple(materials)
 
 
 def _parse(text: str, problems: Problems) -> list[Section]:
-    """Return the sections of a text; what is wrong is noted."""
     # innermost last; the list of an open section grows until its bracket closes
     opened: list[tuple[str, int, list[Any]]] = [("", 0, [])]
     for number, raw in enumerate(text.split("\n"), start=1):
@@ -181,53 +200,63 @@ def _parse(text: str, problems: Problems) -> list[Section]:
         if line == "}" and len(opened) > 1:
             opened.pop()
             opened[-1][2].append(Section(name, tuple(items)))
-        elif (heading := _OPENED.fullmatch(line)) and len(opened) <= _DEEPEST:
+        elif (heading := _OPENED.fullmatch(line)) and len(opened) <= _MAX_DEPTH:
             opened.append((heading[1], number, []))
         elif name and (pair := _VARIABLE.fullmatch(line) or (name == "LUT" and _LOOK_UP.fullmatch(line))):
             items.append((pair[1], pair[2]))
         else:
-            problems.add(f"line {number}: {line[:60]!r}, {_expected(line, len(opened))}")
-            if len(problems) >= _MOST_SHOWN:
+            problems.add(
+                f"line {number}: {line[:60]!r}",
+                expected=_expected(line, len(opened)),
+                code="row-unreadable",
+            )
+            if len(problems) >= _MAX_SHOWN:
                 return []
-    for name, number, _ in opened[1:][:_MOST_SHOWN]:
-        problems.add(f"line {number}: section {name} is not closed, expected a line '}}' for it")
+    for name, number, _ in opened[1:][:_MAX_SHOWN]:
+        problems.add(
+            f"line {number}: section {name} is not closed", expected="a line '}' for it", code="section-open"
+        )
     return opened[0][2]
 
 
 def _expected(line: str, depth: int) -> str:
     if line == "}":
-        return "expected no bracket: none is open"
-    if depth > _DEEPEST:
-        return f"expected sections at most {_DEEPEST} deep"
-    return "expected 'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
+        return "no bracket, since none is open"
+    if depth > _MAX_DEPTH:
+        return f"sections at most {_MAX_DEPTH} deep"
+    return "'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
 
 
 def _material(entry: Section, number: int, problems: Problems) -> Material:
     # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME
     token, name = (entry.get(key) or entry.get(f"MATERIAL_{key}") or "" for key in ("ID", "NAME"))
     who = f"material {number} ({token[:40]!r})"
-    if len(problems) < _MOST_SHOWN:
+    if len(problems) < _MAX_SHOWN:
         if not _TOKEN.fullmatch(token):
-            problems.add(f"{who}: expected an ID without blanks")
+            problems.add(f"{who} has no ID", expected="an ID without blanks", code="id-missing")
         if not name:
-            problems.add(f"{who}: no NAME")
-        for text in _section_problems(entry):
-            problems.add(f"{who}: {text}")
+            problems.add(f"{who} has no NAME", code="name-missing")
+        for found, code in _section_problems(entry):
+            problems.add(f"{who}: {found}", code=code)
         fraction = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         if fraction is not None and not _is_fraction(fraction):
-            problems.add(f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}, expected 0 to 1")
+            problems.add(
+                f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}", expected="0 to 1", code="value-out-of-range"
+            )
     return Material(token, name, entry)
 
 
-def _section_problems(section: Section) -> Iterator[str]:
-    """Yield what is wrong in a section: what is there twice, and names without what they name."""
+def _section_problems(section: Section) -> Iterator[tuple[str, str]]:
+    """Yield message and code of each duplicate key, and of each solver or property without its section."""
     keys = Counter(item[0] if isinstance(item, tuple) else item.name for item in section.items)
-    yield from (f"{key} is there twice in {section.name}" for key, count in keys.items() if count > 1)
+    for key, count in keys.items():
+        if count > 1:
+            yield f"{key} occurs twice in {section.name}", "key-duplicate"
     inside = {item.name for item in section.sections()}
     for key in sorted(keys.keys() - inside):
         part = key.removesuffix("_NAME")
         if part != key and part.endswith(("_SOLVER", "_PROP")) and part not in inside:
-            yield f"{key} without a section {part}"
+            yield f"{key} without a section {part}", "section-missing"
     for item in section.sections():
         yield from _section_problems(item)
 
@@ -263,7 +292,7 @@ def _lines(section: Section, indent: str) -> Iterator[str]:
         if isinstance(item, Section):
             yield from _aligned(run, inner)
             run = []
-            if f"{item.name}_NAME" not in {each[0] for each in items[:number] if isinstance(each, tuple)}:
+            if f"{item.name}_NAME" not in {pair[0] for pair in items[:number] if isinstance(pair, tuple)}:
                 yield ""
             yield from _lines(item, inner)
         elif isinstance(following, Section) and item[0] == f"{following.name}_NAME":

@@ -1,38 +1,36 @@
-"""From a paint library's reflectance to DIRSIG's: ascending, without holes, the clear coat counted once."""
+"""Reflectance of a paint library as DIRSIG takes it: ascending, without gaps, the clear coat counted once."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
 from .emissivity_files import WAVELENGTH_DECIMALS
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 @dataclass(frozen=True)
 class Coat:
-    """What becomes of the light that a clear coat mirrors."""
+    """Treatment of the light mirrored by the clear coat."""
 
     mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
-    is_declared: bool  # Whether the library says so
-    # Fraction of DIRSIG's reflectance that is specular; ``library`` for that of its ``specular_reflectance``
+    is_declared: bool  # Whether the library declares it
+    # Specular fraction of DIRSIG's reflectance; ``library`` takes it from ``specular_reflectance``
     specular: float | str
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Attributes that say what was done."""
+        """Attributes on the treatment."""
         source = "told by the library" if self.is_declared else "not told by the library, taken to be so"
         term = (
             "none: reflectance is diffuse"
@@ -46,7 +44,7 @@ class Coat:
         }
 
     def fraction(self, centre: npt.NDArray[Any], mirror: npt.NDArray[Any] | None) -> float:
-        """Return the specular fraction of a paint [1], to the decimals that are written.
+        """Return the specular fraction of a paint [1], rounded as it is written.
 
         ``centre``, ``mirror``: reflectance of body and coat (band,) [1]; NaN where a band is not to be used.
         """
@@ -54,35 +52,47 @@ class Coat:
             return round(float(self.specular), 4)
         if mirror is None:
             return 0.0
-        both = np.isfinite(mirror) & np.isfinite(centre)
-        part, body = (float(np.clip(each[both], 0.0, 1.0).sum()) for each in (mirror, centre))
+        is_known = np.isfinite(mirror) & np.isfinite(centre)
+        part, body = (float(np.clip(spectrum[is_known], 0.0, 1.0).sum()) for spectrum in (mirror, centre))
         return min(round(part / (part + body), 4), 0.9999) if part > 0.0 else 0.0
 
 
 def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
-    """Return what becomes of a library's mirrored light.
+    """Return the treatment of a library's mirrored light.
 
     Raises `SchemaError`: The attribute ``mirror_reflection`` is neither of both; the specular fraction is not
     from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
     """
     problems = Problems("the specular term cannot be written", SchemaError)
-    apart = _SPECULAR in library.variables
+    has_specular = _SPECULAR in library.variables
     declared = None
     try:
         declared = mirror_reflection(library)
     except SchemaError as error:
-        problems.add(str(error))
-    # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
+        problems.add_error("", error)
+    # the safe guess for measured reflectance: a coat counted twice would go unnoticed
     mirror = declared or INCLUDED
     if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
-        problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
-    if specular == "library" and not apart:
-        problems.add("specular='library', but the library has no specular_reflectance (signature, band)")
+        problems.add(
+            f"specular={specular!r}", expected="0 to below 1, or 'library'", code="value-out-of-range"
+        )
+    if specular == "library" and not has_specular:
+        problems.add(
+            "specular='library', but the library has no specular_reflectance (signature, band)",
+            code="variable-missing",
+        )
     elif specular != 0.0 and mirror == INCLUDED:
         problems.add(
-            f"specular={specular!r}, but the reflectance holds the mirrored light already: the clear coat "
-            "would count twice; leave it away, or pass body reflectance (remove_mirrored_sky, or signatures "
-            f"--specular-sky), with reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
+            (
+                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear "
+                "coat would count twice"
+            ),
+            mend=(
+                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
+            ),
+            option="leave specular out, or give body reflectance (signatures --specular-sky)",
+            code="coat-counted-twice",
         )
     problems.raise_if_any()
     return Coat(mirror, declared is not None, specular)
@@ -94,51 +104,51 @@ _ROWS = {
     _SPECULAR: Variable(_SPECULAR, (SIGNATURE, BAND), "1", "float32", "Mirror reflectance"),
 }
 
+#: Which variable of a library holds the curves of a paint.
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
-"""Which variable of a library holds the curves of a paint."""
 
 GAPS = ("interpolate", "refuse")
 
-SHORTEST, LONGEST = 1.0, 1e5
-"""Wavelengths that can be written [nm]."""
+#: Wavelengths that can be written [nm].
+MIN_NM, MAX_NM = 1.0, 1e5
 
+#: Bytes of the curves held at a time.
 _BLOCK_BYTES = 8 * 2**20
-"""Of curves held at a time."""
 
 
-class PaintProblemError(Exception):
-    """One paint cannot be written; the message says why, and how to mend it."""
+class PaintProblemError(PaintError):
+    """One paint cannot be written."""
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the caller chose of the curves."""
+    """Choices of the caller for the curves."""
 
     curves: str  # A key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
-    extrapolate: bool  # Whether curves are held constant beyond what was measured
-    gaps: str  # What is done about bands without values between others: one of `GAPS`
+    extrapolate: bool  # Whether curves are held constant beyond the measured range
+    gaps: str  # Treatment of bands without values between others: one of `GAPS`
     max_curves: int | None = None  # Curves of a paint at the most; None for all
 
 
 @dataclass(frozen=True, eq=False)
 class PaintCurves:
-    """A paint as it is written."""
+    """Curves of one paint as written."""
 
     wavelength: Array  # Ascending (wavelength,) [nm]
     centre: Array  # Reflectance (wavelength,) [1]
     curves: Array  # Reflectance of the population (curve, wavelength) [1], complete ones first
     complete: int  # Curves of which no sample was filled in
     gaps: Array  # Where samples of curves were filled in (wavelength,) [nm]
-    measured: tuple[float, float]  # First and last wavelength that were measured [nm]
+    measured: tuple[float, float]  # First and last measured wavelength [nm]
     extrapolated: str  # Where a sample was added beyond that: ``below``, ``above``, both, or empty
     # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
     # between others
     interpolated: int
     centre_interpolated: int
-    left_out: int  # Members that are not among the curves, for what they lack at the ends
-    is_centre: bool  # Whether no member reaches both ends, so that the centre stands for them
-    thinned: int = 0  # Curves left out since there were more than asked for
+    left_out: int  # Members without values at the ends, which are not written
+    is_centre: bool  # Whether no member reaches both ends, so that the centre is written instead
+    thinned: int = 0  # Curves left out above `max_curves`
 
 
 class Axis:
@@ -152,9 +162,12 @@ class Axis:
         arrays = require(library, names, "DIRSIG materials", LIBRARY_VARIABLES)
         wavelength = np.asarray(arrays["wavelength"].values, np.float64)
         is_finite = np.isfinite(wavelength).all() and wavelength.size
-        if not (is_finite and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
+        if not (is_finite and wavelength.min() >= MIN_NM and wavelength.max() <= MAX_NM):
             raise SchemaError(
-                f"a wavelength is unknown or far off, expected {SHORTEST:g} to {LONGEST:g} nm; drop the band"
+                "a wavelength is unknown or out of range",
+                expected=f"{MIN_NM:g} to {MAX_NM:g} nm",
+                mend="drop the band",
+                code="wavelength-range",
             )
         self.order = np.argsort(wavelength, kind="stable")
         self.wavelength = wavelength[self.order]
@@ -164,17 +177,22 @@ class Axis:
                 "wavelengths fall at the joins of detectors: bands are sorted, so that curves of overlapping "
                 "detectors alternate; keep one detector a wavelength, as open_svc(overlap='trim') does"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=3)
+            warnings.warn(PaintWarning(msg, code="wavelength-unordered"), stacklevel=3)
         written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
             shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
-            raise SchemaError(f"two bands at {shown} nm, expected one; keep one detector there")
+            raise SchemaError(
+                f"two bands at {shown} nm",
+                expected="one",
+                mend="keep one detector there",
+                code="wavelength-duplicate",
+            )
         good = arrays["good"].values.astype(bool) if "good" in arrays else np.ones(len(written), bool)
         self.good = good[self.order]
 
 
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
-    """Yield a library's values block by block of paints, so that memory does not grow with it.
+    """Yield a library's values in blocks of paints, so that memory stays bounded.
 
     Yields the paints of the block; ``centre`` (signature, band) and ``curves`` (signature, curve, band) [1],
     in the library's own order of bands.
@@ -198,10 +216,10 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
 
 
 def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
-    """Return one paint as it is written.
+    """Return the curves of one paint as written.
 
     ``axis``: the bands; ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order;
-    a curve of nothing but NaN is none; ``choices``: what the caller chose.
+    curves of NaN alone are dropped; ``choices``: of the caller.
 
     Raises `PaintProblemError`: It has no values, holes that nobody asked to fill, or does not reach as far as
     was asked.
@@ -211,8 +229,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     curves = curves[np.isfinite(curves).any(axis=1)]
     usable = np.flatnonzero(np.isfinite(centre))
     if usable.size < 2:
-        raise PaintProblemError("fewer than two bands have a value, expected a spectrum; leave the paint out")
-    if not len(curves):  # a paint of which no member was kept
+        raise PaintProblemError(
+            "fewer than two bands have a value", mend="leave the paint out", code="value-missing"
+        )
+    if not len(curves):  # a paint without members
         curves = centre[np.newaxis]
     measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
     below, above = _beyond(measured, choices)
@@ -220,7 +240,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     wavelength = axis.wavelength[chosen]
     if np.median(centre[usable]) > 1.0:
         raise PaintProblemError(
-            f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
+            f"median reflectance {np.median(centre[usable]):g}",
+            expected="0 to 1",
+            mend="divide percent by 100",
+            code="value-out-of-range",
         )
     curves = curves[:, chosen]
     whole = np.isfinite(curves[:, [0, -1]]).all(axis=1)
@@ -228,9 +251,9 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     if choices.gaps == "refuse":
         if missing.any():
             which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
-            raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
+            raise _hole_error(which, wavelength[missing.any(axis=0)])
         if holes.any():
-            raise PaintProblemError(_holes("the centre has", wavelength[holes]))
+            raise _hole_error("the centre has", wavelength[holes])
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
     if whole.any():
         curves, missing = curves[whole], missing[whole]
@@ -238,10 +261,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         curves, missing = curves[order], missing[order]
         for row, gaps in zip(curves, missing, strict=True):
             row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
-        kept = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
+        rows = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
     else:
-        curves, missing, kept = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
-    thinned, curves, missing = len(curves) - len(kept), curves[kept], missing[kept]
+        curves, missing, rows = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
+    thinned, curves, missing = len(curves) - len(rows), curves[rows], missing[rows]
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
     extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)
@@ -262,7 +285,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
 
 
 def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
-    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in their order.
+    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in order.
 
     They stand at even ranks of the curves' means, so that brightness keeps its distribution; complete curves
     alone are taken where they suffice.
@@ -290,18 +313,21 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
     below, above = low < measured[0], high > measured[1]
     if low >= measured[1] or high <= measured[0]:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm"
+            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm",
+            code="wavelength-uncovered",
         )
     if (below or above) and not choices.extrapolate:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm, {low:g} to {high:g} nm are asked for; ask for "
-            "less, or pass extrapolate=True to hold the ends constant"
+            f"measured {measured[0]:g} to {measured[1]:g} nm",
+            expected=f"{low:g} to {high:g} nm",
+            mend="narrow wavelength_range, or pass extrapolate=True to hold the ends constant",
+            code="wavelength-uncovered",
         )
     return below, above
 
 
 def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
-    """Return the bands of a range, with the next ones outside, so that all of it is covered."""
+    """Return the bands of a range and the next ones outside, so that the range is covered."""
     first, last = int(usable[0]), int(usable[-1])
     if wanted is not None:
         low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1
@@ -310,10 +336,11 @@ def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None
     return slice(first, last + 1)
 
 
-def _holes(which: str, at: Array) -> str:
-    """Return the message about bands [nm] without values inside the range."""
+def _hole_error(subject: str, at: Array) -> PaintProblemError:
+    """Return the error about bands [nm] without values inside the range."""
     shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
-    return (
-        f"{which} no value at {shown} nm, inside the range; leave gaps away to fill them in, or pass "
-        "a wavelength_range without them"
+    return PaintProblemError(
+        f"{subject} no value at {shown} nm, inside the range",
+        mend="omit gaps= to fill them in, or pass a wavelength_range without them",
+        code="value-missing",
     )

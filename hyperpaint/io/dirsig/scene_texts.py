@@ -1,4 +1,4 @@
-"""Texts of a DIRSIG scene: geometry, its list, the scene, the simulation, pictures of texture, the README."""
+"""Texts of a DIRSIG scene: geometry, scene, simulation, texture pictures, README."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hyperpaint.base.arrays import Array, Floats
 
 from .material_list import plain_name
 
+#: Side of a texture's picture [pixel].
 PICTURE_PX = 128
-"""Side of a texture's picture [pixel]."""
 
 _GRAIN_PX = 3.0  # sigma of the blur that joins neighbouring pixels of a picture
 
 
 class Triangles(Protocol):
-    """What is written of a scene: that of `hyperpaint.simulation.rendering.scene.Scene`."""
+    """Attributes of `hyperpaint.simulation.rendering.scene.Scene` that are written."""
 
     @property
     def name(self) -> str:
-        """Of the scene."""
+        """Name of the scene."""
 
     @property
     def vertices(self) -> Floats:
@@ -60,7 +60,7 @@ class Triangles(Protocol):
 def obj_lines(
     scene: Triangles, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
 ) -> Iterator[str]:
-    """Yield the lines of a scene as Wavefront OBJ, an object of every instance.
+    """Yield the lines of a scene as Wavefront OBJ, one object for each instance.
 
     Faces name their material by its ID (``face_id`` (face,), a number into ``material_id``); ``library`` is
     the ``.mtl`` file. Texture coordinates are metres over ``texture_m``, on the plane of the two axes that a
@@ -104,7 +104,7 @@ def material_colours_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def geometry_list_text(geometry: str) -> str:
-    """Return a geometry list of one OBJ file, whose materials are named by their IDs."""
+    """Return a geometry list of one OBJ file that names materials by their IDs."""
     return f"""<geometrylist enabled="true">
 
   <object>
@@ -119,7 +119,7 @@ def geometry_list_text(geometry: str) -> str:
 
 
 def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
-    """Return a picture (row, column) that draws every curve of a population equally often.
+    """Return a picture (row, column) that selects every curve of a population equally often.
 
     DIRSIG gives a pixel the curve whose mean over the picture's wavelengths, in standard deviations of the
     population, is nearest to the pixel's brightness in standard deviations of the picture. Here pixels have
@@ -161,14 +161,14 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
     with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the body over pi,
     and no :math:`\rho_v`. DHR is all that is reflected of light from the normal. Blocks of parameters stand
-    at many wavelengths, where they need no scaling, whatever is done in between.
+    at many wavelengths, close enough for any interpolation between them.
 
     Parameters
     ----------
     index, roughness
         Refractive index of the coat, and GGX alpha of its surface, whose peak the Gaussian has.
     wavelength, body
-        Reflectance of the body as it is seen through the coat (wavelength,) [nm], [1].
+        Reflectance of the body through the coat (wavelength,) [nm], [1].
 
     References
     ----------
@@ -199,9 +199,17 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     for nm in np.linspace(wavelength[0], wavelength[-1], number).tolist():
         level = float(np.interp(nm, wavelength, body))
         values = {
-            "LAMBDA": nm / 1000.0, "N": index, "K": 0.0, "DHR": normal + level, "BIAS": normal / flux,
-            "SIGMA": sigma, "TAU": _SMOOTH_DEG, "OMEGA": _SMOOTH_DEG, "RHO_D": level / np.pi, "RHO_V": 0.0,
-        }  # fmt: skip
+            "LAMBDA": nm / 1000.0,
+            "N": index,
+            "K": 0.0,
+            "DHR": normal + level,
+            "BIAS": normal / flux,
+            "SIGMA": sigma,
+            "TAU": _SMOOTH_DEG,
+            "OMEGA": _SMOOTH_DEG,
+            "RHO_D": level / np.pi,
+            "RHO_V": 0.0,
+        }
         rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
         blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
     return "".join(blocks)
@@ -219,9 +227,13 @@ _ORIGIN = ("latitude", "longitude", "altitude")
 
 
 def scene_text(
-    title: str, stem: str, records: Sequence[Mapping[str, Any]], origin: Sequence[float], features: str,
+    title: str,
+    stem: str,
+    records: Sequence[Mapping[str, Any]],
+    origin: Sequence[float],
+    features: str,
     window: tuple[float, float],
-) -> str:  # fmt: skip
+) -> str:
     """Return a ``.scene`` file.
 
     ``origin``: latitude, longitude [degree], height [m]; ``features``: parts of the spectrum that all
@@ -289,14 +301,14 @@ def _texture_map(record: Mapping[str, Any], window: tuple[float, float]) -> str:
 
 
 def simulation_text(stem: str) -> str:
-    """Return a ``.jsim`` file that names the scene; atmosphere and platform are to be added to its list."""
+    """Return a ``.jsim`` file of the scene, to be completed with atmosphere and platform."""
     return json.dumps([{"scene_list": [{"inputs": f"./{stem}.scene"}], "plugin_list": []}], indent=4) + "\n"
 
 
 def scene_readme_text(
     title: str, stem: str, records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]
 ) -> str:
-    """Return what is in the folder, how to run it, what each construct was checked against, and what not."""
+    """Return the README: the files, how to run them, and which constructs were checked."""
     (low, high), (first, last) = attrs["coverage_nm"], attrs["window_nm"]
     north, east, height = attrs["origin"]
     return f"""{title}: a scene for DIRSIG

@@ -7,9 +7,10 @@ import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
@@ -27,9 +28,6 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import convert
 from hyperpaint.io.files.reading import load_netcdf
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Variables of the table that a calibration may hold, those it must hold first.
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")
@@ -45,7 +43,7 @@ _OPTIONAL = (
     "look_angle",
     "masked",
 )
-#: What a lab calibration adds, of which nothing but units and dims is asked.
+#: Further variables of a lab calibration; only their units and dims are checked.
 _OF_A_SWEEP = (
     "radiance_gain_u_random",
     "radiance_gain_u_systematic",
@@ -77,7 +75,7 @@ _OF_A_SWEEP = (
     "second_order",
 )
 _TABULATED = ("srf_offset", "srf")
-_LARGEST = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
+_MAX_MAGNITUDES = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
 
 
 def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
@@ -124,8 +122,6 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     >>> float(made.radiance_gain[0, 0]), made.radiance_gain.units
     (1.00...e-10, 'W m-2 sr-1 nm-1 s count-1')
     """
-    import xarray as xr
-
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
     from hyperpaint.io.store import list_groups, load_unverified
@@ -138,27 +134,30 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
 
 
 def _read(
-    source: Any, group: str | None, what: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
+    source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
     """Open any Zarr, or load a netCDF file."""
     from hyperpaint.io.store.reader import is_zarr
 
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
-    if is_path and not input_path(Path(source), f"a {what} in a Zarr store or netCDF file").exists():
-        raise FormatError(f"{source}: no such {what}; expected a Zarr store or a netCDF file")
+    if is_path and not input_path(Path(source), f"a {kind} in a Zarr store or netCDF file").exists():
+        raise FormatError(
+            f"{source}: no such {kind}", expected="a Zarr store or a netCDF file", code="file-not-found"
+        )
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
     except Exception as error:  # numpy and the netCDF engines each have their own
-        hint = "" if zarr else "; netCDF-4 needs: python -m pip install h5netcdf"
+        hint = "" if zarr else "install for netCDF-4: python -m pip install h5netcdf"
         raise FormatError(
-            f"{source}: not a readable Zarr store or netCDF file "
-            f"({type(error).__name__}: {error!s:.200}){hint}"
+            f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
+            mend=hint,
+            code="file-unreadable",
         ) from error
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
-    """Return a calibration in the units, dims and dtypes of the table, or say all that is wrong with it.
+    """Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
 
     ``dataset``: see `open_calibration`; ``subject``: names it in messages.
 
@@ -166,8 +165,6 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
     Warns `PaintWarning`: The line shape is not given, and taken to be Gaussian.
     """
-    import xarray as xr
-
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
     wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
@@ -178,19 +175,27 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         try:
             arrays[name] = _variable(dataset, name)
         except (SchemaError, UnitsError) as error:
-            problems.add(str(error))
+            problems.add_error("", error)
     for name, array in arrays.items():
         _check_values(name, array.values, problems)
     if shape is not None and shape not in SRF_SHAPES:
-        problems.add(f"attribute srf_shape {shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+        problems.add(
+            f"attribute srf_shape {shape!r}",
+            expected=f"one of {', '.join(SRF_SHAPES)}",
+            code="choice-unknown",
+        )
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
     if any(size == 0 for size in sizes.values()):
-        problems.add(f"sizes {sizes}: nothing in it")
+        problems.add(f"sizes {sizes}", expected="at least one element", code="empty-input")
     problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
         warnings.warn(
-            f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", PaintWarning, stacklevel=2
+            PaintWarning(
+                f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed",
+                code="srf-shape-missing",
+            ),
+            stacklevel=2,
         )
     for other, array in dataset.data_vars.items():
         in_table = str(other) in VARIABLES
@@ -203,20 +208,26 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable as the table has it, without coordinates."""
+    """Return a variable in the units, dims and dtype of the table, without coordinates."""
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(
-            f"{name!r} is missing: {spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]"
+            f"{name!r} is missing",
+            expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
+            code="variable-missing",
         )
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
     if not allowed:
         expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
-        raise SchemaError(f"{name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}")
+        raise SchemaError(
+            f"{name!r} has dims ({', '.join(map(str, array.dims))})",
+            expected=expected,
+            code="dims-wrong",
+        )
     kinds = "biu" if spec.dtype == "bool" else "fiu"
     if array.dtype.kind not in kinds:
-        raise SchemaError(f"{name!r} has dtype {array.dtype}, expected {spec.dtype}")
+        raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
         # float64 until the factor is in, rounded once
@@ -231,33 +242,45 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
         if not gains.size:
             problems.add(
-                "'radiance_gain' is NaN everywhere, expected a gain for the elements that are not bad"
+                "'radiance_gain' is NaN everywhere",
+                expected="a gain for the elements that are not bad",
+                code="not-finite",
             )
         elif bad:
-            problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
+            problems.add(
+                f"'radiance_gain' is zero, negative or infinite in {bad} elements",
+                expected="positive gains, and NaN for bad elements",
+                code="value-out-of-range",
+            )
     elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
         if not (finite and (values > 0).all()):
-            problems.add(f"{name!r} is not finite and positive everywhere")
-    elif name in _LARGEST:
-        largest, unit = _LARGEST[name]
+            problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
+    elif name in _MAX_MAGNITUDES:
+        largest, unit = _MAX_MAGNITUDES[name]
         if not (finite and (np.abs(values) < largest).all()):
-            problems.add(f"{name!r} is not finite and below {largest:g} {unit} everywhere")
+            problems.add(
+                f"{name!r} is not finite and below {largest:g} {unit} everywhere", code="value-out-of-range"
+            )
     elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
         if (values < 0).any():
-            problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
+            problems.add(
+                f"{name!r} is negative in places",
+                expected="a standard uncertainty",
+                code="value-out-of-range",
+            )
     elif name in ("read_noise", "srf"):
         levels = values[~np.isnan(values)] if name == "read_noise" else values
         if not (np.isfinite(levels).all() and (levels >= 0).all()):
-            problems.add(f"{name!r} is not finite and at least zero everywhere")
+            problems.add(f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range")
     elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
-        problems.add("'srf_offset' does not increase strictly")
+        problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
+    """Return the variables of a calibration that a line keeps; for radiance, line shape and look angles."""
     if calibration is None:
         return {}
-    left = {
+    dropped = {
         "dark_counts",
         "dark_exposure_time",
         "dark_bias",
@@ -267,11 +290,18 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
         "saturation_count",
     }
     # the lines of a lab sweep stay with the calibration
-    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength", "linearity_counts", "source_band"}
+    dims_of_line = {
+        BAND,
+        CROSS_TRACK,
+        "srf_offset",
+        "irradiance_wavelength",
+        "linearity_counts",
+        "source_band",
+    }
     names = [
         str(name)
         for name, array in calibration.data_vars.items()
-        if name not in left and set(array.dims) <= own
+        if name not in dropped and set(array.dims) <= dims_of_line
     ]
     if float(calibration.get("stray_light_u", 0.0)) >= MAX_STRAY_LIGHT_U:
         names = [name for name in names if not name.startswith("stray_light")]
@@ -281,13 +311,13 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
-    """Return what the calibration says of the counts and the scale that its gain holds for."""
+    """Return the attributes on linearity and absolute scale, for which the gain holds."""
     names = ("linearity", "linearity_on", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
 def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
-    """Open a lab sweep, lazily where it is a Zarr store; what it must hold is checked when it is calibrated.
+    """Open a lab sweep, lazily from a Zarr store; its content is checked at calibration.
 
     Parameters
     ----------
@@ -313,24 +343,30 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
         held = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
-        raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {held}")
+        raise FormatError(
+            f"{path}: holds {held}",
+            expected="a lab sweep with 'counts' (step, band, cross_track)",
+            code="counts-missing",
+        )
     names = [name for name in SWEEP_VARIABLES if name in opened.variables]
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
 
 
-def saturation_of(given: float | None, bit_depth: int, calibration: xr.Dataset | None) -> xr.DataArray:
-    """Return ``saturation_count``: as given, that of the calibration, or the converter's last count.
+def saturation_of(
+    saturation_count: float | None, bit_depth: int, calibration: xr.Dataset | None
+) -> xr.DataArray:
+    """Return ``saturation_count``: the argument, else the calibration's, else the converter's last count.
 
     Raises `SchemaError`: The count or the converter's bits are out of range.
     """
-    import xarray as xr
-
-    if given is None and calibration is not None and "saturation_count" in calibration:
+    if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)
-    if given is None:
+    if saturation_count is None:
         if not 1 <= bit_depth <= 16:
-            raise SchemaError(f"bit_depth {bit_depth}, expected 1 to 16")
-        given = 2**bit_depth - 1
-    if not 0 < given <= 65535:
-        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
-    return label(xr.DataArray(np.float32(given)), "saturation_count")
+            raise SchemaError(f"bit_depth {bit_depth}", expected="1 to 16", code="value-out-of-range")
+        saturation_count = 2**bit_depth - 1
+    if not 0 < saturation_count <= 65535:
+        raise SchemaError(
+            f"saturation_count {saturation_count}", expected="a count up to 65535", code="value-out-of-range"
+        )
+    return label(xr.DataArray(np.float32(saturation_count)), "saturation_count")

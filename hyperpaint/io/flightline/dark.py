@@ -7,9 +7,11 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
@@ -23,17 +25,14 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
+from hyperpaint.io.envi.envi_cubes import open_envi
 
 from .headwall import DarkFrames, cube_number, exposure_seconds, exposure_sources, sum_dark
 from .timing import Timing, line_times, utc_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
-#: Lines from which the spread of a dark cube is a measure of read noise.
+#: Smallest number of lines of a dark cube from which read noise is estimated.
 _NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
 
@@ -44,15 +43,13 @@ class Dark:
 
     counts: xr.DataArray  # ``dark_counts`` ([dark_time,] band, cross_track) float32, [count]
     exposures: tuple[float | None, ...]  # Seconds of each reference, None where unknown
-    # Spread over the lines (band, cross_track) less that of rounding, or None where there are too few
+    # Spread over the lines (band, cross_track) without rounding noise, or None from too few lines
     read_noise: xr.DataArray | None
-    source: str  # Says where they come from
+    source: str  # Source of the counts
     uncertainty: xr.DataArray | None = None  # Of the mean, from that spread (band, cross_track), or None
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
         """Return the variables that a flight line keeps."""
-        import xarray as xr
-
         variables = {"dark_counts": self.counts}
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):
@@ -69,8 +66,6 @@ class Dark:
 
 @dataclass(frozen=True)
 class _Reference:
-    """One dark cube."""
-
     name: str
     frames: DarkFrames
     time: np.datetime64 | None
@@ -83,22 +78,24 @@ def open_dark(
     """Open the dark references of a line.
 
     ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; what was opened before; ``timing``: clock settings of the flight, which hold for
+    ``"calibration"``; a `Dark`; ``timing``: clock settings of the flight, which hold for
     ``frameIndex_<N>.txt`` and ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None
     where it failed to open; ``cube``: the line's counts, or None where they failed to open.
 
     Returns Dark or None: Several references whose times are known are kept along ``dark_time``; otherwise
-    they are averaged. None where what it depends on failed to open.
+    they are averaged. None where the cube or the calibration failed to open.
 
     Raises `SchemaError`: No dark was named, or one does not fit the cube. Raises `FormatError`: A file is not
     a cube of raw counts.
     """
-    import xarray as xr
-
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
-            'no dark reference; give dark cubes, or dark="none" where the counts are dark-corrected '
-            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+            "no dark reference",
+            mend=(
+                'pass dark=, or dark="none" where the counts are dark-corrected '
+                '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+            ),
+            code="dark-missing",
         )
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
@@ -113,7 +110,7 @@ def open_dark(
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _given(source, shape, "a Dataset")
     several: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
-    return _combine([_reference(one, timing, shape) for one in several])
+    return _combine([_reference(reference, timing, shape) for reference in several])
 
 
 def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
@@ -123,7 +120,7 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     if not np.isfinite(counts.values).any():
-        raise SchemaError(f"dark_counts of {name} are not finite anywhere")
+        raise SchemaError(f"dark_counts of {name} are nowhere finite", code="not-finite")
     times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
@@ -137,17 +134,14 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
 def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
     if shape is not None and actual != shape:
         raise SchemaError(
-            f"{name}: {actual[0]} bands x {actual[1]} columns, the cube has {shape[0]} x {shape[1]};"
-            " give the dark of this camera and binning"
+            f"{name}: {actual[0]} bands x {actual[1]} columns",
+            expected=f"{shape[0]} x {shape[1]}, as the cube",
+            mend="give the dark of this camera and binning",
+            code="grid-mismatch",
         )
 
 
 def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
-    """Sum one dark cube, and read its time and exposure from the files beside it."""
-    import xarray as xr
-
-    from hyperpaint.io.envi.envi_cubes import open_envi
-
     if isinstance(source, xr.Dataset):
         opened, path = rename_to_roles(source), None
         name = str(source.attrs.get("source", "dark"))
@@ -156,27 +150,27 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         opened, name = open_envi(path, unsaid="counts"), path.name
     if "counts" not in opened:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
-        raise FormatError(f"{name}: holds {held}, expected a dark cube of raw counts")
+        raise FormatError(
+            f"{name}: holds {held}", expected="a dark cube of raw counts", code="counts-missing"
+        )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
         _check_shape(counts.shape[1:], shape, f"dark {name}")
     frames = sum_dark(counts, f"dark {name}")
-    exposure = _exposure(opened, path, name)
+    exposure = None
+    if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
+        exposure = float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
+    else:
+        for file, pairs in exposure_sources(path, opened):
+            exposure = exposure_seconds(pairs, f"dark {name}: {file}")
+            if exposure is not None:
+                break
     return _Reference(name, frames, _time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
 
 
-def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
-    if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
-        return float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
-    stated = (
-        exposure_seconds(pairs, f"dark {name}: {source}") for source, pairs in exposure_sources(path, opened)
-    )
-    return next((seconds for seconds in stated if seconds is not None), None)
-
-
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
-    """Return UTC at the middle of a dark cube, None where it is unknown."""
+    """Return UTC at the middle of a dark cube, None where unknown."""
     if "time" in opened.coords:
         stamps = opened["time"].values.astype("datetime64[ns]")
         stamps = stamps[~np.isnat(stamps)]
@@ -198,12 +192,15 @@ def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> 
             times = line_times(path, lines, beside).time
             return _middle(times[~np.isnat(times)])
         except PaintError as error:
-            warnings.warn(f"dark {path.name}: time unknown; {error}", PaintWarning, stacklevel=2)
+            warnings.warn(
+                PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
+                stacklevel=2,
+            )
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
     except TimeError:
-        return None  # without a zone it orders nothing
+        return None  # unusable without a zone
 
 
 def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
@@ -212,8 +209,6 @@ def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
 
 def _combine(references: list[_Reference]) -> Dark:
     """Stack references along time where all times are known, else average them."""
-    import xarray as xr
-
     noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
     noise = variance = None
     if noisy:
@@ -238,7 +233,10 @@ def _combine(references: list[_Reference]) -> Dark:
             f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
             for ref in references
         )
-        raise SchemaError(f"dark cubes of different exposures and unknown times cannot be averaged: {shown}")
+        raise SchemaError(
+            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {shown}",
+            code="exposure-conflict",
+        )
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)
@@ -249,20 +247,18 @@ def _combine(references: list[_Reference]) -> Dark:
 
 
 def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
-    """Return the variance of a dark count (band, cross_track) from few lines; None of one line each.
+    """Return the variance of a dark count (band, cross_track) from few lines; None from one line each.
 
-    That of an element is leant on the mean of all, with as many lines as would make it a measure by itself.
+    The variance of an element is shrunk to the mean of all with the weight of `_NOISE_LINES` lines.
     """
     several = [frames for frames in references if frames.lines > 1]
     if not several:
         return None
     freedom = np.array([frames.lines - 1 for frames in several], np.float64)
-    own = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
-    pooled = float(np.sum(own)) / (freedom.sum() * own.size)
-    return np.asarray((own + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
+    squares = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
+    pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
+    return np.asarray((squares + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
-    import xarray as xr
-
     return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)

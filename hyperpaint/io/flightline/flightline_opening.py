@@ -1,4 +1,4 @@
-"""One flight line, from its instruments' files: counts and everything needed to calibrate them, lazily."""
+"""One flight line from its instruments' files: counts and all inputs of their calibration, lazily."""
 
 from __future__ import annotations
 
@@ -7,28 +7,27 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
 from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_belongings, with_numbers
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
+from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
-from hyperpaint.io.spectrometers.irradiance import cut_irradiance
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
 from .dark import Dark, open_dark
 from .headwall import find_exposure
 from .timing import LineTimes, Timing, line_times
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
-    type_path = str | os.PathLike[str]
+type_path = str | os.PathLike[str]
 
 #: Difference between the wavelengths of header and calibration above which a warning is given [nm].
 _WAVELENGTH_TOLERANCE_NM = 0.5
@@ -37,7 +36,7 @@ BLANK_COUNT = np.uint16(65535)
 
 @dataclass(frozen=True, kw_only=True)
 class FlightlineInputs:
-    """What `assemble` needs; the fields are the arguments of `open_flightline`."""
+    """Inputs of `assemble`; the fields are the arguments of `open_flightline`."""
 
     cube: Path | xr.Dataset
     timing: Timing | Unavailable
@@ -58,16 +57,20 @@ class FlightlineInputs:
 
     @property
     def path(self) -> Path:
-        """The cube's path, or what names it in messages where it is a Dataset."""
+        """Path of the cube, or the name of its Dataset in messages."""
         if isinstance(self.cube, Path):
             return self.cube
         return Path(self.name or str(self.cube.attrs.get("source", "cube")))
 
 
 @takes_quantities(
-    exposure_time="s", frame_period="s", nav_clock_offset_s="s", nav_max_gap_s="s",
-    saturation_count="count", fwhm_nm="nm",
-)  # fmt: skip
+    exposure_time="s",
+    frame_period="s",
+    nav_clock_offset_s="s",
+    nav_max_gap_s="s",
+    saturation_count="count",
+    fwhm_nm="nm",
+)
 def open_flightline(
     cube: type_path | xr.Dataset,
     *,
@@ -96,7 +99,7 @@ def open_flightline(
     name: str | None = None,
     keep_whole_lines: bool = False,
 ) -> xr.Dataset:
-    """Open a flight line with all that calibrates it, without reading the cube.
+    """Open a flight line with all inputs of its calibration, without reading the cube.
 
     Parameters
     ----------
@@ -111,9 +114,9 @@ def open_flightline(
         ``imu_gps.txt``: UTC, and position and attitude at mid exposure.
     dark
         Dark cube or cubes (``dark_counts`` is the mean of their lines), a Dataset with ``dark_counts``,
-        ``"calibration"`` for those of the calibration, or ``"none"``.
+        ``"calibration"`` for the dark counts of the calibration, or ``"none"``.
     calibration
-        See `open_calibration`. Its wavelengths win over those of the header.
+        See `open_calibration`. Its wavelengths replace the header's.
     irradiance
         From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
         Without it no reflectance can be computed.
@@ -135,8 +138,8 @@ def open_flightline(
     nav_max_gap_s
         Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
     convention
-        What the angles and heights of ``nav`` mean and where the columns look, as far as it is known: fields
-        of `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
+        Known conventions of the angles and heights of ``nav`` and of the order of columns: fields of
+        `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
         format is taken to mean them; the line's attribute ``navigation_assumed`` lists those.
     bit_depth, saturation_count
         The converter is full at ``saturation_count``: as given, else as in the calibration, else
@@ -144,7 +147,7 @@ def open_flightline(
     radiance_units
         Units of a radiance cube whose header does not say them.
     quantity
-        ``counts`` or ``radiance``: what the samples of an ENVI cube are whose header does not say it. By
+        ``counts`` or ``radiance``: quantity of an ENVI cube whose header does not state it. By
         default integers are counts where there is a ``dark``, and radiance where there are
         ``radiance_units``.
     fwhm_nm
@@ -153,7 +156,7 @@ def open_flightline(
         dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
         converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
     name
-        Name of the line; by default that of the cube.
+        Name of the line; by default the cube's.
     keep_whole_lines
         Open the whole lines of a file that was cut short.
 
@@ -166,7 +169,7 @@ def open_flightline(
     Raises
     ------
     FormatError
-        A file is damaged, or is not what it should be.
+        A file is damaged or of another kind.
     TimeError
         Line times are missing or contradictory, or navigation or irradiance does not cover the line.
     SchemaError, UnitsError
@@ -194,8 +197,6 @@ def open_flightline(
     >>> line["counts"].chunks, line["time"].values[0], line.attrs["exposure_source"]
     (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
-    import xarray as xr
-
     source = cube if isinstance(cube, xr.Dataset) else Path(cube)
     timing = Timing(
         frame_index=None if frame_index is None else Path(frame_index),
@@ -235,12 +236,10 @@ def open_flightline(
 
 
 def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
-    """Open every input, noting in ``findings`` what is wrong with any; return the line if nothing is.
+    """Open every input, noting errors in ``findings``; return the line, empty after an error.
 
     Steps whose input failed are left out, so that every problem is found once.
     """
-    import xarray as xr
-
     path = inputs.path
     on_disk = inputs.cube if isinstance(inputs.cube, Path) else None
     cube: xr.DataArray | None = None
@@ -319,14 +318,13 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 
 
 def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
-    """Open the cube's file, or give the dims of a Dataset the names of their roles."""
-    from hyperpaint.io.envi.envi_cubes import open_envi
-
     if isinstance(inputs.cube, Path):
         opened = open_envi(
-            inputs.cube, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity,
+            inputs.cube,
+            keep_whole_lines=inputs.keep_whole_lines,
+            quantity=inputs.quantity,
             unsaid="counts" if inputs.dark is not None else "values",
-        )  # fmt: skip
+        )
     else:
         opened = rename_to_roles(inputs.cube)
     return opened.rename(values="radiance") if "values" in opened and inputs.radiance_units else opened
@@ -340,26 +338,40 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
         if "values" in opened and opened["values"].dtype.kind in "iu":
             raise FormatError(
-                f"{path}: integers, and neither header nor dark says that they are counts; give dark=, or "
-                "quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), or radiance_units"
+                f"{path}: integers that neither header nor dark declares as counts",
+                mend=(
+                    "pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
+                    "or radiance_units="
+                ),
+                code="quantity-ambiguous",
             )
-        raise FormatError(f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)")
+        raise FormatError(
+            f"{path}: holds {held}",
+            expected="raw counts, or radiance with radiance_units",
+            code="quantity-wrong",
+        )
     cube = opened[name]
     if set(cube.dims) != set(CUBE):
         raise FormatError(
-            f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
+            f"{path}: dims {tuple(map(str, cube.dims))}",
+            expected=f"{CUBE} (sensor geometry, not a map)",
+            code="dims-wrong",
         )
     if not all(cube.sizes.values()):
-        raise FormatError(f"{path}: empty, {dict(cube.sizes)}")
+        raise FormatError(f"{path}: an empty cube of sizes {dict(cube.sizes)}", code="empty-input")
     if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
         raise FormatError(
-            f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
+            f"{path}: samples are {cube.dtype}",
+            expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
+            code="type-wrong",
         )
     if name == "radiance":
         units = inputs.radiance_units or cube.attrs.get("units")
         if units is None:
             raise FormatError(
-                f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
+                f"{path}: radiance without units",
+                mend="give radiance_units, for example 'mW cm-2 sr-1 um-1'",
+                code="units-missing",
             )
         cube = cube.assign_attrs(units=units)
         # a wrong unit is reported now, with the other problems
@@ -368,7 +380,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
 
 
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
-    """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
+    """Chunk the cube, convert it, and blank its dropped lines, without reading samples."""
     name = str(cube.name)
     cube = cube.drop_vars(list(cube.coords)).drop_encoding()
     dropped = np.flatnonzero(~times.recorded)
@@ -393,7 +405,7 @@ def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -
 def _blank(
     block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
 ) -> NDArray[Any]:
-    """Return a block of lines without what stands in the dropped ones."""
+    """Return a block of lines with its dropped lines blanked."""
     start, stop = (block_info or {})[0]["array-location"][0]
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
     if inside.size:
@@ -411,16 +423,25 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
     line = inputs.path.name
     if inputs.calibration is None:
         if required:
-            raise SchemaError(f"{line}: no calibration; raw counts need one (calibration=)")
+            raise SchemaError(
+                f"{line}: no calibration of the raw counts",
+                mend="pass calibration=",
+                code="calibration-missing",
+            )
         if cube is not None and "wavelength" not in cube.coords:
-            raise SchemaError(f"{line}: no wavelengths in the header; give the calibration of this camera")
+            raise SchemaError(
+                f"{line}: no wavelengths in the header",
+                mend="give the calibration of this camera",
+                code="wavelength-missing",
+            )
         return None
     calibration = open_calibration(inputs.calibration)
     gain = calibration["radiance_gain"]
     if cube is not None and any(cube.sizes[dim] != size for dim, size in gain.sizes.items()):
         raise SchemaError(
-            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)};"
-            " give the calibration of this camera and binning"
+            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)}",
+            mend="give the calibration of this camera and binning",
+            code="grid-mismatch",
         )
     return calibration
 
@@ -430,15 +451,18 @@ def _shape(sizes: Mapping[Any, int]) -> str:
 
 
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    """Return what the poses of a line mean, and what of that is assumed, not declared.
+    """Return the convention of the poses as attributes, and the names of its assumed fields.
 
     Raises `SchemaError`: A declaration that does not exist.
     """
-    declarable = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    declarable = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
     if not set(declared) <= declarable:
         wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))
         raise SchemaError(
-            f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
+            f"convention has {wrong}",
+            expected=f"some of {right}",
+            mend="give angles in degree, and stamp= as an argument of its own",
+            code="key-unknown",
         )
     meant = Convention(**{"stamp_reference": timing.stamp, **declared})
     assumed = [name for name in ASSUMED if name not in declared]
@@ -451,8 +475,6 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
 def _coordinates(
     opened: xr.Dataset, calibration: xr.Dataset | None, times: LineTimes, inputs: FlightlineInputs, path: Path
 ) -> dict[str, xr.DataArray]:
-    import xarray as xr
-
     coords: dict[str, xr.DataArray] = {}
     for source in (opened, calibration):
         for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
@@ -468,10 +490,15 @@ def _coordinates(
         spacing = np.abs(np.gradient(coords["wavelength"].values))
         coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
-        apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
-        if apart > _WAVELENGTH_TOLERANCE_NM:
-            message = f"{path.name}: wavelengths of header and calibration are up to {apart:.3g} nm apart"
-            warnings.warn(f"{message}; those of the calibration are used", PaintWarning, stacklevel=4)
+        difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
+        if difference_nm > _WAVELENGTH_TOLERANCE_NM:
+            message = (
+                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
+            )
+            warnings.warn(
+                PaintWarning(f"{message}; those of the calibration are used", code="wavelength-conflict"),
+                stacklevel=4,
+            )
     along = {"time": times.time, "frame": times.frame, **times.place}
     coords |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
     return coords
@@ -481,13 +508,9 @@ def _coordinates(
 
 
 def _irradiance(inputs: FlightlineInputs, times: LineTimes | None) -> xr.Dataset | None:
-    import xarray as xr
-
     source = inputs.irradiance
     if source is None or isinstance(source, Unavailable):
         return None
     if not isinstance(source, xr.Dataset):
-        from hyperpaint.io.spectrometers.irradiance import open_irradiance
-
         source = open_irradiance(source)
     return source if times is None else cut_irradiance(source, times.time)

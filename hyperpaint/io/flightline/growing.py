@@ -1,4 +1,4 @@
-"""A flight line while it is being recorded: its complete lines, and the line as if it had ended with them.
+"""A flight line during recording: its complete lines, and the line as if it ended with them.
 
 Nothing that grows is opened by its reader: that would refuse a file that changes under it. Complete rows of
 frame index and navigation are copied beside a header that counts so many lines, with a data file that is all
@@ -14,9 +14,10 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import open_input
@@ -28,16 +29,13 @@ from .flightline_opening import FlightlineInputs
 from .headwall import cube_number
 from .timing import Timing
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 _LINES = re.compile(r"^[ \t]*lines[ \t]*=.*$", re.IGNORECASE | re.MULTILINE)
+#: Axes of a line in the file, slowest first, as (line, band, column).
 _AXES = {"bil": (0, 1, 2), "bip": (0, 2, 1)}
-"""Axes of a line in the file, slowest first, as (line, band, column)."""
 
 
 def growing_cubes(folder: Path, text: str) -> list[Path]:
-    """Return the data files that a ``cube`` of a collect names, in their order, with a header yet or without.
+    """Return the data files named by a ``cube`` of a collect, in order, with or without a header.
 
     ``text``: a file of the pair, a pattern, or a folder.
     """
@@ -56,12 +54,14 @@ def growing_cubes(folder: Path, text: str) -> list[Path]:
 
 
 def _data_of(path: Path) -> Path | None:
-    """Return the data file of a pair, None where it is not there."""
+    """Return the data file of a pair, None where it is missing."""
     if path.suffix.lower() != ".hdr":
         is_data = not path.suffix or path.suffix.lower() in DATA_SUFFIXES
         return path if is_data and path.is_file() else None
     whole = path.with_suffix("")
-    return next((each for s in ("", *DATA_SUFFIXES) if (each := Path(f"{whole}{s}")).is_file()), None)
+    return next(
+        (candidate for s in ("", *DATA_SUFFIXES) if (candidate := Path(f"{whole}{s}")).is_file()), None
+    )
 
 
 class GrowingTable:
@@ -74,7 +74,7 @@ class GrowingTable:
         self._read = 0
 
     def grow(self) -> int:
-        """Read what has been added; return how many rows there are."""
+        """Read appended rows; return the number of all rows."""
         try:
             with open_input(self.path, "a table") as file:
                 file.seek(self._read)
@@ -90,14 +90,13 @@ class GrowingTable:
         return len(self.rows)
 
     def write(self, path: Path, first: int, stop: int | None = None) -> None:
-        """Write the head and some rows into another file."""
         path.write_bytes(self.head + b"".join(self.rows[first:stop]))
 
 
 class GrowingLine:
-    """One flight line that is being recorded, of one cube or of several that follow one another.
+    """One flight line during recording, in one cube or in several successive ones.
 
-    ``view`` is a folder of its own, for the line as if it had ended.
+    ``view`` is a folder for the files of the line as if it had ended.
     """
 
     def __init__(self, view: Path) -> None:
@@ -113,22 +112,24 @@ class GrowingLine:
 
     @property
     def poses(self) -> int:
-        """Complete rows of the navigation."""
+        """Number of complete rows of the navigation."""
         return 0 if self._navigation is None else len(self._navigation.rows)
 
     @property
     def planned(self) -> int:
-        """Lines that the header promises; 0 where it does not say, or where another cube may follow."""
-        own = self._own_header() if len(self._cubes) == 1 else None
-        return 0 if own is None else read_header(own).lines if _counts_lines(own) else 0
+        """Number of lines in the header; 0 where it has none, or where another cube may follow."""
+        header = self._own_header() if len(self._cubes) == 1 else None
+        return 0 if header is None else read_header(header).lines if _counts_lines(header) else 0
 
     @property
     def header(self) -> EnviHeader:
-        """How the samples of the cubes are stored."""
+        """Layout of the samples of the cubes."""
         if self._header is None:
             source = self._own_header() or self._header_of_dark()
             if source is None:
-                raise FormatError(f"{self._cubes[0]}: no header yet, nor one of a dark cube")
+                raise FormatError(
+                    f"{self._cubes[0]}: no header yet, and no dark cube with one", code="header-missing"
+                )
             with open_input(source, "an ENVI header") as file:
                 text = file.read(4 * 2**20).decode("utf-8", "replace")
             self._header_text = _LINES.sub("", text)
@@ -138,8 +139,9 @@ class GrowingLine:
             header = read_header(path)
             if header.interleave not in _AXES or header.dtype.kind != "u":
                 raise FormatError(
-                    f"{source}: {header.interleave} of {header.dtype}; a line can be followed in raw counts "
-                    "without a sign, stored line by line (bil or bip)"
+                    f"{source}: {header.interleave} of {header.dtype}",
+                    expected="unsigned raw counts stored line by line (bil or bip)",
+                    code="type-wrong",
                 )
             self._header = header
         return self._header
@@ -150,12 +152,12 @@ class GrowingLine:
         return next((path for path in names if path.is_file()), None)
 
     def _header_of_dark(self) -> Path | None:
-        """Return the header of another cube of this camera, for as long as the line's own has none."""
+        """Return the header of a dark cube of this camera, used until the line has its own."""
         dark = None if self._inputs is None else self._inputs.dark
         return find_pair(dark[0])[0] if isinstance(dark, tuple) else None
 
     def look(self, cubes: Sequence[Path], inputs: FlightlineInputs) -> int:
-        """Return how many lines are complete in ``cubes``, and in the frame index where there is one.
+        """Return the number of lines that are complete in ``cubes``, and in the frame index if there is one.
 
         ``inputs``: of the line, as far as they are there.
         """
@@ -177,13 +179,19 @@ class GrowingLine:
         return min(self._starts[-1], len(list(self._rows())))
 
     def _index_files(self) -> list[Path]:
-        """Return the frame index of each cube, or the one of them all."""
-        own = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
-        one = self._timing.frame_index
-        return own if one in own and all(path.is_file() for path in own) else [one] if one else []
+        """Return the frame index of each cube, or the common one."""
+        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
+        common = self._timing.frame_index
+        return (
+            by_cube
+            if common in by_cube and all(path.is_file() for path in by_cube)
+            else [common]
+            if common
+            else []
+        )
 
     def _rows(self) -> Iterator[bytes]:
-        """Yield the rows of all frame indexes, from the first frame of the first cube on."""
+        """Yield the rows of all frame indexes from the first frame of the first cube on."""
         first = cube_number(self._cubes[0]) or 0
         for table in self._indexes.values():
             skipped = 0
@@ -207,11 +215,11 @@ class GrowingLine:
         return np.ascontiguousarray(counts, header.dtype.newbyteorder("="))
 
     def ended(self, first: int, stop: int, first_pose: int) -> tuple[FlightlineInputs, int]:
-        """Return the inputs of the line as if it held lines ``first`` to ``stop`` only, and its first line.
+        """Return the inputs of a line of lines ``first`` to ``stop`` only, and its first line.
 
         ``first_pose``: the first row of the navigation that it needs.
         """
-        assert self._inputs is not None  # there has been a look
+        assert self._inputs is not None  # set by `look`
         header = self.header
         timing = self._timing
         self._view.mkdir(parents=True, exist_ok=True)
@@ -237,7 +245,7 @@ class GrowingLine:
 
 
 def _counts_lines(header: Path) -> bool:
-    """Tell whether a header says a number of lines that may be that of the whole cube."""
+    """Return whether a header has a positive number of lines."""
     with open_input(header, "an ENVI header") as file:
         match = _LINES.search(file.read(4 * 2**20).decode("utf-8", "replace"))
     digits = "" if match is None else match[0].partition("=")[2].strip()
@@ -245,6 +253,5 @@ def _counts_lines(header: Path) -> bool:
 
 
 def _frame(row: bytes) -> int:
-    """Return the number of the frame of a row."""
     number = row.split()[0]
     return int(number) if number.isdigit() else 0

@@ -13,18 +13,16 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
 
 _MAX_FRAME = 1 << 40
 _SECOND = 1_000_000
@@ -78,21 +76,25 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
             value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
         except (ValueError, UnitsError) as error:
             raise FormatError(
-                f"{source}: {key} = {text[:40]!r}, expected a number and a unit of time in the brackets"
+                f"{source}: {key} = {text[:40]!r}",
+                expected="a number, and a unit of time in the brackets",
+                code="number-unreadable",
             ) from error
         if not (np.isfinite(value) and value > 0):
-            raise FormatError(f"{source}: {key} = {text}, expected a positive exposure")
+            raise FormatError(
+                f"{source}: {key} = {text}", expected="a positive exposure", code="value-out-of-range"
+            )
         exposures[key] = value
     if len(set(exposures.values())) > 1:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
-        raise FormatError(f"{source}: contradictory exposures {stated}")
+        raise FormatError(f"{source}: contradictory exposures {stated}", code="exposure-conflict")
     return next(iter(exposures.values()), None)
 
 
 def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
-    """Return focal length [mm] and pixel pitch [um] that the comment lines of a header state, if any.
+    """Return focal length [mm] and pixel pitch [um] from the comment lines of a header, if stated.
 
-    None also where pixels are binned: which of rows and columns lie across the track is not said.
+    None also where pixels are binned, since the binned axis is unknown.
     """
     plain = {" ".join(key.split()).lower(): text for key, text in pairs.items()}
     if any(text.strip() != "1" for key, text in plain.items() if key.endswith(" binning")):
@@ -105,7 +107,7 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield what may state the exposure of a cube: ``settings.txt`` beside it, the header's comments."""
+    """Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments."""
     settings = None if cube is None else find_settings(cube)
     if settings is not None:
         yield "settings.txt", read_settings(settings)
@@ -115,42 +117,51 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
 def find_exposure(
     exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """Return seconds and where they come from: the argument, ``settings.txt``, the header's comments."""
-    given = None if exposure_time is None else np.asarray(exposure_time, np.float64)
-    if given is not None:
+    """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
+    argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
+    if argument is not None:
         lines = opened.sizes.get(ALONG_TRACK)
-        if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
+        if argument.ndim > 1 or (argument.ndim == 1 and lines is not None and argument.size != lines):
             raise SchemaError(
-                f"{name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
+                f"{name}: exposure_time has shape {argument.shape}",
+                expected=f"a scalar or {lines} lines",
+                code="length-mismatch",
             )
-        if not (np.isfinite(given).all() and (given > 0).all()):
-            raise SchemaError(f"{name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number")
+        if not (np.isfinite(argument).all() and (argument > 0).all()):
+            raise SchemaError(
+                f"{name}: exposure_time {argument.min() * 1000.0:g} ms",
+                expected="a positive number",
+                code="value-out-of-range",
+            )
     stated: dict[str, float] = {}
     for source, pairs in exposure_sources(cube, opened):
         try:
             value = exposure_seconds(pairs, f"{name}: {source}")
         except FormatError:
-            if given is None:
+            if argument is None:
                 raise
             continue
         if value is not None:
             stated[source] = value
     words = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
-    if given is not None:
-        if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in stated.values()):
-            message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {words}"
-            warnings.warn(f"{name}: {message}", PaintWarning, stacklevel=4)
-        return given, "given"
+    if argument is not None:
+        if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
+            message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {words}"
+            warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
+        return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:
-            warnings.warn(f"{name}: {words}; the first is used", PaintWarning, stacklevel=4)
+            warnings.warn(
+                PaintWarning(f"{name}: {words}; the first is used", code="exposure-conflict"), stacklevel=4
+            )
         return np.array(value), source
     # an unread header is another problem, not a missing exposure
     if required and opened.sizes:
         raise SchemaError(
-            f"{name}: no exposure in settings.txt beside the cube nor in the header's comments;"
-            " give exposure_time [s] (exposure_time_ms in collect.toml)"
+            f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
+            mend="give exposure_time= [s] (in collect.toml: exposure_time_ms)",
+            code="exposure-missing",
         )
     return None, ""
 
@@ -168,11 +179,11 @@ class FrameIndex:
     # ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
     # the first row's day on the recording computer
     clock: Literal["instrument", "time of day"]
-    fitted: bool = False  # The file holds whole seconds, the stamps are the straight line through them
+    fitted: bool = False  # The file holds whole seconds; the stamps are fitted by a straight line
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:
-    """Read ``frameIndex_<N>.txt``, whichever way its program stamps the frames.
+    """Read ``frameIndex_<N>.txt`` with any of the three kinds of time stamps.
 
     ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of the
     recording computer; or ``HH:MM:SS``: whole seconds, through which a straight line over the frame numbers
@@ -186,13 +197,16 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     if name is None:
         name = next((column for column in table.columns if column != "frame#"), "")
     if not name:
-        raise FormatError(f"{path}: one column only, expected 'Frame#' and 'Timestamp' or 'Time'")
+        raise FormatError(
+            f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"
+        )
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
         wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
         raise FormatError(
-            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}"
+            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}",
+            code="frame-unordered",
         )
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
@@ -206,16 +220,18 @@ def read_frame_index(path: str | Path) -> FrameIndex:
 
 
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
-    """Raise TimeError naming the rows whose stamp does not exceed the one before."""
+    """Raise TimeError naming the rows whose stamp does not exceed the previous one."""
     wrong = rows[1:][np.diff(stamp) <= 0]
     if wrong.size:
         raise TimeError(
-            f"{subject} repeats or runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+            f"{subject} repeats or runs backwards in {name_rows(wrong)}",
+            mend="delete or reorder these rows",
+            code="time-unordered",
         )
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
-    """Return microseconds since midnight of the first row's day, and whether none has a fraction."""
+    """Return microseconds since midnight of the first row's day, and whether all are whole seconds."""
     micros_of_day = np.empty(len(table.rows), np.int64)
     wrong: list[int] = []
     whole = True
@@ -230,7 +246,9 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
         micros_of_day[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
     if wrong:
         raise FormatError(
-            f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
+            f"{table.name}: column {name!r} is unreadable in {name_rows(wrong)}",
+            expected="'HH:MM:SS microseconds'",
+            code="time-unreadable",
         )
     # a step back by more than half a day is midnight
     days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY // 2)])
@@ -240,13 +258,15 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
 def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
     if len(np.unique(stamp)) < 3:
         raise TimeError(
-            f"{subject}: whole seconds, fewer than three of them; give start_time and frame_period"
+            f"{subject}: fewer than three different whole seconds",
+            mend="pass start_time= and frame_period=",
+            code="frame-rate-unknown",
         )
     x = (frame - frame[0]).astype(np.float64)
     y = (stamp - stamp[0]) + 0.5 * _SECOND  # a truncated second is half a second late on average
     slope, offset = np.polyfit(x, y, 1)
     if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
-        raise TimeError(f"{subject}: stamps of whole seconds that no steady frame rate explains")
+        raise TimeError(f"{subject}: whole seconds that fit no steady frame rate", code="frame-rate-unknown")
     straight: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
     return straight
 
@@ -258,7 +278,7 @@ def cube_number(cube: Path) -> int | None:
 
 
 def frame_index_beside(cube: Path) -> Path | None:
-    """Return the frame index in the folder of a cube: the last that begins at its first frame or before."""
+    """Return the last frame index in the folder of a cube that begins at or before its first frame."""
     matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
     numbers = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
     first = cube_number(cube)
@@ -268,7 +288,7 @@ def frame_index_beside(cube: Path) -> Path | None:
 
 
 def navigation_beside(cube: Path) -> Path | None:
-    """Return ``imu_gps.txt`` of the folder of a cube, or of the one above; the only one of such a name."""
+    """Return the only ``imu_gps.txt`` in the folder of a cube or the one above."""
     for folder in (cube.parent, cube.parent.parent):
         records = [path for path in folder.iterdir() if _IMU_GPS.fullmatch(path.name)]
         if records:
@@ -279,7 +299,7 @@ def navigation_beside(cube: Path) -> Path | None:
 def match_frames(
     index: FrameIndex, lines: int, cube: Path, *, shortened: bool = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tell which frame each line of a cube is.
+    """Return the frame number and the row of the index of each line of a cube.
 
     ``index``: frame index of the cube, or of the whole flight; ``lines``: lines of the cube; ``cube``: its
     path: ``raw_<N>`` and its neighbours give the cube's part of a whole flight's index; ``shortened``: the
@@ -308,9 +328,16 @@ def match_frames(
             row[index.frame[start : start + length] - begin] = np.arange(start, start + length)
             return frame, row
     raise FormatError(
-        f"{cube.name} has {lines} lines; {index.name} has {rows} rows, frames {first} to {last}"
-        f" ({last - first + 1} by number): neither fits; give the frame index of this cube"
-        " (a cube cut short in flight: keep_whole_lines=True, or keep_whole_lines = true in collect.toml)"
+        (
+            f"{cube.name} has {lines} lines, {index.name} has {rows} rows, frames {first} to "
+            f"{last} ({last - first + 1} by number)"
+        ),
+        expected="as many lines as rows, or as frames",
+        mend=(
+            "give the frame index of this cube, or keep_whole_lines=True for a cube cut short in flight "
+            "(in collect.toml: keep_whole_lines = true)"
+        ),
+        code="frame-index-mismatch",
     )
 
 
@@ -340,7 +367,7 @@ class DarkFrames:
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    """Add up the lines of a dark cube, a slab at a time.
+    """Sum the lines of a dark cube, a slab at a time.
 
     ``counts``: raw counts, (along_track, band, cross_track), lazily indexed; ``subject``: names the cube in
     messages.
@@ -349,11 +376,13 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     """
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:
-        problems.add(f"dims {tuple(map(str, counts.dims))}, expected {CUBE}")
+        problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
-        problems.add("no lines")
+        problems.add("the cube has no lines", code="empty-input")
     if counts.dtype.kind != "u" or counts.dtype.itemsize > 2:
-        problems.add(f"dtype {counts.dtype}, expected raw counts of 8 or 16 bits without a sign")
+        problems.add(
+            f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
+        )
     problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)

@@ -1,21 +1,19 @@
-"""The lines of a flight as a table of text: time, place, attitude, and whatever else a line has one of."""
+"""Flight lines as a table of text: time, place, attitude, and every other variable of a line."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _FIRST = (
     *("frame", "time", "latitude", "longitude", "altitude", "roll", "pitch", "heading"),
@@ -25,7 +23,7 @@ _FIRST = (
 
 @takes_quantities()
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write what a flight line has one of for each scan line as comma-separated values.
+    """Write the variables on ``along_track`` of a flight line as comma-separated values.
 
     `open_navigation` reads the file again where it holds the pose, and every number keeps its bits: what the
     angles mean is declared in its first lines.
@@ -44,7 +42,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     -------
     pathlib.Path
         The file: ``line``, then a column a variable with its unit, ``roll [degree]``; times are UTC at mid
-        exposure, ISO 8601; what is unknown is empty.
+        exposure, ISO 8601; unknown values are empty.
 
     Raises
     ------
@@ -80,12 +78,14 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
 
 
 def _columns(line: xr.Dataset) -> dict[str, Any]:
-    """Return the columns by what the header calls them."""
+    """Return the columns by their headings."""
     lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:
         raise SchemaError(
-            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
+            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}",
+            mend="give a flight line",
+            code="dim-missing",
         )
     names += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
     order = {name: place for place, name in enumerate(_FIRST)}

@@ -1,4 +1,4 @@
-"""When and where each line of a cube was exposed: frame index, clocks and navigation joined."""
+"""Time and place of the exposure of each line of a cube: frame index, clocks and navigation joined."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import PaintWarning, Problems, TimeError
@@ -19,19 +20,16 @@ from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_tim
 
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 _NS_PER_S = 1_000_000_000
-_LONGEST_EXPOSURE_S = 3600.0
+_MAX_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000
-_LONGEST = 1e4
+_MAX_INTERVAL_S = 1e4
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What is known of the clocks of one flight line; see `hyperpaint.open_flightline`."""
+    """Clock settings of one flight line; see `hyperpaint.open_flightline`."""
 
     frame_index: Path | None = None
     nav: Path | Navigation | None = None
@@ -47,7 +45,7 @@ class Timing:
 
     @property
     def correction(self) -> ClockCorrection:
-        """How the navigation's stamps become UTC."""
+        """Correction of the navigation's stamps to UTC."""
         return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
 
 
@@ -61,10 +59,10 @@ class LineTimes:
     # ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
     place: Mapping[str, NDArray[np.float64]] = field(repr=False)
     dropped: int  # Number of frames missing between the first and the last, blank lines included
-    source: str  # Says where the times come from
+    source: str  # Source of the times
 
 
-def utc_of(value: Any, what: str) -> np.datetime64:
+def utc_of(value: Any, name: str) -> np.datetime64:
     """Return an instant as datetime64[ns] UTC.
 
     ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``what``: names
@@ -84,15 +82,21 @@ def utc_of(value: Any, what: str) -> np.datetime64:
             value = datetime.datetime.fromisoformat(value.strip())
         except ValueError as error:
             raise TimeError(
-                f"{what} {value[:60]!r} is not a time; expected one like '2024-06-01T12:00:00Z'"
+                f"{name} {value[:60]!r} is not a time",
+                expected="a time such as '2024-06-01T12:00:00Z'",
+                code="time-unreadable",
             ) from error
     if not isinstance(value, datetime.datetime) or value.tzinfo is None:
         raise TimeError(
-            f"{what} {value!s:.60} has no zone; write '2024-06-01T12:00:00Z', or '-05:00' at the end"
+            f"{name} {value!s:.60} has no zone",
+            mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
+            code="zone-missing",
         )
     if not 1980 <= value.year <= 2200:
         raise TimeError(
-            f"{what} {value!s:.60} is not a time of this camera; expected a year from 1980 to 2200"
+            f"{name} {value!s:.60} is out of range",
+            expected="a year from 1980 to 2200",
+            code="value-out-of-range",
         )
     utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
     return np.datetime64(utc, "ns")
@@ -143,7 +147,18 @@ def line_times(
         time = clock.at(np.zeros(1, np.int64)) + np.round((frame - frame[0]) * period_us).astype(
             "timedelta64[ns]"
         )
-    _report_outside(cube, np.isnat(time[recorded]), clock)
+    outside = np.isnat(time[recorded])
+    if outside.any():
+        if outside.all():
+            raise TimeError(
+                f"{cube.name}: no line lies inside {clock.source}",
+                mend="give the record of this flight",
+                code="time-uncovered",
+            )
+        missing = np.flatnonzero(outside)
+        shown = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
+        text = f"{cube.name}: {shown} lie outside {clock.source} and have no time and place"
+        warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
     half = np.round(np.asarray(exposure_time) * STAMP_TO_MID_EXPOSURES[timing.stamp] * _NS_PER_S).astype(
         "timedelta64[ns]"
     )
@@ -158,67 +173,83 @@ def line_times(
 def _check(timing: Timing, exposure_s: float) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
     if timing.stamp not in STAMP_TO_MID_EXPOSURES:
-        problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
-    if exposure_s > _LONGEST_EXPOSURE_S:
-        problems.add(f"an exposure of {exposure_s:g} s, expected at most {_LONGEST_EXPOSURE_S:g} s")
+        problems.add(
+            f"stamp {timing.stamp!r}",
+            expected="'start', 'mid' or 'end' of the exposure",
+            code="choice-unknown",
+        )
+    if exposure_s > _MAX_EXPOSURE_S:
+        problems.add(
+            f"an exposure of {exposure_s:g} s",
+            expected=f"at most {_MAX_EXPOSURE_S:g} s",
+            code="value-out-of-range",
+        )
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
-        if seconds is not None and not 0 < seconds <= _LONGEST:
-            problems.add(f"{name} {seconds} s, expected a positive number")
+        if seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S:
+            problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
     problems.raise_if_any()
 
 
 def _clock(
     timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
 ) -> Clock:
-    """Choose the one source of UTC."""
+    """Return the clock of the one source of UTC."""
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
-                f"{cube.name}: start_time, and a navigation record that holds UTC; give one of them"
+                f"{cube.name}: both start_time and a navigation record with UTC",
+                mend="give one of them",
+                code="option-conflict",
             )
         start = utc_of(timing.start_time, "start_time").astype(np.int64)
         if index is None and not timing.frame_period:
-            raise TimeError(f"{cube.name}: start_time without frame_index or frame_period; give one of them")
+            raise TimeError(
+                f"{cube.name}: start_time without frame_index or frame_period",
+                mend="give one of them",
+                code="argument-missing",
+            )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
+        names = (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
+        files = ", ".join(name for name in names if (cube.parent / name).is_file())
+        beside = f" (beside the cube: {files})" if files else ""
         raise TimeError(
-            f"{cube.name}: no line times; give frame_index and nav, or start_time and frame_period"
-            f"{_found_beside(cube)}"
+            f"{cube.name}: no line times",
+            mend=f"give frame_index and nav, or start_time and frame_period{beside}",
+            code="time-missing",
         )
     if index.clock == "time of day" and timing.gps_time is not None:
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
-        return _from_date(timing)
+        # midnight of the date on the recording computer's clock
+        text = str(timing.date)
+        try:
+            midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
+        except ValueError:
+            midnight = None
+        if midnight is None or not "1980" <= text < "2200":
+            raise TimeError(
+                f"date {text[:40]!r}", expected="a date such as '2024-06-01'", code="time-unreadable"
+            )
+        if timing.clock_offset_s is None:
+            raise TimeError(
+                "date without clock_offset_s",
+                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 if it ran on UTC)",
+                code="clock-offset-missing",
+            )
+        utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
+        return _steady(0, int(utc[0]), "date and time of day")
     if nav is None:
-        raise TimeError(f"{cube.name}: {index.name} holds no UTC; give nav (imu_gps.txt), or start_time")
+        raise TimeError(
+            f"{cube.name}: {index.name} holds no UTC",
+            mend="give nav (imu_gps.txt), or start_time",
+            code="time-missing",
+        )
     return nav.clock_for(index)
 
 
-def _found_beside(cube: Path) -> str:
-    number = cube_number(cube)
-    names = [f"frameIndex_{number}.txt", "imu_gps.txt"]
-    files = [name for name in names if (cube.parent / name).is_file()]
-    return f" (beside the cube: {', '.join(files)})" if files else ""
-
-
-def _from_date(timing: Timing) -> Clock:
-    text = str(timing.date)
-    try:
-        midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
-    except ValueError:
-        midnight = None
-    if midnight is None or not "1980" <= text < "2200":
-        raise TimeError(f"date {text[:40]!r}, expected one like '2024-06-01'")
-    if timing.clock_offset_s is None:
-        raise TimeError(
-            "date without clock_offset_s: UTC = the computer's clock + clock_offset_s (0.0 if it ran on UTC)"
-        )
-    utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
-    return _steady(0, int(utc[0]), "date and time of day")
-
-
 def _steady(stamp: int, utc: int, source: str) -> Clock:
-    """Make a clock that runs true from one instant, over any flight."""
+    """Return a clock that runs true from one instant."""
     span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
 
@@ -231,27 +262,20 @@ def _check_rate(
     cube: Path,
 ) -> None:
     """Warn where stated period, exposure and stamps contradict each other."""
+
+    def warn(text: str, code: str) -> None:
+        warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
+
     if index.fitted:
-        message = f"{index.name} holds whole seconds: line times are a straight line through them"
-        warnings.warn(f"{cube.name}: {message}", PaintWarning, stacklevel=3)
+        warn(f"{index.name} holds whole seconds: line times are a straight line through them", "time-rounded")
     if len(rows) < 2:
         return
     period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
     stated = timing.frame_period
     if stated and abs(period / stated - 1.0) > 0.05:
-        message = f"frame_period {stated * 1e3:g} ms, but {index.name} steps by {period * 1e3:.4g} ms a frame"
-        warnings.warn(f"{cube.name}: {message}; the stamps are used", PaintWarning, stacklevel=3)
-    longest = float(np.max(exposure_time))
-    if longest > 1.01 * period:
-        message = f"exposure {longest * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
-        warnings.warn(f"{cube.name}: {message}; is its unit right?", PaintWarning, stacklevel=3)
-
-
-def _report_outside(cube: Path, outside: NDArray[np.bool_], clock: Clock) -> None:
-    if not outside.any():
-        return
-    if outside.all():
-        raise TimeError(f"{cube.name}: no line lies inside {clock.source}; give the record of this flight")
-    lines = np.flatnonzero(outside)
-    message = f"{len(lines)} of {len(outside)} lines ({lines[0]} to {lines[-1]}) lie outside {clock.source}"
-    warnings.warn(f"{cube.name}: {message}: no time, no place", PaintWarning, stacklevel=3)
+        steps = f"{index.name} steps by {period * 1e3:.4g} ms a frame; the stamps are used"
+        warn(f"frame_period {stated * 1e3:g} ms, but {steps}", "frame-rate-conflict")
+    longest_ms = float(np.max(exposure_time)) * 1e3
+    if float(np.max(exposure_time)) > 1.01 * period:
+        between = f"{period * 1e3:.4g} ms between frames; check its unit"
+        warn(f"exposure {longest_ms:g} ms is longer than the {between}", "exposure-too-long")

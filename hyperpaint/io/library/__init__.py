@@ -1,4 +1,4 @@
-"""Spectral libraries of other programs and our own: read into paint libraries, written from them."""
+"""Spectral libraries of all formats: read into paint libraries, and written from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the columns of a table of spectra are: reflectance, its spread, or another quantity taken for it."""
+"""Roles of the columns of a table of spectra: reflectance, its spread, or another quantity."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .text_spectra import other_quantity
 
 @dataclass(frozen=True)
 class QuantityRules:
-    """From where on numbers of a table are taken for something else than reflectance.
+    """Thresholds above which numbers of a table do not pass as reflectance.
 
     min_oxygen_depth
         Depth of the band of oxygen at 760 nm [1], below the lower of both sides, from which on
@@ -61,34 +61,41 @@ _TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivit
 
 
 def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
-    """Refuse a table whose headings or units say another quantity.
+    """Refuse a table whose headings or units name another quantity.
 
     preamble: Lines above the numbers; headings: names of the columns, as many as there are, or none.
 
     Raises FormatError: A column is named after light, counts, transmittance or a statistic; or the lines
-        above say so and none of them says reflectance.
+        above name such a quantity and do not name reflectance.
     """
     foreign = [name.strip() for name in headings[1:] if _foreign(name) or _STATISTIC.fullmatch(name.strip())]
     if foreign:
         raise FormatError(
-            f"{source}: its heading says {', '.join(map(repr, foreign[:5]))}, expected reflectance; "
-            f"leave those columns out, or {SAY_SO}"
+            f"{source}: column headings name {', '.join(map(repr, foreign[:5]))}",
+            expected="reflectance",
+            mend=f"leave those columns out, or {SAY_SO}",
+            code="quantity-wrong",
         )
-    said = " ".join(preamble)
-    last = preamble[-1] if preamble else ""
-    word = _foreign(last)
+    preamble_text = " ".join(preamble)
+    heading = preamble[-1] if preamble else ""
+    word = _foreign(heading)
     if (
         not word
-        and "reflect" not in said.lower()
-        and (title := _TITLE.search(said) or _OF_LIGHT.search(said))
+        and "reflect" not in preamble_text.lower()
+        and (title := _TITLE.search(preamble_text) or _OF_LIGHT.search(preamble_text))
     ):
         word = title[0]
     if word:
-        raise FormatError(f"{source}: its heading says {word!r}, expected reflectance; {SAY_SO}")
+        raise FormatError(
+            f"{source}: the heading names {word!r}",
+            expected="reflectance",
+            mend=SAY_SO,
+            code="quantity-wrong",
+        )
 
 
 def _foreign(text: str) -> str:
-    """Return the word or unit that says that values are no reflectance; empty where there is none."""
+    """Return the word or unit of another quantity than reflectance; empty without one."""
     if word := other_quantity(text):
         return word
     if "reflect" in text.lower():
@@ -97,11 +104,11 @@ def _foreign(text: str) -> str:
     return match[0].strip() if match else ""
 
 
-def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure: bool) -> Ints:
-    """Return for each column the one that holds its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
+def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
+    """Return for each column the index of its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
 
     headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
-    sure: Columns without headings are reflectance, whatever they look like.
+    is_reflectance: Columns without headings are reflectance without a check of their values.
 
     Raises FormatError: The first column is named a standard deviation.
     Warns PaintWarning: Nothing names three columns, and the last looks like the spread of the one before.
@@ -111,47 +118,48 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, sure
         bare = [_bare(name) for name in headings[1:]]
         named = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
         means = [name for name, spread in zip(bare, named, strict=True) if not spread]
-        # a standard may be a paint: "White Std" is no spread where nothing is named "White"
+        # "White Std" may be a paint: it is a spread only beside a column "White"
         in_full = [_IN_FULL.search(name) is not None for name in headings[1:]]
         is_spread = named & np.array(
             [full or not name or name in means for full, name in zip(in_full, bare, strict=True)]
         )
         if is_spread[0]:
             raise FormatError(
-                f"{source}: its first spectrum is named {headings[1].strip()!r}, expected reflectance before "
-                "its standard deviation"
+                f"{source}: the first spectrum is named {headings[1].strip()!r}",
+                expected="reflectance before its standard deviation",
+                code="column-order",
             )
         roles[is_spread] = IS_SPREAD
         for at in np.flatnonzero(is_spread):
-            others = np.flatnonzero(~is_spread)
-            alike = [int(other) for other in others if bare[at] and bare[other] == bare[at]]
-            owner = alike[0] if alike else others[others < at][-1]
+            spectra = np.flatnonzero(~is_spread)
+            alike = [int(other) for other in spectra if bare[at] and bare[other] == bare[at]]
+            owner = alike[0] if alike else spectra[spectra < at][-1]
             roles[owner] = at if roles[owner] == NO_SPREAD else roles[owner]
-    elif len(values) == 2 and not sure and _looks_like_spread(*values):
+    elif len(values) == 2 and not is_reflectance and _looks_like_spread(*values):
         text = (
             f"{source}: three columns without headings; the third is taken for the standard deviation of the "
             "second; name the columns, or pass quantity='reflectance' if it is a paint"
         )
-        warnings.warn(text, PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(text, code="spread-assumed"), stacklevel=6)
         roles[:] = 1, IS_SPREAD
     return roles
 
 
 def _bare(heading: str) -> str:
-    """Return a heading without the words that say what statistic of a spectrum it is."""
+    """Return a heading in lower case without words for mean and spread."""
     text = _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))
     return "".join(sign for sign in text if sign.isalnum())
 
 
 def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
-    both = np.isfinite(mean) & np.isfinite(spread) & (mean > 0)
-    if not both.any() or (spread[both] < 0).any():
+    comparable = np.isfinite(mean) & np.isfinite(spread) & (mean > 0)
+    if not comparable.any() or (spread[comparable] < 0).any():
         return False
-    return bool(np.median(spread[both] / mean[both]) <= RULES.max_spread_ratio)
+    return bool(np.median(spread[comparable] / mean[comparable]) <= RULES.max_spread_ratio)
 
 
 def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Floats, Floats, list[str]]:
-    """Return wavelengths and values (band, spectrum) without repeats in a row, and notes of what was done.
+    """Return wavelengths and values (band, spectrum) with successive repeats merged, and notes on it.
 
     Rows that are the same count once; values that differ are averaged.
 
@@ -160,25 +168,27 @@ def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Fl
     Warns PaintWarning: Values were averaged.
     """
     starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)
-    apart = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    difference = 1.0 - np.unique(wavelength[starts]).size / starts.size
     doubled = wavelength.size - starts.size
-    if apart > RULES.max_repeats or 2 * doubled >= wavelength.size:
+    if difference > RULES.max_repeats or 2 * doubled >= wavelength.size:
         twice = wavelength.size - np.unique(wavelength).size
         raise FormatError(
-            f"{source}: {twice} of {wavelength.size} wavelengths occur twice; are spectra one below the "
-            "other, or wavelengths rounded? Spectra belong in columns"
+            f"{source}: {twice} of {wavelength.size} wavelengths occur twice",
+            expected="one row a wavelength, and one column a spectrum",
+            mend="put spectra side by side, or write wavelengths with more digits",
+            code="wavelength-duplicate",
         )
     if not doubled:
         return wavelength, values, []
     counts = np.diff(np.append(starts, wavelength.size))
     means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
-    apart = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
+    difference = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
     first = wavelength[starts[counts > 1][0]]
     text = f"{doubled} wavelengths stand twice in a row, such as {first:g}"
-    if apart <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
+    if difference <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
         return wavelength[starts], values[starts], [f"{text}: the same rows count once"]
-    text = f"{text}: their values, up to {apart:.3g} apart, are averaged"
-    warnings.warn(f"{source}: {text}", PaintWarning, stacklevel=6)
+    text = f"{text}: their values, up to {difference:.3g} apart, are averaged"
+    warnings.warn(PaintWarning(f"{source}: {text}", code="wavelength-duplicate"), stacklevel=6)
     return wavelength[starts], means, [text]
 
 
@@ -196,7 +206,7 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     sampled = below.any() and inside.any() and above.any()
     if not sampled or np.diff(near).max() > RULES.oxygen_step_nm:
         return
-    # the lower one: paint that is black to the eye alone rises from one to the other
+    # the lower shoulder, since paint that is black in the visible only rises across the band
     shoulder = np.minimum(values[:, below].mean(axis=1), values[:, above].mean(axis=1))
     dip = shoulder - values[:, inside].min(axis=1)
     light = np.flatnonzero(dip > RULES.min_oxygen_depth * np.maximum(shoulder, 1e-6))
@@ -206,4 +216,4 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
             f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
             f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {SAY_SO}"
         )
-        warnings.warn(text, PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(text, code="sunlight-in-reflectance"), stacklevel=6)

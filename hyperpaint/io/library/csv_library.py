@@ -1,6 +1,6 @@
 """Paint libraries as comma-separated values with their metadata beside them.
 
-A row is a spectrum: the paint, what is known of it (a column each), then reflectance. The first row has the
+A row is a spectrum: the paint, its properties (a column each), then reflectance. The first row has the
 names of the columns, and the wavelengths [nm]; units stand in the metadata. EcoSIS takes such tables. Where
 there are more spectra than centres, the paint is followed by ``variable`` (``reflectance``,
 ``member_reflectance``, ...) and by ``place``, the number of a spectrum where a paint has several, from 1.
@@ -13,9 +13,9 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems
@@ -26,28 +26,25 @@ from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers
 from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
 
-from .library_spectra import SHORTEST, check_wavelengths
+from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Headings of the names; the second was used by hyperpaint 0.2 and before.
 _NAMES = (SIGNATURE, "paint")
-"""Heading of the names; the second was that of hyperpaint 0.2 and before."""
 _KIND = ["variable", "place"]
-_MOST_BANDS = 100_000
-_MOST_BYTES = 2**32
-_MOST_SHOWN = 5
+_MAX_BANDS = 100_000
+_MAX_BYTES = 2**32
+_MAX_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Tell from its beginning whether a text is such a library: paints, and wavelengths across."""
+    """Return whether a text begins as a paint library: names of paints, then wavelengths across."""
     row, end, _ = head.partition("\n")
     cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
     first = next(filter(None, cells[:2]), "")  # after the index of pandas
-    return first in _NAMES and nm is not None and nm >= SHORTEST
+    return first in _NAMES and nm is not None and nm >= MIN_NM
 
 
 # --- writing -----------------------------------------------------------------------------------------------
@@ -78,10 +75,10 @@ def write_csv_library(
         ]
     )
     names = [_line([safe_cell(name)]) for name in names_of(library)]
-    about = [
+    properties = [
         _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
     ] or [""] * len(names)
-    coding = "utf-8" if "".join([head, *names, *about]).isascii() else "utf-8-sig"
+    coding = "utf-8" if "".join([head, *names, *properties]).isascii() else "utf-8-sig"
     row = ",%.9g" * library.sizes[BAND] + "\n"
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
@@ -89,12 +86,11 @@ def write_csv_library(
             file.write(head + "\n")
             for block in blocks_of(library, variables, progress):
                 for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
-                    what = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
-                    file.write(names[paint] + what + about[paint] + row % tuple(values.tolist()))
+                    key = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
+                    file.write(names[paint] + key + properties[paint] + row % tuple(values.tolist()))
 
 
 def _line(cells: list[str]) -> str:
-    """Return cells as a line, quoted where they must be; a single empty one is no line."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="").writerow([*cells, ""])
     return buffer.getvalue()[:-1]
@@ -110,34 +106,20 @@ def read_csv_library(path: Path) -> xr.Dataset:
     Warns PaintWarning: The metadata are missing.
     """
     source = path.name
-    table = _table(path)
-    check_wavelengths(table.wavelength, source)
-    if not table.names:
-        raise FormatError(f"{source}: no row of {CENTRE!r}; write the library anew")
-    rows = [(0, np.array(table.rows, np.float32))]
-    return restored(path, table.names, table.keys, {"wavelength": table.wavelength}, rows, table.columns)
-
-
-class _Table(NamedTuple):
-    """What a file holds."""
-
-    wavelength: Floats
-    names: list[str]  # of the paints
-    columns: dict[str, list[str]]  # what is said of each paint
-    keys: list[Key]  # what each row is
-    rows: list[Floats32]
-
-
-def _table(path: Path) -> _Table:
-    problems = Problems(f"{path.name} cannot be read", FormatError)
+    problems = Problems(f"{source} cannot be read", FormatError)
+    # the first row: headings, then wavelengths
     cells = _cells(path)
     first_row = next(cells, [])
     if first_row[:1] == [""]:
-        first_row, cells = first_row[1:], _without_index(cells, path.name)
-    head, wavelength = _head(first_row, path.name)
+        first_row, cells = first_row[1:], _without_index(cells, source)
+    head, wavelength = _head(first_row, source)
     has_kind = head[1:3] == _KIND
     first = 3 if has_kind else 1
-    table = _Table(wavelength, [], {text_of_cell(name): [] for name in head[first:]}, [], [])
+    # a row a spectrum
+    names: list[str] = []
+    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first:]}
+    keys: list[Key] = []
+    rows: list[Floats32] = []
     owner = _Owner()
     for at, row in enumerate(cells, 2):
         row[: len(head)] = map(text_of_cell, row[: len(head)])
@@ -145,24 +127,30 @@ def _table(path: Path) -> _Table:
         key = owner.key(*(row[:3] if has_kind else (row[0], CENTRE, ""))) if values is not None else None
         if values is None or key is None:
             problems.add(
-                f"row {at}: {','.join(row)[:60]!r}, expected {', '.join(head)[:60]}, and {wavelength.size} "
-                "numbers"
+                f"row {at}: {','.join(row)[:60]!r}",
+                expected=f"{', '.join(head)[:60]}, and {wavelength.size} numbers",
+                code="row-unreadable",
             )
-            if len(problems) == _MOST_SHOWN:
+            if len(problems) == _MAX_SHOWN:
                 break
             continue
         if key[0] == CENTRE:
-            table.names.append(row[0])
-            for column, cell in zip(table.columns.values(), row[first:], strict=False):
+            names.append(row[0])
+            for column, cell in zip(columns.values(), row[first:], strict=False):
                 column.append(cell)
-        table.keys.append(key)
-        table.rows.append(values)
+        keys.append(key)
+        rows.append(values)
     problems.raise_if_any()
-    return table
+    check_wavelengths(wavelength, source)
+    if not names:
+        raise FormatError(
+            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+        )
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
 
 
 class _Owner:
-    """Finds the paint that a row belongs to, also where two have one name: rows are in the paints' order."""
+    """Finds the paint of a row by name and order, since several paints may share a name."""
 
     def __init__(self) -> None:
         self._paints: dict[str, list[int]] = {}
@@ -188,37 +176,39 @@ class _Owner:
 
 
 def _cells(path: Path) -> Iterator[list[str]]:
-    """Yield the rows as texts."""
     try:
-        opened = open_input(path, "a paint library", _MOST_BYTES)
+        opened = open_input(path, "a paint library", _MAX_BYTES)
         with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
-        raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error
+        raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
-    """Yield rows without the unnamed first column in which pandas counts them from 0."""
+    """Yield rows without the unnamed index column of pandas."""
     for at, row in enumerate(rows):
         if row[0] != str(at):
             raise FormatError(
-                f"{source}: its first column has no name and holds {row[0][:30]!r}, expected {SIGNATURE} as "
-                "the first column, or row numbers of pandas before it; write it with to_csv(index=False)"
+                f"{source}: the first column has no name and holds {row[0][:30]!r}",
+                expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
+                mend="write it with to_csv(index=False)",
+                code="column-name-missing",
             )
         yield row[1:]
 
 
 def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
-    """Return the names of the columns before the wavelengths, and these."""
+    """Return the headings before the wavelengths, and the wavelengths."""
     first = len(row)
     while first and number(row[first - 1]) is not None:
         first -= 1
     head, wavelengths = row[:first], numbers(row[first:]) or []
     plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
+    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MAX_BANDS:
         raise FormatError(
-            f"{source}: its first row is {','.join(row)[:60]!r}, expected {SIGNATURE}, names of columns, "
-            "each once, and wavelengths"
+            f"{source}: the first row is {','.join(row)[:60]!r}",
+            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+            code="header-unreadable",
         )
     if head[0] != SIGNATURE:
         head = [NEW_NAMES.get(name, name) for name in head]
@@ -226,13 +216,13 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
 
 
 def _values(cells: list[str], bands: int) -> Floats32 | None:
-    """Return the numbers of a row, None where they are none or too many."""
+    """Return the numbers of a row, None where a cell is no number or the count is wrong."""
     plain = None
     if len(cells) != bands:
         return None
     text = "".join(cells)
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
-        with contextlib.suppress(ValueError):  # an empty cell, perhaps
+        with contextlib.suppress(ValueError):  # such as an empty cell
             plain = list(map(float, cells))  # several times faster than `numbers`
     plain = plain or numbers(cells)
     if plain is None:

@@ -1,7 +1,7 @@
 """Spectra of the ECOSTRESS library (version 1) and of its forerunner, the ASTER library (version 2).
 
 Lines ``Key: value``, an empty line, then x and y a line. The values of ASTER files wrap over lines without a
-key of their own, those of ECOSTRESS files do not; both are read alike.
+key, values of ECOSTRESS files do not; both are read alike.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import re
 import unicodedata
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
@@ -34,19 +35,34 @@ from .text_spectra import (
     wavelength_factor,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Keys of a header, in file order.
 _KEYS = (
-    "Name", "Type", "Class", "Subclass", "Genus", "Species", "Particle Size", "Sample No.", "Owner",
-    "Wavelength Range", "Origin", "Collection Date", "Description", "Measurement", "First Column",
-    "Second Column", "X Units", "Y Units", "First X Value", "Last X Value", "Number of X Values",
+    "Name",
+    "Type",
+    "Class",
+    "Subclass",
+    "Genus",
+    "Species",
+    "Particle Size",
+    "Sample No.",
+    "Owner",
+    "Wavelength Range",
+    "Origin",
+    "Collection Date",
+    "Description",
+    "Measurement",
+    "First Column",
+    "Second Column",
+    "X Units",
+    "Y Units",
+    "First X Value",
+    "Last X Value",
+    "Number of X Values",
     "Additional Information",
-)  # fmt: skip
-"""Of a header, in their order."""
+)
 
+#: Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows.
 _METADATA = "hyperpaint metadata "
-"""Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows."""
 
 _KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
 _SPELLED = {key.lower(): key for key in _KEYS}
@@ -55,16 +71,16 @@ _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re
 
 
 def is_ecostress(head: str) -> bool:
-    """Tell from its beginning whether a text is such a file."""
+    """Return whether a text begins as a file of the ECOSTRESS or ASTER library."""
     return re.match(r"\s*Name\s*:", head) is not None and "Number of X Values" in head
 
 
 def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
     """Read a spectrum of the ECOSTRESS or ASTER library.
 
-    scale: y of a reflectance of one, where the file does not say it.
+    scale: y of a reflectance of one, where the file does not state it.
     wavelength: To be used in place of the file's own [nm].
-    Raises FormatError: The header or the numbers are not as they should be, or it is no reflectance.
+    Raises FormatError: The header or the numbers are damaged, or the values are not reflectance.
     """
     source = path.name
     lines = lines_of(path, "a spectrum of the ECOSTRESS or ASTER library")
@@ -72,16 +88,29 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     problems = Problems(f"{source} cannot be used", FormatError)
     for key in ("Name", "X Units", "Y Units", "Number of X Values"):
         if key not in fields:
-            problems.add(f"{key!r} is missing in its header")
-    said = _scale_of(fields.get("Y Units", ""))
-    if other_quantity(fields.get("Y Units", "")):
-        problems.add(f"'Y Units' is {fields['Y Units'][:60]!r}, expected reflectance")
+            problems.add(f"the header has no {key!r}", code="key-missing")
+    units = fields.get("Y Units", "")
+    file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
+    if other_quantity(units):
+        problems.add(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong")
     problems.raise_if_any()
     table = numbers_of_lines(lines, first, 2, source)
-    notes = _compared(fields, table, source)
+    if (count := fields["Number of X Values"]) != str(len(table)):
+        raise FormatError(
+            f"{source}: {len(table)} values",
+            expected=f"{count[:30]}, as the header says",
+            mend="copy the file again",
+            code="length-mismatch",
+        )
+    notes = []
+    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
+        stated = number(fields.get(key, ""))
+        # the header rounds
+        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
+            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
     factor, note = wavelength_factor(fields["X Units"], table[:, 0], source)
     if np.isnan(table[:, 0]).any():
-        raise FormatError(f"{source}: a wavelength is not a number")
+        raise FormatError(f"{source}: a wavelength is not a number", code="number-unreadable")
     nm, values = table[:, 0], table[:, 1:]
     if wavelength is None:
         nm, values, repeats = without_repeats(nm, values, source)
@@ -91,14 +120,13 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         form=f"{'ASTER' if wrapped else 'ECOSTRESS'} library text",
         names=[fields["Name"]],
         wavelength=in_nanometres(nm, factor) if wavelength is None else wavelength,
-        reflectance=reflectances(values.T, source, said=said, given=scale),
+        reflectance=reflectances(values.T, source, file_scale=file_scale, scale=scale),
         columns=_columns(fields, source),
         notes=[*notes, *([note] if note else [])],
     )
 
 
 def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
-    """Return the fields, the index of the first line of numbers, and whether values wrap."""
     fields: dict[str, list[str]] = {}
     current, wrapped = "", False
     for at, line in enumerate(lines):
@@ -106,61 +134,46 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
         if match and _SPELLED[match[1].lower()] not in fields:
             current = _SPELLED[match[1].lower()]
             fields[current] = [match[2].strip()]
-        elif "Number of X Values" in fields and _is_pair(line):
+        elif "Number of X Values" in fields and len(numbers(line.split(None, 2)) or ()) == 2:
             return {key: " ".join(filter(None, parts)) for key, parts in fields.items()}, at, wrapped
         elif current and line.strip():
             fields[current].append(line.strip())
             wrapped = True
         elif line.strip():
-            raise FormatError(f"{source}: line {at + 1} is {line.strip()[:60]!r}, expected 'Name: ...'")
-    raise FormatError(f"{source}: no line of two numbers after its header")
-
-
-def _is_pair(line: str) -> bool:
-    cells = line.split(None, 2)
-    return len(cells) == 2 and numbers(cells) is not None
-
-
-def _scale_of(units: str) -> float | None:
-    if PERCENT.search(units):
-        return 100.0
-    return 1.0 if _FRACTION.search(units) else None
-
-
-def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
-    """Refuse another number of values than the header says; return what else does not fit it."""
-    count = fields["Number of X Values"]
-    if count != str(len(table)):
-        raise FormatError(f"{source}: {len(table)} values, its header says {count[:30]}; copy the file again")
-    notes = []
-    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
-        stated = number(fields.get(key, ""))
-        # the header rounds
-        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
-            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
-    return notes
+            raise FormatError(
+                f"{source}: line {at + 1} is {line.strip()[:60]!r}",
+                expected="'Name: ...'",
+                code="header-unreadable",
+            )
+    raise FormatError(f"{source}: no line of two numbers after the header", code="table-missing")
 
 
 def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
-    """Return what the header says of the sample, each as a column of one paint."""
+    """Return the header's fields on the sample, each as a column of one paint."""
     columns: dict[str, Any] = {
         re.sub(r"[^a-z]+", "_", key.lower()).strip("_"): text_column([fields[key]])
         for key in _KEYS[1:]
         if key in fields and key not in _ABOUT_THE_AXES
     }
-    more = fields.get("Additional Information", "")
-    if not more.startswith(_METADATA):
-        return {**columns, "additional_information": text_column([more])} if more else columns
+    information = fields.get("Additional Information", "")
+    if not information.startswith(_METADATA):
+        return {**columns, "additional_information": text_column([information])} if information else columns
     where = f"{source}: 'Additional Information'"
     try:
-        entries = json.loads(more.removeprefix(_METADATA))
+        entries = json.loads(information.removeprefix(_METADATA))
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} holds damaged metadata ({error!s:.100})") from error
+        raise FormatError(
+            f"{where} holds damaged metadata ({error!s:.100})", code="metadata-damaged"
+        ) from error
     if not isinstance(entries, dict):
-        raise FormatError(f"{where} holds {type(entries).__name__}, expected names and values")
+        raise FormatError(
+            f"{where} holds {type(entries).__name__}", expected="names and values", code="metadata-damaged"
+        )
     for name, value in entries.items():
         if not name.isidentifier() or name in {*columns, SIGNATURE, "band", "wavelength", "reflectance"}:
-            raise FormatError(f"{where} names {name[:60]!r}, expected a new plain name")
+            raise FormatError(
+                f"{where} names {name[:60]!r}", expected="a new identifier", code="metadata-damaged"
+            )
         columns[name] = _metadata_column(name, value, source)
     return columns
 
@@ -171,41 +184,51 @@ def _metadata_column(name: str, value: Any, source: str) -> Any:
         try:
             return typed_values([value], row.dtype)
         except ValueError as error:
-            raise FormatError(f"{source}: metadata {name!r}: {error}") from error
+            raise FormatError(f"{source}: metadata {name!r}: {error}", code="metadata-damaged") from error
     if isinstance(value, str):
         return text_column([value])
     if value is None:
         return np.array([np.nan])
     if (isinstance(value, int) and abs(value) < 2**53) or (isinstance(value, float) and np.isfinite(value)):
         return np.array([value])
-    raise FormatError(f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number")
+    raise FormatError(
+        f"{source}: metadata {name!r} is {str(value)[:60]!r}",
+        expected="text or a number",
+        code="metadata-damaged",
+    )
 
 
 _SUFFIX = ".spectrum.txt"
-_LONGEST_STEM = 80
+_MAX_STEM_CHARS = 80
 _SPELLINGS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 
 _MEASUREMENT = "Hemispherical-conical reflectance factor"
 
+#: Keys of a header before those of the axes, the coordinate of each, and its default.
 _SAMPLE = (
-    ("Type", "type", "manmade"), ("Class", "class", "Paint"), ("Subclass", "subclass", "none"),
-    ("Particle Size", "particle_size", "Solid"), ("Sample No.", "sample_no", "none"),
-    ("Owner", "owner", "none"), ("Wavelength Range", "wavelength_range", "none"),
-    ("Origin", "origin", "none"), ("Collection Date", "collection_date", "N/A"),
-    ("Description", "description", "none"), ("Measurement", "measurement", _MEASUREMENT),
-)  # fmt: skip
-"""Keys of a header before those of the axes, the coordinate that holds each, and what stands otherwise."""
+    ("Type", "type", "manmade"),
+    ("Class", "class", "Paint"),
+    ("Subclass", "subclass", "none"),
+    ("Particle Size", "particle_size", "Solid"),
+    ("Sample No.", "sample_no", "none"),
+    ("Owner", "owner", "none"),
+    ("Wavelength Range", "wavelength_range", "none"),
+    ("Origin", "origin", "none"),
+    ("Collection Date", "collection_date", "N/A"),
+    ("Description", "description", "none"),
+    ("Measurement", "measurement", _MEASUREMENT),
+)
 
 
 def write_ecostress_library(
     library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
 ) -> None:
-    """Write the centre of every paint of a checked library to a text file of its own.
+    """Write the centre of every paint of a checked library to one text file each.
 
-    Bands that are not good, and bands at which no paint has a value, are left out. What else the library says
-    of its paints, in words or numbers, stands as JSON in "Additional Information".
+    Bands that are not good, and bands at which no paint has a value, are left out. Other columns of the
+    paints, of text or numbers, are written as JSON in "Additional Information".
 
     Raises SchemaError: Names cannot be written; or a paint has no value at a band at which others have one,
         since the format knows no missing values.
@@ -214,22 +237,53 @@ def write_ecostress_library(
     names = names_of(library)
     if broken := [name for name in names if name != name.strip()]:
         raise SchemaError(
-            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header does not "
-            "keep; rename them"
+            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header drops",
+            mend="rename them",
+            code="name-unwritable",
         )
     values = np.asarray(library[CENTRE].values, np.float64)
     used_bands = np.isfinite(values).any(axis=0)
     if "good" in library.variables:
         used_bands &= np.asarray(library["good"].values, np.bool_)
     values = values[:, used_bands]
-    _refuse_gaps(values, names)
+    # the format knows no missing values
+    problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
+    gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    for at in gaps[:_MAX_SHOWN]:
+        missing = int((~np.isfinite(values[at])).sum())
+        problems.add(
+            f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands", code="value-missing"
+        )
+    if gaps.size:
+        problems.add(
+            f"{gaps.size} paints have gaps",
+            mend="choose bands that all have (.isel(band=...)), or another format",
+            code="value-missing",
+        )
+    if not values.size:
+        problems.add("no good band has values", code="empty-input")
+    problems.raise_if_any()
+    # fields that the library declares once; columns of single paints win
     micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
-    columns = {**_said_of_all(library, micrometres), **paint_columns(library)}
+    mirrored = library[CENTRE].attrs.get("mirror_reflection")
+    common = {
+        "origin": library.attrs.get("source"),
+        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
+        "wavelength_range": "VSWIR"
+        if micrometres.max() <= 3.0
+        else "TIR"
+        if micrometres.min() >= 2.0
+        else "All",
+    }
+    columns = {name: [str(value)] * len(names) for name, value in common.items() if value}
+    columns |= paint_columns(library)
     with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
         for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
-            about = {key: column[at] for key, column in columns.items()}
-            text = _text(name, about, micrometres, values[at])
-            (folder / f"{stem}{_SUFFIX}").write_bytes(_encoded(text))
+            text = _text(name, {key: column[at] for key, column in columns.items()}, micrometres, values[at])
+            # latin-1, the coding of these libraries, unless it loses characters
+            raw = text.encode("latin-1", "replace")
+            raw = raw if decoded_text(raw) == text else text.encode()
+            (folder / f"{stem}{_SUFFIX}").write_bytes(raw)
             if progress is not None:
                 progress(at + 1, len(names))
 
@@ -241,21 +295,8 @@ def _foreign(folder: Path) -> str:
     return ""
 
 
-def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
-    problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
-    gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    for at in gaps[:_MOST_SHOWN]:
-        missing = int((~np.isfinite(values[at])).sum())
-        problems.add(f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands")
-    if gaps.size:
-        problems.add(f"{gaps.size} paints; choose bands that all have (.isel(band=...)), or another format")
-    if not values.size:
-        problems.add("no band is good and has values")
-    problems.raise_if_any()
-
-
 def _file_names(names: Sequence[str]) -> list[str]:
-    """Return the stem of a file for each paint: plain letters, no two alike on any file system.
+    """Return one file stem for each paint: plain letters, distinct on every file system.
 
     Examples
     --------
@@ -270,41 +311,21 @@ def _file_names(names: Sequence[str]) -> list[str]:
             for c in plain
             if not unicodedata.combining(c)
         )
-        stem = "_".join(words.split())[:_LONGEST_STEM] or "unnamed"
+        stem = "_".join(words.split())[:_MAX_STEM_CHARS] or "unnamed"
         stems.append(f"{stem}_" if stem.lower() in _RESERVED else stem)
     return unique_names(stems, suffix="_{}", fold=str.lower)
 
 
-def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
-    """Return fields of the header that the library says once; those of single paints win."""
-    mirrored = library[CENTRE].attrs.get("mirror_reflection")
-    fields = {
-        "origin": library.attrs.get("source"),
-        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
-        "wavelength_range": _range(micrometres),
-    }
-    return {name: [str(value)] * library.sizes[SIGNATURE] for name, value in fields.items() if value}
-
-
-def _range(micrometres: Floats) -> str:
-    """Return the words of the ECOSTRESS library for a range of wavelengths."""
-    if micrometres.max() <= 3.0:
-        return "VSWIR"
-    return "TIR" if micrometres.min() >= 2.0 else "All"
-
-
-def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:
-    """Return a file; its header has the keys of the ECOSTRESS library, in their order."""
-    about = dict(about)
+def _text(name: str, properties: dict[str, Any], micrometres: Floats, values: Floats) -> str:
     lines = [f"Name: {name}"]
-    if "collection_date" not in about and about.get("time"):
-        about["collection_date"] = str(about["time"])[:10]
-    for key, coordinate, otherwise in _SAMPLE:
-        entry = " ".join(str(about.pop(coordinate, "") or "").split())
-        lines.append(f"{key}: {entry or otherwise}")
-    more = " ".join(str(about.pop("additional_information", "") or "none").split())
-    if about:
-        more = _METADATA + json.dumps(about, ensure_ascii=False, allow_nan=False)
+    if "collection_date" not in properties and properties.get("time"):
+        properties["collection_date"] = str(properties["time"])[:10]
+    for key, coordinate, default in _SAMPLE:
+        entry = " ".join(str(properties.pop(coordinate, "") or "").split())
+        lines.append(f"{key}: {entry or default}")
+    information = " ".join(str(properties.pop("additional_information", "") or "none").split())
+    if properties:
+        information = _METADATA + json.dumps(properties, ensure_ascii=False, allow_nan=False)
     axis = [f"{value:.10g}" for value in micrometres]
     lines += [
         "First Column: X",
@@ -314,15 +335,9 @@ def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats)
         f"First X Value: {axis[0]}",
         f"Last X Value: {axis[-1]}",
         f"Number of X Values: {len(axis)}",
-        f"Additional Information: {more}",
+        f"Additional Information: {information}",
         "",
         # nine digits of the percentage lead back to the float32
         *(f"{x}\t{100.0 * y:.9g}" for x, y in zip(axis, values, strict=True)),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _encoded(text: str) -> bytes:
-    """Return latin-1, as these libraries use it; UTF-8 where that would not lead back."""
-    raw = text.encode("latin-1", "replace")
-    return raw if decoded_text(raw) == text else text.encode()

@@ -2,7 +2,7 @@
 
 The two records that begin a library of the USGS are its wavelengths and bandwidths, and its records "error
 bars to preceding" belong to the spectrum before them; neither is a spectrum. Libraries of our own say
-``hyperpaint library = 1`` in their header; there a name leads back to the paint and to what the record is of
+``hyperpaint library = 1`` in their header; there the name of a record holds its paint, variable and place
 it (``red | member 3``), see `records`. Where every record is a paint, lists ``paint make``, ``paint year``
 and the like hold a value for each.
 """
@@ -15,10 +15,10 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
@@ -35,11 +35,8 @@ from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 from .text_spectra import PERCENT, other_quantity
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _BLOCK_BYTES = 16 * 2**20
-_MOST_CLASSES_BYTES = 16 * 2**20
+_MAX_CLASSES_BYTES = 16 * 2**20
 _TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
 _WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
 _BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
@@ -53,8 +50,8 @@ def read_envi_library(
 
     path: The header or the data file.
     scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
-        what its ``z plot titles`` say.
-    wavelength, fwhm: To be used in place of those of the header [nm].
+        its ``z plot titles``.
+    wavelength, fwhm: To be used in place of the header's [nm].
     Raises FormatError: The header is damaged, or does not fit the data file; or it is no library of
         reflectance, or one without wavelengths.
     Warns PaintWarning: Names are missing, or something was inferred that may make values wrong.
@@ -62,35 +59,59 @@ def read_envi_library(
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     _refuse_contradictions(header, header_path, data_path)
-    if _MARK in header.fields:
-        if scale is not None or wavelength is not None or fwhm is not None:
-            raise FormatError(OWN_AXES.format(data_path.name))
-        return _own(header, data_path)
-    return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    source = data_path.name
+    if header.wavelength is None or header.dtype != np.dtype("<f4"):
+        raise FormatError(
+            f"{source}: the header is not a hyperpaint header",
+            mend="write the library again",
+            code="header-unreadable",
+        )
+    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
 
 
 def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
     problems = Problems(f"{path.name} cannot be used", FormatError)
     if not header.is_spectral_library:
-        problems.add(f"file type is {header.fields.get('file type', 'none')!r}, expected a spectral library")
+        problems.add(
+            f"file type is {header.fields.get('file type', 'none')!r}",
+            expected="a spectral library",
+            code="format-unknown",
+        )
     if header.bands != 1:
-        problems.add(f"bands is {header.bands}, expected 1: spectra are lines, their wavelengths samples")
+        problems.add(
+            f"bands is {header.bands}",
+            expected="1 (spectra are lines, their wavelengths samples)",
+            code="dims-wrong",
+        )
     if header.dtype.kind == "c":
-        problems.add("values are complex, expected reflectance")
+        problems.add("values are complex", expected="reflectance", code="type-wrong")
     if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
-        problems.add("'data gain values' or 'data offset values' are given, which libraries do not have")
+        problems.add(
+            "'data gain values' or 'data offset values' are set, which libraries do not have",
+            code="key-unknown",
+        )
     stored_bytes, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
     if stored_bytes != expected:
         problems.add(
-            f"{data.name} has {stored_bytes} bytes, expected {expected} ({header.lines} spectra of "
-            f"{header.samples} values of {header.dtype.itemsize} bytes after {header.header_offset}); "
-            "copy it again"
+            f"{data.name} has {stored_bytes} bytes",
+            expected=(
+                f"{expected} ({header.lines} spectra of {header.samples} values of "
+                f"{header.dtype.itemsize} bytes after {header.header_offset})"
+            ),
+            mend="copy it again",
+            code="file-size",
         )
     problems.raise_if_any()
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
-    """Yield the records of the data file, some at a time, each lot with the number of its first."""
+    """Yield blocks of records with the index of their first record."""
     step = max(1, _BLOCK_BYTES // header.line_bytes)
     with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
@@ -98,7 +119,7 @@ def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
             count = min(step, header.lines - first)
             stored = np.fromfile(file, header.dtype, count * header.samples)
             if stored.size != count * header.samples:
-                raise FormatError(f"{path.name} became shorter while it was read")
+                raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
             yield first, stored.reshape(count, header.samples)
 
 
@@ -124,14 +145,22 @@ def _foreign(
             width = stored[1].astype(np.float64) * factor
     if nm is None:
         raise FormatError(
-            f"{source}: its header gives no wavelengths (wavelength units "
-            f"{bare(header.fields.get('wavelength units', 'not given'))!r}); pass wavelength= [nm]"
+            (
+                f"{source}: the header has no wavelengths (wavelength units "
+                f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
+            ),
+            mend="pass wavelength= [nm]",
+            code="wavelength-missing",
         )
     check_wavelengths(nm, source)
     if warned:
-        warnings.warn(f"{source}: {'; '.join(warned)}", PaintWarning, stacklevel=6)
+        warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
     values = reflectances(
-        stored[skipped:], source, said=_scale(header, source), given=scale, ignore=header.data_ignore_value
+        stored[skipped:],
+        source,
+        file_scale=_scale(header, source),
+        scale=scale,
+        ignore=header.data_ignore_value,
     )
     spectra, errors = _with_error_bars(names[skipped:], values)
     if errors:
@@ -171,7 +200,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
 
 
 def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    """Return how many of the first records are wavelengths and bandwidths, as in libraries of the USGS."""
+    """Return the number of leading records that are wavelengths and bandwidths (USGS libraries)."""
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0
     axis = stored[0].astype(np.float64)
@@ -185,7 +214,7 @@ def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int
 def _with_error_bars(
     names: Sequence[str], values: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    """Return the indices of the spectra, and the errors that records after them hold."""
+    """Return the indices of the spectra, and the error bars from the records after them."""
     bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
     if bars.size:
         bars[0] = False
@@ -200,34 +229,42 @@ def _with_error_bars(
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
-    """Return the stored value of a reflectance of one, as the header has it."""
+    """Return the stored value of a reflectance of one, from the header."""
     factor = header.reflectance_scale_factor
     titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
     title = titles.rpartition(",")[2]
     if other_quantity(title):
-        raise FormatError(f"{source}: its z plot title is {title.strip()[:60]!r}, expected reflectance")
-    said = None
-    if match := _TITLE_SCALE.search(title):
-        said = float(match[1])
-    elif PERCENT.search(title):
-        said = 100.0
-    if factor is not None and said is not None and factor != said:
         raise FormatError(
-            f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' say "
-            f"{title.strip()[:60]!r}; pass scale="
+            f"{source}: the z plot title is {title.strip()[:60]!r}",
+            expected="reflectance",
+            code="quantity-wrong",
         )
-    return said if factor is None else factor
+    title_scale = None
+    if match := _TITLE_SCALE.search(title):
+        title_scale = float(match[1])
+    elif PERCENT.search(title):
+        title_scale = 100.0
+    if factor is not None and title_scale is not None and factor != title_scale:
+        raise FormatError(
+            (
+                f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' has "
+                f"{title.strip()[:60]!r}"
+            ),
+            mend="pass scale=",
+            code="scale-conflict",
+        )
+    return title_scale if factor is None else factor
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of a table of classes beside the library; none where there is no such table.
+    """Return the columns of a table of classes beside the library; empty without such a table.
 
     EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
     """
     table = path.with_suffix(".csv")
     try:
-        text = read_limited(table, _MOST_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
+        text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
         rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
     except (FormatError, csv.Error):
         return {}
@@ -247,17 +284,8 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 # --- our own -----------------------------------------------------------------------------------------------
 
 
-def _own(header: EnviHeader, path: Path) -> xr.Dataset:
-    source = path.name
-    if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
-    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
-    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(path, names, keys, axes, _records(header, path), {})
-
-
+#: Key of a header written by hyperpaint.
 _MARK = "hyperpaint library"
-"""Key of a header that says that names lead back."""
 
 _BAR = " | "
 _SHORT = {"member_reflectance": "member"}
@@ -267,7 +295,7 @@ _FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
 
 
 def _header_names(names: Sequence[str]) -> list[str]:
-    """Return names that a header can hold, no two alike.
+    """Return distinct names without the separators of a header.
 
     Examples
     --------
@@ -278,7 +306,7 @@ def _header_names(names: Sequence[str]) -> list[str]:
 
 
 def _record_name(paint: str, variable: str, inner: int) -> str:
-    """Return the name of a record.
+    """Return the name of a record from its paint, variable and place.
 
     Examples
     --------
@@ -292,30 +320,39 @@ def _record_name(paint: str, variable: str, inner: int) -> str:
 
 
 def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
-    """Return the names of the paints, and what each record is.
+    """Return the names of the paints, and the key of each record.
 
-    text: The names of all records, as the header has them.
+    text: The names of all records in the header.
     count: Records of the file.
-    Raises FormatError: There are not as many names, or one leads nowhere.
+    Raises FormatError: There are not as many names, or one belongs to no paint.
     """
     if text.count(",") + 1 != count:
-        raise FormatError(f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write it anew")
+        raise FormatError(
+            f"{source}: {text.count(',') + 1} spectra names for {count} spectra",
+            mend="write the library again",
+            code="length-mismatch",
+        )
     records = [name.strip() for name in text.split(",")]
     names = [record for record in records if _BAR not in record]
     places = {name: at for at, name in enumerate(names)}
     if len(places) != len(names) or records[: len(names)] != names:
-        raise FormatError(f"{source}: its first records are not its paints, each once; write it anew")
-    return names, [_key(record, places, source) for record in records]
-
-
-def _key(record: str, places: dict[str, int], source: str) -> Key:
-    if record in places:
-        return CENTRE, places[record], -1
-    paint, _, label = record.partition(_BAR)
-    match = _LABEL.fullmatch(label)
-    if paint not in places or match is None:
-        raise FormatError(f"{source}: record {record[:80]!r} leads to no paint; write the library anew")
-    return _LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1
+        raise FormatError(
+            f"{source}: the first records are not one record a paint",
+            mend="write the library again",
+            code="record-unmatched",
+        )
+    keys: list[Key] = [(CENTRE, place, -1) for place in range(len(names))]
+    for record in records[len(names) :]:
+        paint, _, label = record.partition(_BAR)
+        match = _LABEL.fullmatch(label)
+        if paint not in places or match is None:
+            raise FormatError(
+                f"{source}: record {record[:80]!r} belongs to no paint",
+                mend="write the library again",
+                code="record-unmatched",
+            )
+        keys.append((_LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1))
+    return names, keys
 
 
 def write_envi_library(
@@ -323,7 +360,7 @@ def write_envi_library(
 ) -> None:
     """Write a checked library to ``path`` (``.sli``), its header and its metadata beside it.
 
-    Raises SchemaError: Names or metadata cannot be written, or the header would be larger than what is read.
+    Raises SchemaError: Names or metadata cannot be written, or the header would be too large.
     Raises StoreError: Files exist, or cannot be written.
     """
     data = path.with_suffix(".sli")
@@ -344,7 +381,7 @@ def write_envi_library(
 
 def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
-    # a header holds finite numbers only; what is unknown stays in the metadata
+    # a header holds finite numbers only; unknown ones stay in the metadata
     if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
         lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
     if "good" in library.variables:
@@ -376,7 +413,9 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     text = ("\n".join(lines) + "\n").encode()
     if len(text) > MAX_LIBRARY_HEADER_BYTES:
         raise SchemaError(
-            f"the header would take {len(text)} bytes for {len(records)} spectra, at most "
-            f"{MAX_LIBRARY_HEADER_BYTES} are read again; shorten names, write fewer members, or write Zarr"
+            f"the header of {len(records)} spectra takes {len(text)} bytes",
+            expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
+            mend="shorten names, write fewer members, or write Zarr",
+            code="file-too-large",
         )
     return text

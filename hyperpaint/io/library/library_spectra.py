@@ -1,68 +1,66 @@
-"""What a file of spectra holds, and the paint library that it becomes."""
+"""Spectra of one file, and the paint library made from them."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
 
-if TYPE_CHECKING:
-    import xarray as xr
+#: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
+#: um). Visible nanometres taken for micrometres lie beyond.
+MIN_NM, MAX_NM = 100.0, 3e5
 
-SHORTEST, LONGEST = 100.0, 3e5
-"""Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared (those of the USGS end
-at 216 um). Visible nanometres that are taken for micrometres are beyond."""
+#: Message for options that replace data of a library of hyperpaint.
+OWN_AXES = "{} is a library of hyperpaint, which has its own; wavelength=, fwhm= and scale= are for others"
 
-OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
-"""Message where the caller would have something of our own libraries replaced."""
+#: Median above which values are not reflectance as a fraction: a white panel has 1.
+_MAX_MEDIAN = 1.1
 
-_LARGEST_FRACTION = 1.1
-"""Median of values above which they are hardly reflectance as a fraction: a white panel's is 1."""
+_BRIGHT = 1.2
+#: Share of values above `_BRIGHT` from which on they are hardly reflectance: noise where air is opaque
+#: has a twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW
+#: cm-2 sr-1 nm-1 has 0.5.
+_MAX_BRIGHT_SHARE = 0.1
 
-_BEYOND = 1.2
-_MOST_BEYOND = 0.1
-"""Share of values above `_BEYOND` from which on they are hardly reflectance: noise where air is opaque has a
-twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW cm-2 sr-1
-nm-1 has 0.5."""
+#: Largest value of a file below which a scale is doubtful: black coats reach 0.02 to 0.05.
+_MIN_BRIGHTEST = 0.01
 
-_DARKEST = 0.01
-"""Largest value of a file below which a scale is hardly right: black coats have 0.02 to 0.05 somewhere."""
+#: Stored values that mark missing samples.
+_MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
 
-_MARKS = (-999.0, -9999.0, -99999.0, -32768.0)
-"""Stored values that stand for none wherever they are met."""
+#: Reflectance below the reach of noise [1]: markers of missing values lie below at any scale.
+_MIN_REFLECTANCE = -0.5
 
-_LEAST = -0.5
-"""No noise is below it [1], but marks of missing values at any scale."""
-
-_FILLED = -1e20
-"""Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were convolved
-to another spectrometer, some share of that."""
+#: Fill values lie below: deleted points of USGS spectra are -1.23e34, and where spectra were
+#: convolved to another spectrometer, some share of that.
+_MAX_FILL_VALUE = -1e20
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra on one grid, as one file holds them."""
+    """Spectra of one file on one grid."""
 
     source: str  # file name
     form: str  # name of the format
     names: Sequence[str]  # of the spectra, as the file spells them
     wavelength: Floats  # (band) [nm], in the order of the file
     reflectance: Floats32  # (signature, band) float32, as a fraction; NaN where there is no value
-    fwhm: Floats | None = None  # (band); None where the file does not say
+    fwhm: Floats | None = None  # (band); None where not in the file
     good: npt.NDArray[np.bool_] | None = None
     # Further variables on (signature, band): rows of `LIBRARY_VARIABLES` by name
     others: Mapping[str, Floats32] = field(default_factory=dict)
-    # What the file says of each spectrum in words
+    # Further columns of the spectra
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
-    notes: Sequence[str] = ()  # what was inferred or looked odd
+    notes: Sequence[str] = ()  # inferred or doubtful properties
 
 
 def library_of(spectra: Spectra) -> xr.Dataset:
@@ -71,14 +69,14 @@ def library_of(spectra: Spectra) -> xr.Dataset:
     Raises FormatError: Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as
         bands.
     """
-    import xarray as xr
-
     check_wavelengths(spectra.wavelength, spectra.source)
     bands = spectra.reflectance.shape[1]
     for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):
         if axis is not None and axis.shape != (bands,):
             raise FormatError(
-                f"{spectra.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
+                f"{spectra.source}: {axis.size} values of {name} for {bands} bands",
+                mend="pass one value a band",
+                code="length-mismatch",
             )
     rows = LIBRARY_VARIABLES
     data = {"reflectance": spectra.reflectance, **spectra.others}
@@ -98,136 +96,136 @@ def library_of(spectra: Spectra) -> xr.Dataset:
 
 
 def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
-    """Return a library whose counts, flags and angles are data, not coordinates, as the table has them."""
+    """Return a library whose counts, flags and angles are data variables, as in the table of variables."""
     rows = LIBRARY_VARIABLES
     return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    """Return texts of any length, as stores hold them."""
+    """Return texts as an array of objects, as stores hold them."""
     column = np.empty(len(texts), object)
     column[:] = list(texts)
     return column
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
-    """Refuse wavelengths that are none [nm].
+    """Refuse wavelengths [nm] that are missing, out of range or duplicate.
 
     Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or given twice.
     """
+    description = f"{wavelength.size} wavelengths, not all of them finite"
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
-        if low >= SHORTEST and high <= LONGEST:
-            _refuse_twice(wavelength, source)
-            return
+        if low >= MIN_NM and high <= MAX_NM:
+            values, counts = np.unique(wavelength, return_counts=True)
+            if not (counts > 1).any():
+                return
+            raise FormatError(
+                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
+                f"{values[counts > 1][0]:g} nm",
+                expected="each once",
+                mend="leave out one of the two bands",
+                code="wavelength-duplicate",
+            )
         description = f"wavelengths from {low:g} to {high:g} nm"
-        if low >= SHORTEST * 1e3 and high <= LONGEST * 1e3:
-            description += " (are they nanometres, said to be micrometres?)"
-    else:
-        description = f"{wavelength.size} wavelengths, not all of them finite"
+        if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3:
+            description += " (nanometres declared as micrometres?)"
     raise FormatError(
-        f"{source}: {description}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
-        "check their units, or pass wavelength= [nm]"
+        f"{source}: {description}",
+        expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
+        mend="check their units, or pass wavelength= [nm]",
+        code="wavelength-range",
     )
 
 
-def _refuse_twice(wavelength: Floats, source: str) -> None:
-    values, counts = np.unique(wavelength, return_counts=True)
-    if (counts > 1).any():
-        raise FormatError(
-            f"{source}: {int((counts > 1).sum())} wavelengths are given twice, such as "
-            f"{values[counts > 1][0]:g} nm, expected each once; leave out one of the two bands"
-        )
-
-
 def reflectances(
-    stored: npt.NDArray[Any], source: str, *, said: float | None, given: float | None, ignore: Any = None,
-    sure: bool = False,
-) -> Floats32:  # fmt: skip
+    stored: npt.NDArray[Any],
+    source: str,
+    *,
+    file_scale: float | None,
+    scale: float | None,
+    ignore: Any = None,
+    is_reflectance: bool = False,
+) -> Floats32:
     """Return stored values as reflectance.
 
-    said, given: Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
-    ignore: Stored value that stands for none; those of the USGS always do.
-    sure: The caller says that it is reflectance: values above 1 are believed.
+    file_scale, scale: Stored value of a reflectance of one, of the file and of the caller, which wins.
+    ignore: Stored value of missing samples, besides the values of the USGS.
+    is_reflectance: Values above 1 are accepted.
     Returns numpy.ndarray: float32; a fraction.
-    Raises FormatError: Neither says the scale, and the values are no fractions; or they do not fit float32.
+    Raises FormatError: The scale is unknown, and the values are no fractions; or they do not fit float32.
     Warns PaintWarning: Values far below 0 were taken for missing; or single spectra are hardly fractions.
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
-        lost = values < _FILLED
+        lost = values < _MAX_FILL_VALUE
     if ignore is not None:
-        # compared with what is stored: a float32 file holds the float32 next to what its header says
+        # compared in the stored dtype: a float32 file holds the float32 nearest to the number in its header
         with np.errstate(over="ignore"):
             lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
     values[lost] = np.nan
-    scale = given if given is not None else said
-    _drop_marks(values, scale, source)
-    if scale is None:
-        _judge_fractions(values, source, _MOST_BEYOND if not sure else 1.0)
-    if scale not in (None, 1.0):
-        values /= scale
-        _warn_of_scale(values, float(scale or 1.0), source)
+    divisor = scale if scale is not None else file_scale
+    # markers of missing values
+    with np.errstate(over="ignore"):
+        far_below = np.isfinite(values) & (values < _MIN_REFLECTANCE * (divisor or 1.0))
+        marks = np.isin(values, _MISSING_VALUES) | far_below
+    if marks.any():
+        count, example = int(marks.sum()), float(values[marks][0])
+        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
+        warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=6)
+        values[marks] = np.nan
+    if divisor is None:
+        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
+    elif divisor != 1.0:
+        values /= divisor
+        finite = values[np.isfinite(values)]
+        # scaled values that exceed 1, or are all near 0, make the scale doubtful
+        if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
+            msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
+            warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=6)
     with np.errstate(over="ignore"):
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
         largest = np.abs(values[~np.isnan(values)]).max()
-        raise FormatError(f"{source}: values up to {largest:g}, expected finite reflectance")
+        raise FormatError(
+            f"{source}: values up to {largest:g}", expected="finite reflectance", code="not-finite"
+        )
     return reflectance
 
 
-def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
-    """Replace by NaN what only stands for missing values, with a warning."""
-    with np.errstate(over="ignore"):
-        marks = np.isin(values, _MARKS) | (np.isfinite(values) & (values < _LEAST * (scale or 1.0)))
-    if marks.any():
-        count, one = int(marks.sum()), float(values[marks][0])
-        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {one:g}, taken for missing"
-        warnings.warn(msg, PaintWarning, stacklevel=7)
-        values[marks] = np.nan
-
-
-def _judge_fractions(values: Floats, source: str, most_beyond: float) -> None:
-    """Refuse values that are no fractions, where nothing says their scale; warn of single spectra."""
+def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
+    """Refuse values without a scale that are no fractions; warn where single spectra are not."""
     finite = np.isfinite(values)
     magnitudes = np.abs(values[finite])
     advice = (
-        "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it is "
-        "in hundredths of a percent, scale=1 where it is right"
+        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 where values are right"
     )
-    if magnitudes.size and float(np.median(magnitudes)) > _LARGEST_FRACTION:
+    if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
         raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, half of them above {np.median(magnitudes):g}, "
-            f"and no scale (is it radiance, or counts?); {advice}"
+            f"{source}: values up to {magnitudes.max():g}, half of them above "
+            f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
+            expected="reflectance as a fraction",
+            mend=advice,
+            code="scale-missing",
         )
     with np.errstate(invalid="ignore"):
-        beyond = (np.abs(values) > _BEYOND).sum(axis=1) > most_beyond * np.maximum(finite.sum(axis=1), 1)
-    if 2 * beyond.sum() > len(values):
+        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > max_bright_share * np.maximum(
+            finite.sum(axis=1), 1
+        )
+    if 2 * is_bright.sum() > len(values):
         raise FormatError(
-            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BEYOND:g}: are they "
-            f"radiance? {advice} (of a text quantity='reflectance')"
+            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
+            expected="reflectance as a fraction",
+            mend=f"{advice} (for a text: quantity='reflectance')",
+            code="scale-missing",
         )
-    bright = beyond | [
-        bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
-        for one, there in zip(values, finite, strict=True)
+    is_bright = is_bright | [
+        bool(known.any()) and float(np.median(spectrum[known])) > _MAX_MEDIAN
+        for spectrum, known in zip(values, finite, strict=True)
     ]
-    if bright.any():
+    if is_bright.any():
         msg = (
-            f"{source}: {bright.sum()} of {len(values)} spectra have many values above "
-            f"{_LARGEST_FRACTION:g}, up to {magnitudes.max():g}, and no scale; {advice}"
+            f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
+            f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=7)
-
-
-def _warn_of_scale(values: Floats, scale: float, source: str) -> None:
-    """Warn where scaled values are no fractions, or all next to nothing: the scale is another."""
-    finite = values[np.isfinite(values)]
-    if not finite.size or not finite.any():
-        return
-    if (finite > _BEYOND).mean() <= _MOST_BEYOND and finite.max() >= _DARKEST:
-        return
-    msg = (
-        f"{source}: reflectance up to {finite.max():.3g} where a stored {scale:g} is taken for 1; pass the "
-        "scale= that is right"
-    )
-    warnings.warn(msg, PaintWarning, stacklevel=7)
+        warnings.warn(PaintWarning(msg, code="scale-missing"), stacklevel=7)

@@ -1,4 +1,4 @@
-"""What a paint library holds beside its spectra, as JSON: names, numbers, times, attributes.
+"""Metadata of a paint library as JSON: names, numbers, times, attributes.
 
 The file lies beside the spectra, ``<data file>.json``: strict JSON, one variable a line, so that people and
 version control can read it.
@@ -12,9 +12,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
@@ -24,24 +25,33 @@ from hyperpaint.base.schema import BAND, SIGNATURE, quality_attrs
 
 from .library_spectra import text_column
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has
+#: `signature`.
 VERSION = 2
-"""Version of the file; 1, of hyperpaint 0.2 and before, has the dimension `paint` where 2 has `signature`."""
-MOST_BYTES = 16 * 2**20
-_MOST_DIMS = 4
+MAX_BYTES = 16 * 2**20
+_MAX_DIMS = 4
 _DTYPES = (
-    "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
-    "str", "datetime64[ns]",
-)  # fmt: skip
+    "bool",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "float32",
+    "float64",
+    "str",
+    "datetime64[ns]",
+)
 
 _TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
 
 
 @dataclass
 class Metadata:
-    """Metadata of a library, read and checked."""
+    """Checked metadata of a library."""
 
     attrs: dict[str, Any] = field(default_factory=dict)  # of the dataset
     # Of the dims that its spectra have beside paint and band
@@ -53,7 +63,7 @@ class Metadata:
 
 
 def metadata_path(data: Path) -> Path:
-    """Return where the metadata of a data file lie."""
+    """Return the path of the metadata of a data file."""
     return data.with_name(data.name + ".json")
 
 
@@ -61,7 +71,7 @@ def metadata_path(data: Path) -> Path:
 
 
 def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
-    """Return everything of a library but the values of its spectra.
+    """Return all of a library except the values of its spectra, as JSON.
 
     Raises SchemaError: Attributes or values are nothing that JSON can hold; all are listed. Or they are too
         many.
@@ -81,7 +91,7 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
             for name in names
         },
     }
-    # xarray gathers coordinates from sets: their order is another one in every run
+    # xarray gathers coordinates from sets, whose order differs from run to run
     variables = {
         str(name): _described(str(name), library.variables[name], name in library.coords, problems)
         for name in sorted(library.variables, key=str)
@@ -91,20 +101,22 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     lines = [f"  {json.dumps(key)}: {_dumped(value)}" for key, value in parts.items()]
     rows = ",\n".join(f"    {_dumped(name)}: {_dumped(value)}" for name, value in variables.items())
     text = "{\n" + ",\n".join([*lines, '  "variables": {\n' + rows + "\n  }"]) + "\n}\n"
-    if len(text.encode()) > MOST_BYTES:
+    if len(text.encode()) > MAX_BYTES:
         raise SchemaError(
-            f"the library's metadata take {len(text.encode())} bytes, at most {MOST_BYTES} can be written; "
-            "drop variables, write fewer paints, or write Zarr"
+            f"the metadata of the library take {len(text.encode())} bytes",
+            expected=f"at most {MAX_BYTES}",
+            mend="drop variables, write fewer paints, or write Zarr",
+            code="file-too-large",
         )
     return text
 
 
 def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
-    """Return what a library says of each paint, as texts and numbers; None for a number that is none."""
+    """Return the columns with one value a paint as texts and numbers; None stands for NaN and infinity."""
     columns: dict[str, list[Any]] = {}
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
-        # the name of a file that was read is none of the file that is written
+        # the name of the source file is not written
         if array.dims != (SIGNATURE,) or name in (SIGNATURE, "file") or not str(name).isidentifier():
             continue
         values = array.values
@@ -116,12 +128,12 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
     return columns
 
 
+#: Names left out of tables: outlines as JSON, columns of the format, words that read as numbers.
 _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
-"""Names that are no columns of a table: an outline as JSON, other columns, what reads as a number."""
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
-    """Return what a library says of each paint as cells of a table, without line breaks."""
+    """Return the columns with one value a paint as cells of a table, without line breaks."""
     return {
         name: [" ".join(str("" if value is None else value).split()) for value in values]
         for name, values in paint_columns(library).items()
@@ -140,7 +152,11 @@ def _attrs(attrs: Mapping[Any, Any], owner: str, problems: Problems) -> dict[str
         try:
             _dumped(plain)
         except (TypeError, ValueError, RecursionError):
-            problems.add(f"attribute {key!r} of {owner} is {str(value)[:60]!r}, expected text or numbers")
+            problems.add(
+                f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
+                expected="text or numbers",
+                code="type-wrong",
+            )
         plain_attrs[str(key)] = plain
     return plain_attrs
 
@@ -150,26 +166,36 @@ def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Pro
     kind = "str" if values.dtype.kind in "OUT" else str(values.dtype)
     plain: Any = None
     if kind not in _DTYPES:
-        problems.add(f"{name!r} is {values.dtype}, expected numbers, booleans, text or datetime64[ns]")
+        problems.add(
+            f"{name!r} is {values.dtype}",
+            expected="numbers, booleans, text or datetime64[ns]",
+            code="type-wrong",
+        )
     elif kind == "str":
         plain = values.tolist()
         odd = next((value for value in values.ravel().tolist() if not isinstance(value, str)), None)
         if odd is not None:
-            problems.add(f"{name!r} holds {type(odd).__name__} among its texts, expected text alone")
+            problems.add(
+                f"{name!r} holds {type(odd).__name__} among its texts",
+                expected="text alone",
+                code="type-wrong",
+            )
     elif kind == "datetime64[ns]":
         plain = np.where(np.isnat(values), "", np.datetime_as_string(values)).tolist()
     else:
         plain = _without_nan(values.tolist())
         if values.dtype.kind == "f" and np.isinf(values).any():
-            problems.add(f"{name!r} holds infinities, expected finite numbers or NaN")
+            problems.add(f"{name!r} holds infinities", expected="finite numbers or NaN", code="not-finite")
     return {
-        "dims": [str(dim) for dim in variable.dims], "dtype": kind, "coordinate": coordinate,
-        "attrs": _attrs(variable.attrs, name, problems), "values": plain,
-    }  # fmt: skip
+        "dims": [str(dim) for dim in variable.dims],
+        "dtype": kind,
+        "coordinate": coordinate,
+        "attrs": _attrs(variable.attrs, name, problems),
+        "values": plain,
+    }
 
 
 def _without_nan(values: Any) -> Any:
-    """Return nested lists with null for NaN, which JSON does not know."""
     if isinstance(values, list):
         return [_without_nan(value) for value in values]
     return None if isinstance(values, float) and math.isnan(values) else values
@@ -185,17 +211,23 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
     Raises FormatError: The file is none that `metadata_text` makes, or of another library; all problems are
         listed.
     """
-    raw = read_limited(path, MOST_BYTES, "metadata of a paint library")
+    raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise FormatError(
-            f"{path.name}: cannot be read as JSON ({error!s:.100}); copy it again, or write the library anew"
+            f"{path.name}: not readable as JSON ({error!s:.100})",
+            mend="copy the file again, or write the library again",
+            code="metadata-damaged",
         ) from error
     problems = Problems(f"{path.name} does not go with its library", FormatError)
     metadata = Metadata()
     if not isinstance(document, dict) or document.get("hyperpaint_library") not in (1, VERSION):
-        problems.add(f'expected an object with "hyperpaint_library": {VERSION}')
+        problems.add(
+            "the document has another head",
+            expected=f'an object with "hyperpaint_library": {VERSION}',
+            code="metadata-damaged",
+        )
     else:
         if document["hyperpaint_library"] == 1:
             warn_of_old_names(path.name)
@@ -206,11 +238,11 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
 
 
 def _refuse_constant(text: str) -> None:
-    raise ValueError(f"{text} is no JSON")
+    raise ValueError(f"{text} is not JSON")
 
 
 def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Return metadata of version 1 as version 2; what is damaged is left for `_read_document` to refuse."""
+    """Return metadata of version 1 as version 2; damage is left for `_read_document` to refuse."""
 
     def renamed(entry: Any) -> Any:
         dims = entry.get("dims") if isinstance(entry, dict) else None
@@ -234,12 +266,16 @@ def _read_document(
     parts = {name: document.get(name) for name in ("attrs", "sizes", "spectra", "variables")}
     wrong = [name for name, part in parts.items() if not isinstance(part, dict)]
     if wrong:
-        problems.add(f"{', '.join(wrong)}: expected an object")
+        problems.add(f"{', '.join(wrong)}", expected="an object", code="metadata-damaged")
         return
     metadata.attrs = _plain_attrs(document["attrs"], "attrs", problems)
     for dim, size in document["sizes"].items():
         if type(size) is not int or not 0 <= size <= 2**31 or dim in (SIGNATURE, BAND):
-            problems.add(f"size of {dim[:60]!r} is {str(size)[:30]}, expected a whole number")
+            problems.add(
+                f"size of {dim[:60]!r} is {str(size)[:30]}",
+                expected="a whole number",
+                code="metadata-damaged",
+            )
         else:
             metadata.sizes[dim] = size
     for name, entry in document["spectra"].items():
@@ -258,7 +294,7 @@ def _read_document(
 def _plain_attrs(attrs: Any, owner: str, problems: Problems) -> dict[str, Any]:
     if isinstance(attrs, dict):
         return dict(attrs)
-    problems.add(f"attributes of {owner[:60]!r}: expected an object")
+    problems.add(f"attributes of {owner[:60]!r}", expected="an object", code="metadata-damaged")
     return {}
 
 
@@ -270,7 +306,11 @@ def _variable(
         return None
     kind, attrs = entry.get("dtype"), entry.get("attrs")
     if kind not in _DTYPES or not isinstance(attrs, dict):
-        problems.add(f"{name[:60]!r}: expected a known dtype, and attributes")
+        problems.add(
+            f"{name[:60]!r} has an unknown dtype, or no attributes",
+            expected="a known dtype, and attributes",
+            code="metadata-damaged",
+        )
         return None
     try:
         nested = np.array(entry.get("values"), object)
@@ -282,7 +322,7 @@ def _variable(
             raise ValueError(f"shape {nested.shape}, expected {expected}")
         values = typed_values(nested.ravel().tolist(), kind).reshape(nested.shape)
     except (ValueError, TypeError, OverflowError) as error:
-        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}")
+        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}", code="metadata-damaged")
         return None
     if name == "quality":
         attrs = {**attrs, "flag_masks": quality_attrs()["flag_masks"]}
@@ -292,14 +332,18 @@ def _variable(
 def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
     dims = entry.get("dims") if isinstance(entry, dict) else None
     texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
-    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MOST_DIMS:
+    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MAX_DIMS:
         return tuple(dims)
-    problems.add(f"{name[:60]!r}: expected an object with dims, each once, attributes and values")
+    problems.add(
+        f"{name[:60]!r}",
+        expected="an object with dims, each once, attributes and values",
+        code="metadata-damaged",
+    )
     return None
 
 
 def typed_values(flat: list[Any], kind: str) -> Array:
-    """Return values that JSON held as those of a dtype.
+    """Return values read from JSON as an array of a dtype.
 
     Raises ValueError: One is of another kind, or out of range.
     """
@@ -331,7 +375,7 @@ def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
 
 
 def _times(flat: list[str]) -> Array:
-    """Return times as `metadata_text` writes them; years beyond datetime64[ns] would wrap around."""
+    """Return times written by `metadata_text`; years beyond datetime64[ns] are refused, since they wrap."""
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
             raise ValueError(f"{text[:40]!r} is no time like 2024-05-21T11:33:07.000000000 from 1700 to 2261")

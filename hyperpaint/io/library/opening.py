@@ -8,9 +8,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
@@ -28,13 +29,10 @@ from .parquet_library import is_parquet, read_parquet_library
 from .plain_table import read_plain_table
 from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 Path_ = str | os.PathLike[str]
 
 _HEAD_BYTES = 64 * 1024
-_MOST_SHOWN = 20
+_MAX_SHOWN = 20
 _ENVI_SUFFIXES = (".hdr", ".sli")
 _TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
 _ANCILLARY = ".ancillary.txt"
@@ -43,20 +41,20 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    """What the caller says that files do not."""
+    """Axes, scale and quantity given by the caller."""
 
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
-    sure: bool  # that values are reflectance
+    is_reflectance: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
-        """Refuse them where the library says all of it.
+        """Refuse them for a library of hyperpaint, which has its own.
 
         Raises FormatError: One is given.
         """
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
-            raise FormatError(OWN_AXES.format(path))
+            raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
 
 def open_library(
@@ -87,8 +85,8 @@ def open_library(
         Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
         USGS text without them looks for its own beside it and in the two folders above.
     scale
-        Stored value of a reflectance of one (100 for percent). By default what the file says: its scale
-        factor, units or headings. Values that are no fractions, of a file that says nothing, are refused.
+        Stored value of a reflectance of one (100 for percent). By default from the file: its scale factor,
+        units or headings. Without any of these, values that are no fractions are refused.
     quantity
         ``"reflectance"``, to say so of a text whose headings or values look like another quantity, or whose
         third column without a heading looks like a standard deviation.
@@ -97,8 +95,8 @@ def open_library(
     -------
     xarray.Dataset
         `reflectance` (signature, band) float32 [1], NaN where the file has none; coordinates `signature`,
-        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and what the file
-        says of each spectrum, where it does. Names are those of the file, equal ones included. Error bars of
+        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and further
+        columns of the file. Names are kept as in the file, duplicates included. Error bars of
         the USGS are `reflectance_u_random`. Attributes `source`, `format` and `notes` say where it comes from
         and what was inferred. A library of ours comes back as it was written; a Zarr store lazily.
 
@@ -108,7 +106,7 @@ def open_library(
         A file is damaged, of no known kind, no reflectance by its words or values, without wavelengths or of
         unknown scale; or several files have different wavelengths. All problems are listed.
     StoreError
-        A Zarr store was never finished, or is none.
+        A Zarr store was never finished, or the path holds no store.
 
     Warns
     -----
@@ -129,11 +127,20 @@ def open_library(
     >>> scratch.cleanup()
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise FormatError(f"scale is {scale}, expected the stored value of a reflectance of one, such as 100")
+        raise FormatError(
+            f"scale is {scale}",
+            expected="the stored value of a reflectance of one, such as 100",
+            code="value-out-of-range",
+        )
     if quantity not in (None, "reflectance"):
-        raise FormatError(f"quantity={quantity!r}: a paint library holds reflectance; leave quantity= out")
-    sure = quantity is not None
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, sure)
+        raise FormatError(
+            f"quantity={quantity!r}",
+            expected="'reflectance', as in every paint library",
+            mend="leave quantity= out",
+            code="choice-unknown",
+        )
+    is_reflectance = quantity is not None
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, is_reflectance)
     from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(path):
@@ -153,25 +160,29 @@ def open_library(
         try:
             opened.append((file, _opened(file, options)))
         except (FormatError, StoreError) as error:
-            problems.add(str(error))
-            if len(problems) == _MOST_SHOWN:
+            problems.add_error("", error)
+            if len(problems) == _MAX_SHOWN:
                 break
     problems.raise_if_any()
     return _joined(opened)
 
 
-def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
-    """Return wavelengths or bandwidths that the caller gives, as numbers or in a file."""
-    if given is None:
+def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
+    """Return wavelengths or bandwidths given as numbers or as a file."""
+    if argument is None:
         return None
-    if isinstance(given, str | os.PathLike):
-        return read_usgs_axis(Path(given))[0]
+    if isinstance(argument, str | os.PathLike):
+        return read_usgs_axis(Path(argument))[0]
     try:
-        values = np.asarray(given, np.float64)
+        values = np.asarray(argument, np.float64)
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        raise FormatError(f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm] or a file")
+        raise FormatError(
+            f"{name}= is {str(argument)[:60]!r}",
+            expected="one finite number a band [nm] or a file",
+            code="value-out-of-range",
+        )
     return values
 
 
@@ -179,19 +190,18 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
 
 
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
-    """Return the files that are to hold spectra, in the order of their names; numbers count as such.
+    """Return the files that hold spectra, sorted by name with numbers in numeric order.
 
-    Left out is what goes with spectra: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
+    Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
     tables of classes.
     """
-    candidates = [
-        path
-        for path in paths
-        if not path.is_dir()
-        and not path.name.startswith(".")
-        and not path.name.endswith(_ANCILLARY)
-        and not _goes_with_spectra(_head(path))
-    ]
+    candidates = []
+    for path in paths:
+        if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
+            head = _head(path)
+            is_table = head[:20].lower().startswith(("spectra names,", '"spectra names"'))
+            if not is_table and not is_usgs_axis(head):
+                candidates.append(path)
     # a library of ENVI is two files
     headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
     candidates = [
@@ -200,21 +210,15 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
         if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
         or (path.with_suffix("") not in headers and path not in headers)
     ]
-    return sorted(candidates, key=lambda path: ([*_natural(path.stem.lower())], path.name))
 
+    def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+        parts = enumerate(_DIGITS.split(path.stem.lower()))
+        return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in parts], path.name
 
-def _goes_with_spectra(head: str) -> bool:
-    """Tell of wavelengths of USGS spectra, and of a table of classes of ENVI spectra."""
-    return is_usgs_axis(head) or head[:20].lower().startswith(("spectra names,", '"spectra names"'))
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    parts = _DIGITS.split(text)
-    return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in enumerate(parts)]
+    return sorted(candidates, key=natural)
 
 
 def _head(path: Path) -> str:
-    """Return the beginning of a file as text; nothing of what is none."""
     return head_of(path, _HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
 
 
@@ -222,16 +226,17 @@ def _head(path: Path) -> str:
 
 
 def _opened(path: Path, options: _Options) -> xr.Dataset:
-    """Open one file, by what it holds."""
     if not path.is_file():
         kind = "no plain file" if os.path.lexists(path) else "no such file"
-        raise FormatError(f"{path}: {kind}; expected a spectral library")
+        raise FormatError(f"{path}: {kind}", expected="a spectral library", code="file-not-found")
     try:
         return _by_content(path, options)
-    except StoreError:
-        raise
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+        if isinstance(error, StoreError):
+            raise
+        raise FormatError(
+            f"{path}: cannot be read ({error.strerror or error})", code="file-unreadable"
+        ) from error
 
 
 def _by_content(path: Path, options: _Options) -> xr.Dataset:
@@ -247,13 +252,13 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
         options.refuse_for(path)
         return read_csv_library(path)
     library = _foreign(path, suffix, head, options)
-    if not options.sure and "hyperpaint" not in str(library.attrs.get("format", "")):
+    if not options.is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
     return library
 
 
 def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    """Open a library of other programs, or ours in the format of ENVI."""
+    """Open a library of another program, or one of ours in ENVI format."""
     nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
@@ -262,7 +267,7 @@ def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Datase
     if is_ecostress(head):
         spectra = read_ecostress(path, scale=scale, wavelength=nm)
     else:
-        spectra = read_plain_table(path, scale=scale, wavelength=nm, sure=options.sure)
+        spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=options.is_reflectance)
     return library_of(spectra if options.fwhm is None else replace(spectra, fwhm=options.fwhm))
 
 
@@ -271,22 +276,37 @@ _OF_BANDS = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
-    """Return one library of those that files hold, in their order; the coordinate `file` tells them apart.
+    """Return one library of several, in order; the coordinate `file` names the file of each paint.
 
     Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
         listed.
     """
-    import xarray as xr
-
-    opened = [(path, library.set_coords(_of_paints(library))) for path, library in opened]
+    opened = [
+        (
+            path,
+            library.set_coords([n for n, array in library.data_vars.items() if array.dims == (SIGNATURE,)]),
+        )
+        for path, library in opened
+    ]
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
     problems = Problems("the files cannot be made one library", FormatError)
     for path, library in opened:
         if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
-            problems.add(f"{path.name} has {_grid(library)}, expected {_grid(first)} like {first_path.name}")
-        if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)):
-            problems.add(f"{path.name} has {', '.join(more)}; open it by itself")
+            problems.add(
+                f"{path.name} has {_grid(library)}",
+                expected=f"{_grid(first)} as in {first_path.name}",
+                code="grid-mismatch",
+            )
+        if variables := sorted(
+            str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)
+        ):
+            problems.add(
+                f"{path.name} has {', '.join(variables)}",
+                expected="one spectrum a paint",
+                mend="open it alone",
+                code="library-not-plain",
+            )
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
             break
     problems.raise_if_any()
@@ -294,7 +314,12 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     merged = xr.Dataset()
     for name in dict.fromkeys(name for library in libraries for name in library.data_vars):
         attrs = next(library[name].attrs for library in libraries if name in library)
-        values = [library[name].values if name in library else _unknown(library) for library in libraries]
+        values = [
+            library[name].values
+            if name in library
+            else np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
+            for library in libraries
+        ]
         merged[name] = ((SIGNATURE, BAND), np.concatenate(values), attrs)
     for name in _OF_BANDS:
         having = [library[name] for library in libraries if name in library.coords]
@@ -319,21 +344,13 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     return with_numbers_as_data(merged)
 
 
-def _of_paints(library: xr.Dataset) -> list[str]:
-    return [str(name) for name, array in library.data_vars.items() if array.dims == (SIGNATURE,)]
-
-
 def _grid(library: xr.Dataset) -> str:
     nm = library["wavelength"].values
     return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
 
 
-def _unknown(library: xr.Dataset) -> Array:
-    return np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
-
-
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    """Return a coordinate of the paints, empty or NaN for those whose file does not say."""
+    """Return a coordinate of the paints, empty or NaN where a file lacks it."""
     having = [library[name] for library in libraries if name in library.coords]
     kinds = {array.dtype.kind for array in having}
     attrs = having[0].attrs
@@ -351,7 +368,7 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 
 def _read_store(path: Any) -> xr.Dataset:
-    """Open a library lazily.
+    """Open a library of a Zarr store lazily.
 
     Raises FormatError: The store is whole but holds no paint library; groups that do are named.
     Raises StoreError: It is not whole, or no store.
@@ -361,12 +378,14 @@ def _read_store(path: Any) -> xr.Dataset:
     groups = list_groups(path)
     if "" not in groups:
         named = ", ".join(f"{path}/{group}" for group in groups) or "none"
-        raise FormatError(f"{path} holds no paint library at its root; groups found: {named}")
+        raise FormatError(
+            f"{path} holds no paint library at its root (groups: {named})", code="library-missing"
+        )
     library = with_new_names(open_store(path, ""))
     rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):
         reasons = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
-        raise FormatError(f"{path} holds no paint library: {reasons}")
+        raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
     return library

@@ -1,7 +1,7 @@
 """Paint libraries as Parquet, in the columns of OpenSpecLib: a row a spectrum, readable by pandas and DuckDB.
 
 Our own files have the metadata of the library beside them, ``<file>.json``, as CSV has; spectra that are no
-centres say what they are in ``additional_properties``. Files of others need equal wavelengths in all rows.
+centres have their key in ``additional_properties``. Other files need equal wavelengths in all rows.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, needs_extra
@@ -25,30 +26,50 @@ from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variab
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    import xarray as xr
-
 _MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
-_MOST_ROWS, _MOST_VALUES = 2_000_000, 2**28
+_MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28
 _NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
 _NM_OF_WAVENUMBER = 1e7  # over cm-1
 _PURPOSE = "Parquet"
 
 #: Columns of OpenSpecLib that hold text: those that must not be empty, and those that may.
 _TEXTS = (
-    "id", "name", "source.library", "source.library_version", "source.original_id", "source.url",
-    "source.license", "source.citation", "material.name", "material.category", "measurement.technique",
-    "spectral_data.type", "spectral_data.wavelength_unit", "additional_properties",
-)  # fmt: skip
+    "id",
+    "name",
+    "source.library",
+    "source.library_version",
+    "source.original_id",
+    "source.url",
+    "source.license",
+    "source.citation",
+    "material.name",
+    "material.category",
+    "measurement.technique",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "additional_properties",
+)
 _OPTIONAL_TEXTS = (
-    "source.filename", "material.subcategory", "material.formula", "sample.id", "sample.description",
-    "sample.particle_size", "sample.origin", "sample.owner", "sample.preparation", "measurement.instrument",
-    "measurement.instrument_type", "measurement.laboratory", "measurement.geometry", "quality.notes",
-)  # fmt: skip
+    "source.filename",
+    "material.subcategory",
+    "material.formula",
+    "sample.id",
+    "sample.description",
+    "sample.particle_size",
+    "sample.origin",
+    "sample.owner",
+    "sample.preparation",
+    "measurement.instrument",
+    "measurement.instrument_type",
+    "measurement.laboratory",
+    "measurement.geometry",
+    "quality.notes",
+)
 
 
 def is_parquet(head: bytes) -> bool:
-    """Tell Parquet from its first bytes."""
+    """Return whether the first bytes of a file are those of Parquet."""
     return head[:4] == _MAGIC
 
 
@@ -65,28 +86,25 @@ def write_parquet_library(
     Raises StoreError: Files exist, or cannot be written.
     """
     with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow as pa
         import pyarrow.parquet as pq
     variables = spectral_variables(library)
     metadata = metadata_text(library, variables)
     names = names_of(library)
-    about = paint_columns(library)
+    columns = paint_columns(library)
     schema = _schema().with_metadata({b"openspeclib_version": b"0", b"source": _OURS})
     common = _common(library)
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
         with pq.ParquetWriter(table, schema, compression="zstd") as writer:
             for block in blocks_of(library, variables, progress):
-                rows = [
-                    _row(
-                        common,
-                        names[paint],
-                        _own(about, paint),
-                        (block.variable, int(paint), int(inner)),
-                        values,
-                    )
-                    for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True)
-                ]
-                writer.write_batch(_batch(rows, schema))
+                rows = []
+                for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
+                    properties = {name: column[paint] for name, column in columns.items()}
+                    key = (block.variable, int(paint), int(inner))
+                    rows.append(_row(common, names[paint], properties, key, values))
+                arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+                writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
 
 
 def _schema() -> pa.Schema:
@@ -114,53 +132,53 @@ def _schema() -> pa.Schema:
 
 
 def _common(library: xr.Dataset) -> dict[str, Any]:
-    """Return what all rows share."""
+    """Return the cells that all rows share."""
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     attrs = {**library.attrs, **library[CENTRE].attrs}
     fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
-
-    def said(name: str) -> str:
-        return str(attrs.get(name, "unknown"))
-
     return {
-        "source.library": "hyperpaint", "source.library_version": said("paint_library_version"),
-        "source.url": "", "source.license": said("licence"), "source.citation": said("title"),
+        "source.library": "hyperpaint",
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
+        "source.url": "",
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
         "material.category": "man_made",
-        "material.subcategory": "car paint", "measurement.technique": "reflectance",
-        "measurement.geometry": said("measurement_geometry"), "spectral_data.type": "reflectance",
-        "spectral_data.wavelength_unit": "nm", "spectral_data.wavelength_min": wavelength.min(),
-        "spectral_data.wavelength_max": wavelength.max(), "spectral_data.num_points": wavelength.size,
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
         "spectral_data.wavelengths": wavelength,
         "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
-    }  # fmt: skip
-
-
-def _own(about: dict[str, list[Any]], paint: int) -> dict[str, Any]:
-    return {name: column[paint] for name, column in about.items()}
+    }
 
 
 def _row(
-    common: dict[str, Any], name: str, about: dict[str, Any], key: Key, values: Floats32
+    common: dict[str, Any], name: str, properties: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
-    """Return the cells of a spectrum; ``key`` is its variable, its paint and its place within it."""
+    """Return the cells of one spectrum; ``key`` holds its variable, paint and place."""
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
-    more = {**about, "variable": variable, SIGNATURE: paint, "place": place}
-    keywords = [str(about[each]) for each in ("colour", "finish", "make", "model") if about.get(each)]
+    additional = {**properties, "variable": variable, SIGNATURE: paint, "place": place}
+    keywords = [
+        str(properties[word]) for word in ("colour", "finish", "make", "model") if properties.get(word)
+    ]
     return common | {
-        "id": f"hyperpaint:{identity}", "name": name, "source.original_id": identity, "material.name": name,
-        "material.keywords": keywords, "additional_properties": json.dumps(more, allow_nan=False),
-        "spectral_data.values": values.astype(np.float64), "quality.has_bad_bands": missing > 0,
-        "quality.bad_band_count": missing, "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
-    }  # fmt: skip
-
-
-def _batch(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
-    import pyarrow as pa
-
-    columns = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
-    return pa.RecordBatch.from_arrays(columns, schema=schema)
+        "id": f"hyperpaint:{identity}",
+        "name": name,
+        "source.original_id": identity,
+        "material.name": name,
+        "material.keywords": keywords,
+        "additional_properties": json.dumps(additional, allow_nan=False),
+        "spectral_data.values": values.astype(np.float64),
+        "quality.has_bad_bands": missing > 0,
+        "quality.bad_band_count": missing,
+        "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+    }
 
 
 # --- reading -----------------------------------------------------------------------------------------------
@@ -181,98 +199,127 @@ def read_parquet_library(path: Path) -> xr.Dataset:
             rows = _rows(file, path.name)
             is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
     except (pa.ArrowException, OSError) as error:
-        raise FormatError(f"{path.name} cannot be read as Parquet: {error!s:.200}; copy it again") from error
+        raise FormatError(
+            f"{path.name} cannot be read as Parquet: {error!s:.200}",
+            mend="copy it again",
+            code="file-unreadable",
+        ) from error
     if is_ours and metadata_path(path).exists():
         return _restored(path, rows)
     return library_of(_spectra(path.name, rows))
 
 
 _WANTED = (
-    "name", "additional_properties", "spectral_data.type", "spectral_data.wavelength_unit",
-    "spectral_data.wavelengths", "spectral_data.values", "source.license", "source.citation",
-)  # fmt: skip
+    "name",
+    "additional_properties",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "spectral_data.wavelengths",
+    "spectral_data.values",
+    "source.license",
+    "source.citation",
+)
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
-    """Return the rows of a file, of columns that are needed; refuse what would fill the memory."""
+    """Return the rows with the columns in use; refuse files that would fill the memory."""
     missing = [name for name in _WANTED if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
-            f"{source}: columns {', '.join(missing)} are missing; expected those of OpenSpecLib"
+            f"{source}: columns {', '.join(missing)} are missing",
+            expected="the columns of OpenSpecLib",
+            code="column-missing",
         )
-    if not 0 < file.metadata.num_rows <= _MOST_ROWS:
-        raise FormatError(f"{source}: {file.metadata.num_rows} rows, expected 1 to {_MOST_ROWS}")
+    if not 0 < file.metadata.num_rows <= _MAX_ROWS:
+        raise FormatError(
+            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"
+        )
     rows: list[dict[str, Any]] = []
-    values = 0
+    count = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
-        values += sum(len(each.flatten()) for each in batch.columns if hasattr(each, "flatten"))
-        if values > _MOST_VALUES:
-            raise FormatError(f"{source}: more than {_MOST_VALUES} values; split it")
-        lists = ("spectral_data.wavelengths", "spectral_data.values")
-        plain = {name: batch.column(name) for name in _WANTED}
+        count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
+        if count > _MAX_VALUES:
+            raise FormatError(
+                f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
+            )
+        columns = {name: batch.column(name) for name in _WANTED}
         for at in range(batch.num_rows):
-            row = {name: plain[name][at].as_py() for name in _WANTED if name not in lists}
-            row |= {name: _numbers(plain[name][at].values) for name in lists}
+            row: dict[str, Any] = {}
+            for name, column in columns.items():
+                if name not in ("spectral_data.wavelengths", "spectral_data.values"):
+                    row[name] = column[at].as_py()
+                elif (values := column[at].values) is None:
+                    row[name] = np.empty(0)
+                else:
+                    row[name] = np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
             rows.append(row)
     return rows
 
 
-def _numbers(values: Any) -> Floats:
-    """Return a cell's numbers; NaN for those that are null, none for a null cell."""
-    return np.empty(0) if values is None else np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
-
-
 def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
-    """Return the library that was written, with the metadata beside it."""
     keys: list[Key] = []
     for at, row in enumerate(rows):
         try:
-            more = json.loads(row["additional_properties"])
+            additional = json.loads(row["additional_properties"])
             key = (
-                str(more["variable"]),
-                int(more[SIGNATURE] if SIGNATURE in more else more["paint"]),
-                int(more["place"]),
+                str(additional["variable"]),
+                int(additional[SIGNATURE] if SIGNATURE in additional else additional["paint"]),
+                int(additional["place"]),
             )
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"{path.name}: row {at} does not say what it is; write the library anew"
+                f"{path.name}: row {at} names no variable, paint and place",
+                mend="write the library again",
+                code="record-unmatched",
             ) from error
         keys.append(key)
     names = [str(row["name"]) for row, key in zip(rows, keys, strict=True) if key[0] == CENTRE]
     if sorted({key[1] for key in keys}) != list(range(len(names))) or any(key[2] < -1 for key in keys):
-        raise FormatError(f"{path.name}: numbers of its paints have gaps; write the library anew")
+        raise FormatError(
+            f"{path.name}: the numbers of the paints have gaps",
+            mend="write the library again",
+            code="record-unmatched",
+        )
     wavelength, values = _stacked(path.name, rows)
     check_wavelengths(wavelength, path.name)
     return restored(path, names, keys, {"wavelength": wavelength}, [(0, values.astype(np.float32))], {})
 
 
 def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    """Return the wavelengths that all rows have (band,), and their values (row, band)."""
+    """Return the common wavelengths (band,) and the values (row, band) of all rows."""
     first = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
         if not np.array_equal(row["spectral_data.wavelengths"], first):
-            found = (
+            difference = (
                 f"{row['spectral_data.wavelengths'].size} wavelengths in row {at}, {first.size} in the first"
             )
             raise FormatError(
-                f"{source}: rows have different wavelengths ({found}); choose rows of one instrument first"
+                f"{source}: rows have different wavelengths ({difference})",
+                mend="choose rows of one instrument",
+                code="grid-mismatch",
             )
         if row["spectral_data.values"].shape != first.shape:
-            raise FormatError(f"{source}: row {at} has another number of values than wavelengths")
+            raise FormatError(
+                f"{source}: row {at} has not as many values as wavelengths", code="length-mismatch"
+            )
     return first, np.stack([row["spectral_data.values"] for row in rows])
 
 
 def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
-    """Return rows of others as spectra."""
     units = {str(row["spectral_data.wavelength_unit"]) for row in rows}
     kinds = {str(row["spectral_data.type"]) for row in rows}
     if kinds != {"reflectance"}:
         raise FormatError(
-            f"{source}: it holds {', '.join(sorted(kinds))}, expected reflectance; filter it first"
+            f"{source}: it holds {', '.join(sorted(kinds))}",
+            expected="reflectance",
+            mend="select rows of reflectance",
+            code="quantity-wrong",
         )
     if len(units) != 1 or not units <= {*_NM_PER_UNIT, "cm-1"}:
         raise FormatError(
-            f"{source}: wavelengths are in {', '.join(sorted(units))}, expected one of nm, um, cm-1"
+            f"{source}: wavelengths are in {', '.join(sorted(units))}",
+            expected="one of nm, um, cm-1",
+            code="units-unknown",
         )
     axis, values = _stacked(source, rows)
     unit = units.pop()
@@ -280,6 +327,10 @@ def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
         wavelength = _NM_OF_WAVENUMBER / axis if unit == "cm-1" else axis * _NM_PER_UNIT[unit]
     columns = {"licence": [str(row["source.license"]) for row in rows]}
     return Spectra(
-        source, "OpenSpecLib Parquet", [str(row["name"]) for row in rows], wavelength,
-        reflectances(values, source, said=None, given=None), columns=columns,
-    )  # fmt: skip
+        source,
+        "OpenSpecLib Parquet",
+        [str(row["name"]) for row in rows],
+        wavelength,
+        reflectances(values, source, file_scale=None, scale=None),
+        columns=columns,
+    )

@@ -18,16 +18,16 @@ from .column_quantities import IS_SPREAD, check_words, spread_columns, without_r
 from .library_spectra import Spectra, reflectances
 from .text_spectra import PERCENT, in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
-_MOST_PREAMBLE = 500
+_MAX_PREAMBLE = 500
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
-#: A heading's unit is no part of a paint's name, by which it is paired with what a field spectrometer saw.
+#: Units in headings are removed from names of paints, which are paired with references by name.
 _UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class _Dialect:
-    """How a line is cut into numbers; an empty separator stands for blanks."""
+    """Separator and decimal mark of a table; an empty separator stands for blanks."""
 
     separator: str
     comma: bool
@@ -36,7 +36,7 @@ class _Dialect:
         return line.split(self.separator) if self.separator else line.split()
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line, None where it is anything else; the first may not be empty."""
+        """Return the numbers of a line, None for any other line; the first cell must not be empty."""
         cells = self.cells(line.strip(" "))
         if len(cells) < 2 or not cells[0].strip():
             return None
@@ -44,13 +44,18 @@ class _Dialect:
 
 
 _DIALECTS = (
-    _Dialect("\t", False), _Dialect(";", False), _Dialect(",", False), _Dialect("", False),
-    _Dialect("\t", True), _Dialect(";", True), _Dialect("", True),
-)  # fmt: skip
+    _Dialect("\t", False),
+    _Dialect(";", False),
+    _Dialect(",", False),
+    _Dialect("", False),
+    _Dialect("\t", True),
+    _Dialect(";", True),
+    _Dialect("", True),
+)
 
 
 def read_plain_table(
-    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, sure: bool = False
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, is_reflectance: bool = False
 ) -> Spectra:
     """Read spectra from a table of two or more columns.
 
@@ -61,7 +66,7 @@ def read_plain_table(
 
     scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
     wavelength: To be used in place of the first column [nm].
-    sure: The caller says that it is reflectance, whatever words and values look like.
+    is_reflectance: The values are reflectance, without a check of headings and values.
     Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
         are no reflectance.
     Warns PaintWarning: Wavelengths stand twice in a row; or a column is a standard deviation by its values.
@@ -76,22 +81,24 @@ def read_plain_table(
     _check_order(table[:, 0], source)
     preamble = lines[:first]
     headings = _headings(preamble, dialect, columns)
-    said = " ".join(preamble)
-    if not sure:
+    preamble_text = " ".join(preamble)
+    if not is_reflectance:
         check_words(preamble, headings, source)
-    factor, note = wavelength_factor(said, table[:, 0], source)
+    factor, note = wavelength_factor(preamble_text, table[:, 0], source)
     percent = 100.0 if PERCENT.search(preamble[-1] if preamble else "") else None
     nm, values, notes = table[:, 0], table[:, 1:], [note] if note else []
     if wavelength is None:
         nm, values, repeats = without_repeats(nm, values, source)
         notes += repeats
-    spread = spread_columns(headings, values.T, source, sure=sure)
+    spread = spread_columns(headings, values.T, source, is_reflectance=is_reflectance)
     names = _names(headings, spread, path.stem)
     paints = np.flatnonzero(spread != IS_SPREAD)
-    reflectance = reflectances(values.T[paints], source, said=percent, given=scale, sure=sure)
+    reflectance = reflectances(
+        values.T[paints], source, file_scale=percent, scale=scale, is_reflectance=is_reflectance
+    )
     others = {}
     if (spread >= 0).any():
-        sd = reflectances(values.T[spread[paints]], source, said=percent or 1.0, given=scale)
+        sd = reflectances(values.T[spread[paints]], source, file_scale=percent or 1.0, scale=scale)
         others["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
     return Spectra(
         source=source,
@@ -105,9 +112,9 @@ def read_plain_table(
 
 
 def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
-    """Return the index of the first line of numbers, how it is cut, and its columns."""
+    """Return the index of the first line of numbers, its dialect, and the number of columns."""
     shown = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-    for position, at in enumerate(shown[:_MOST_PREAMBLE]):
+    for position, at in enumerate(shown[:_MAX_PREAMBLE]):
         rows = [(dialect, row) for dialect in _DIALECTS if (row := dialect.row(lines[at])) is not None]
         if rows and position + 1 < len(shown):
             following = lines[shown[position + 1]]
@@ -115,21 +122,28 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
             # where the next line fits none, it is reported: no line of numbers is taken for a heading
             dialect = fitting[0] if fitting else rows[0][0]
             return at, dialect, next(len(row) for d, row in rows if d == dialect)
-    raise FormatError(f"{source}: no table of numbers, expected a wavelength and one or more values a line")
+    raise FormatError(
+        f"{source}: no table of numbers",
+        expected="a wavelength and one or more values a line",
+        code="table-missing",
+    )
 
 
 def _check_order(wavelength: Floats, source: str) -> None:
-    """Refuse a first column that wanders: it may step back where detectors join, not more."""
+    """Refuse a first column that changes direction more often than detectors join."""
     steps = np.diff(wavelength)
     back = min(int((steps < 0).sum()), int((steps > 0).sum()))
     if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
         raise FormatError(
-            f"{source}: the first column rises and falls, expected wavelengths; spectra belong in columns"
+            f"{source}: the first column rises and falls",
+            expected="wavelengths",
+            mend="spectra belong in columns",
+            code="wavelength-unordered",
         )
 
 
 def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
-    """Return the names of the spectra; ``spread`` as `spread_columns` returns it."""
+    """Return the names of the spectra; ``spread`` is the result of `spread_columns`."""
     paints = np.flatnonzero(spread != IS_SPREAD)
     names = [headings[at + 1].strip() for at in paints.tolist()] if headings else []
     without_units = [_UNIT.sub("", name) for name in names]
@@ -142,10 +156,10 @@ def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
 
 
 def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:
-    """Return the cells of the last heading; none where they are not as many as the columns."""
+    """Return the cells of the last heading; empty where their number is not that of the columns."""
     last = next((line for line in reversed(preamble) if line.strip()), "")
     text = last.strip().lstrip("#")
-    # comments are written for people, whose lists have commas, whatever separates the numbers
+    # a heading in a comment may have commas although another mark separates the numbers
     separators = [dialect.separator, ","] if last.lstrip().startswith("#") else [dialect.separator]
     for separator in separators:
         try:

@@ -1,7 +1,7 @@
-"""The spectra of a paint library as rows of a file, and the way back.
+"""Spectra of a paint library as records of a file, and back.
 
-Every spectrum is one record: first the reflectance of all paints, then what else is known of each at every
-band, then their members. A record is told by its variable, its paint, and its place within the paint.
+Every spectrum is one record: first the reflectance of all paints, then their other variables on the bands,
+then their members. The key of a record is its variable, its paint, and its place within the paint.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
+from hyperpaint.base.arrays import Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import numbers
@@ -26,17 +27,14 @@ from hyperpaint.io.files.reading import numbers
 from .library_spectra import text_column
 from .metadata import Metadata, metadata_path, read_metadata, table_columns
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
 _FEW_CELLS, _MANY_CELLS = 2**22, 2**29
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 
+#: Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one.
 Key = tuple[str, int, int]
-"""Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +51,7 @@ class Block:
 
 
 def checked_library(library: xr.Dataset) -> xr.Dataset:
-    """Return a library in the units of the table; its values are not looked at.
+    """Return a library in the units of the table; values are not checked.
 
     Raises SchemaError: It is no paint library: variables are missing, or have other dims or units; all are
         listed.
@@ -69,26 +67,40 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
         wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
         numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)
         if variables[name].dtype.kind not in numeric:
-            problems.add(f"{name!r} is {variables[name].dtype}, expected {kind}")
+            problems.add(f"{name!r} is {variables[name].dtype}", expected=str(kind), code="type-wrong")
     if CENTRE in variables and not variables[CENTRE].size:
-        problems.add(f"reflectance is {dict(variables[CENTRE].sizes)}, expected a paint and a band at least")
+        problems.add(
+            f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
+            expected="at least one paint and one band",
+            code="empty-input",
+        )
     for other, array in library.variables.items():
         if {SIGNATURE, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
-            problems.add(f"{other!r} has dims {array.dims}, expected one beside paint and band at most")
+            problems.add(
+                f"{other!r} has dims {array.dims}",
+                expected="one beside paint and band at most",
+                code="dims-wrong",
+            )
     for name in ("wavelength", "fwhm", "good"):
         if name in variables and variables[name].dims != (BAND,):
-            problems.add(f"{name!r} has dims {variables[name].dims}, expected one value a band")
+            problems.add(
+                f"{name!r} has dims {variables[name].dims}", expected="one value a band", code="dims-wrong"
+            )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        raise SchemaError("wavelengths of the library are not all finite and above 0; drop those with .isel")
+        raise SchemaError(
+            "wavelengths of the library are not all finite and above 0",
+            mend="drop those bands with .isel",
+            code="wavelength-range",
+        )
     return library.assign_coords({n: v for n, v in variables.items() if n in library.coords}).assign(
         {n: v for n, v in variables.items() if n not in library.coords}
     )
 
 
 def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    """Tell of a count or a share without units, which a spectrum may not lack."""
+    """Return whether a variable is a count or a share without units, which only spectra must have."""
     units = LIBRARY_VARIABLES[name].units
     plain = name in library.variables and BAND not in library[name].dims
     return plain and units == "1" and "units" not in library[name].attrs
@@ -97,23 +109,27 @@ def _is_plain_number(library: xr.Dataset, name: str) -> bool:
 def names_of(library: xr.Dataset) -> list[str]:
     """Return the names of the paints.
 
-    Raises SchemaError: They are no texts, or hold characters that end lines; all are listed.
+    Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
     """
     problems = Problems("the library cannot be written", SchemaError)
     names: list[Any] = library[SIGNATURE].values.tolist()
     for at, name in enumerate(names):
         if not isinstance(name, str):
-            problems.add(f"paint {at} is named {name!r}, expected text")
+            problems.add(f"paint {at} is named {name!r}", expected="text", code="type-wrong")
         elif any(unicodedata.category(character) in _CONTROL for character in name):
-            problems.add(f"paint {at} is named {name[:60]!r}, expected no line breaks or control characters")
-        if len(problems) == _MOST_SHOWN:
+            problems.add(
+                f"paint {at} is named {name[:60]!r}",
+                expected="no line breaks or control characters",
+                code="name-unwritable",
+            )
+        if len(problems) == _MAX_SHOWN:
             break
     problems.raise_if_any()
     return names
 
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
-    """Return the names of what has a value at every band of a paint, sorted: centre first, members last.
+    """Return the names of the variables with a value at every band of a paint: centre first, members last.
 
     xarray gathers coordinates from sets: their order is another one in every process.
     """
@@ -126,7 +142,7 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
 
 
 def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
-    """Yield the records of variables, some 16 MiB at a time; padding beyond the last member is left out.
+    """Yield the records of variables in blocks of some 16 MiB; padding after the last member is left out.
 
     Lazy arrays are computed one chunk of paints at a time. ``progress`` counts the paints of all variables.
     """
@@ -153,7 +169,7 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
 
 
 def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
-    """Return ranges of paints: dask's own chunks, else as many as fit a block."""
+    """Return ranges of paints: the chunks of dask, else as many as fit a block."""
     if array.chunks is not None:
         edges = [0, *itertools.accumulate(array.chunks[0])]
     else:
@@ -167,7 +183,7 @@ def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the records of one variable belong."""
+    """Positions of the records of one variable in its array."""
 
     records: Ints  # (record), their numbers in the file, ascending
     paint: Ints  # (record), as in `Block`
@@ -175,7 +191,7 @@ class Placement:
     values: Floats32  # filled by `put`; NaN elsewhere
 
     def put(self, first: int, rows: Floats32) -> None:
-        """Place those of consecutive records, of which ``first`` is the first, that belong here."""
+        """Store the rows of consecutive records, of which ``first`` is the first, that belong here."""
         low, high = np.searchsorted(self.records, (first, first + len(rows)))
         taken = rows[self.records[low:high] - first]
         if self.values.ndim == 2:
@@ -185,7 +201,7 @@ class Placement:
 
 
 def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
-    """Return where every record belongs, by variable.
+    """Return the placement of the records of every variable.
 
     Raises FormatError: Records are given twice, or some are missing; or so few paints have so many members
         that the library would be mostly padding.
@@ -196,16 +212,25 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
         paint = np.array([keys[at][1] for at in records], np.int64)
         inner = np.array([keys[at][2] for at in records], np.int64)
         if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
-            raise FormatError(f"{source}: a record of {variable!r} is there twice; write the library anew")
+            raise FormatError(
+                f"{source}: a record of {variable!r} occurs twice",
+                mend="write the library again",
+                code="record-duplicate",
+            )
         if len(set((inner < 0).tolist())) > 1 or (inner[0] < 0 and len(records) != paints):
             raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} for {paints} paints; write it anew"
+                f"{source}: {len(records)} records of {variable!r} for {paints} paints",
+                mend="write the library again",
+                code="length-mismatch",
             )
         places = () if inner[0] < 0 else (int(inner.max()) + 1,)
-        cells = paints * bands * (places or (1,))[0]
-        if cells > _most_cells(len(records) * bands):
+        cells, stored = paints * bands * (places or (1,))[0], len(records) * bands
+        # padding may take 64 times the stored cells, less in large files
+        if cells > max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored)):
             raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
+                f"{source}: {len(records)} records of {variable!r} would need {cells} cells",
+                mend="check whether the file is damaged",
+                code="file-too-large",
             )
         values = np.full((paints, *places, bands), np.nan, np.float32)
         by_variable[variable] = Placement(records, paint, inner, values)
@@ -213,108 +238,120 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
 
 
 def restored(
-    path: Path, names: Sequence[str], keys: Sequence[Key], axes: Mapping[str, Any],
-    rows: Iterable[tuple[int, Floats32]], columns: Mapping[str, Sequence[str]],
-) -> xr.Dataset:  # fmt: skip
-    """Return the library that was written to a file, with the metadata beside it.
+    path: Path,
+    names: Sequence[str],
+    keys: Sequence[Key],
+    axes: Mapping[str, Any],
+    rows: Iterable[tuple[int, Floats32]],
+    columns: Mapping[str, Sequence[str]],
+) -> xr.Dataset:
+    """Return the library of a file of records, with the metadata beside it.
 
-    names: Of the paints; keys: what each record is; axes: see `with_metadata`.
-    rows: Records, some at a time, each lot with the number of its first.
-    columns: What the file itself says of each paint: taken where the metadata do not say it.
+    names: Of the paints; keys: of the records; axes: see `with_metadata`.
+    rows: Blocks of records with the index of their first record.
+    columns: Of the paints in the file itself; columns of the metadata win.
     Raises FormatError: Records or metadata are damaged, or do not go together.
-    Warns PaintWarning: The metadata are missing, or the file says otherwise.
+    Warns PaintWarning: The metadata are missing, or the columns of the file differ.
     """
     bands = len(axes["wavelength"])
-    placed = placements(keys, len(names), bands, path.name)
+    by_variable = placements(keys, len(names), bands, path.name)
     sidecar = metadata_path(path)
     metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
-        text = f"{path.name}: {sidecar.name} is missing: names and columns are those of the file, units lost"
-        warnings.warn(text, PaintWarning, stacklevel=6)
-    for first, lot in rows:
-        for placement in placed.values():
-            placement.put(first, lot)
-    data = {name: placement.values for name, placement in placed.items()}
+        text = f"{path.name}: {sidecar.name} is missing: names and columns come from the file, units are lost"
+        warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
+    for first, block in rows:
+        for placement in by_variable.values():
+            placement.put(first, block)
+    data = {name: placement.values for name, placement in by_variable.items()}
     library = with_metadata(data, axes, names, metadata, path.name)
     written = {} if metadata is None else table_columns(library)
     if edited := [name for name, cells in columns.items() if list(cells) != written.get(name, cells)]:
-        text = f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is taken; delete it to "
-        warnings.warn(f"{text}take the table", PaintWarning, stacklevel=6)
-    # numbers of the table of variables would come without their units
-    taken = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
-    added = {name: (SIGNATURE, _column(cells)) for name, cells in columns.items() if name not in taken}
+        text = (
+            f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
+            "the table"
+        )
+        warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
+    # columns named in the table of variables would come without their units
+    reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
+    added = {}
+    for name, cells in columns.items():
+        if name not in reserved:
+            values = numbers(cell or "nan" for cell in cells)
+            is_text = values is None or not any(cells)
+            added[name] = (SIGNATURE, text_column(cells) if is_text else np.array(values))
     return library.assign_coords(added)
 
 
-def _column(cells: Sequence[str]) -> Array:
-    """Return cells as numbers, where all of them are or are empty; else as text."""
-    values = numbers(cell or "nan" for cell in cells)
-    return text_column(cells) if values is None or not any(cells) else np.array(values)
-
-
-def _most_cells(stored: int) -> int:
-    """Return the cells that padding may blow stored ones up to: 64 times, of large files less."""
-    return max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored))
-
-
 def with_metadata(
-    data: Mapping[str, Floats32], axes: Mapping[str, Any], names: Sequence[str], metadata: Metadata | None,
+    data: Mapping[str, Floats32],
+    axes: Mapping[str, Any],
+    names: Sequence[str],
+    metadata: Metadata | None,
     source: str,
-) -> xr.Dataset:  # fmt: skip
-    """Return spectra and their metadata as the library that was written.
+) -> xr.Dataset:
+    """Return spectra and their metadata as a library.
 
     data: Values of the variables, (signature, band) or (signature, place, band).
-    axes: Wavelengths and what else the file of spectra itself says of the bands.
-    names: Of the paints, as the file of spectra spells them; the metadata's own win.
+    axes: Wavelengths and further coordinates of the bands in the file of spectra.
+    names: Of the paints in the file of spectra; names in the metadata win.
     metadata: None where it is lost.
     Raises FormatError: The two do not go together.
     """
-    import xarray as xr
-
     rows = LIBRARY_VARIABLES
     problems = Problems(f"{source} and its metadata do not go together", FormatError)
     library = xr.Dataset()
     for name, values in data.items():
         dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
         if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
-            problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
+            problems.add(
+                f"{name!r} has {values.ndim} dims", expected=f"{dims}, as in the metadata", code="dims-wrong"
+            )
             continue
         if clash := sorted(set(dims) & data.keys()):
-            problems.add(f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}")
+            problems.add(
+                f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}", code="name-clash"
+            )
             continue
         if values.ndim == 3 and metadata is not None:
-            values = _widened(values, metadata.sizes.get(dims[1]))
+            # members get their former padding, unless it is out of proportion
+            size, members = metadata.sizes.get(dims[1]), values.shape[1]
+            if size is not None and members <= size <= 8 * max(members, 8):
+                values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name!r} is {values.shape}, expected {dict(library.sizes)}")
+            problems.add(
+                f"{name!r} is {values.shape}", expected=str(dict(library.sizes)), code="grid-mismatch"
+            )
             continue
         library[name] = (dims, values, attrs)
     if metadata is not None:
         for missing in sorted(metadata.spectra.keys() - data.keys()):
-            problems.add(f"{missing[:60]!r} has no record in the file")
+            problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
     problems.raise_if_any()
     coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     if metadata is None:
         return library.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
-    return _with_variables(library, coords, metadata, problems)
-
-
-def _with_variables(
-    library: xr.Dataset, coords: dict[str, Any], metadata: Metadata, problems: Problems
-) -> xr.Dataset:
-    clash = metadata.variables.keys() & library.variables.keys()
-    for name in sorted(clash):
-        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata")
+    for name in sorted(metadata.variables.keys() & library.variables.keys()):
+        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata", code="name-clash")
     for name, (dims, values, _) in metadata.variables.items():
         if name in coords and name != SIGNATURE and not np.array_equal(values, coords[name][1]):
-            problems.add(f"{name!r} differs; they are of two libraries")
+            problems.add(
+                f"{name!r} of the file and of the metadata differ",
+                mend="put the files of one library together",
+                code="grid-mismatch",
+            )
         if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(library.sizes)}")
+            problems.add(
+                f"{name[:60]!r} is {values.shape} on {dims}",
+                expected=str(dict(library.sizes)),
+                code="grid-mismatch",
+            )
         if name in library.dims and dims != (name,):
-            problems.add(f"{name!r} names a dim, expected it on that dim alone")
+            problems.add(f"{name!r} is the name of a dim", expected=f"dims ({name},)", code="dims-wrong")
     problems.raise_if_any()
-    missing = {name: coord for name, coord in coords.items() if name not in metadata.variables}
-    library = library.assign(metadata.variables).assign_coords(missing)
+    own_coords = {name: coord for name, coord in coords.items() if name not in metadata.variables}
+    library = library.assign(metadata.variables).assign_coords(own_coords)
     coordinates = sorted(metadata.coordinates & set(map(str, library.variables)))
     return library.set_coords(coordinates).assign_attrs(metadata.attrs)
 
@@ -328,12 +365,3 @@ def _dims_and_attrs(
     if row is not None and len(row.dims) == ndim:
         return row.dims, dict(row.attrs)
     return (SIGNATURE, BAND) if ndim == 2 else (SIGNATURE, f"place_of_{name}", BAND), {}
-
-
-def _widened(values: Floats32, size: int | None) -> Floats32:
-    """Return members with the padding that they had; what would be out of proportion is left away."""
-    if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
-        return values
-    widened = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)
-    widened[:, : values.shape[1]] = values
-    return widened

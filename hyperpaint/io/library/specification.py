@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
@@ -20,51 +21,58 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
 from .records import CENTRE
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`.
 VERSION = 2
-"""Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`."""
 UNKNOWN = "unknown"
-_LONGEST_TEXT = 4000
-_MOST_NAMES = 5
+_MAX_TEXT_CHARS = 4000
+_MAX_NAMES = 5
 
 
 class Term(NamedTuple):
-    """A word that every library says, of all its paints or of each."""
+    """A declaration that every library makes, for all its paints or for each."""
 
     name: str
     words: tuple[str, ...]  #: those that there are; () where any text is one
     meaning: str
 
 
+#: Declarations of every library; a word may be ``unknown``.
 TERMS = (
-    Term("quantity", ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
-         "A reflectance factor, or the reflectance of a sphere with or without the mirror image"),
+    Term(
+        "quantity",
+        ("HCRF", "BRF", "8/d SCI", "8/d SCE", BODY, THROUGH_COAT, OUTSIDE, UNKNOWN),
+        "A reflectance factor, or the reflectance of a sphere with or without the mirror image",
+    ),
     Term("specular_component", (INCLUDED, EXCLUDED, UNKNOWN), "Whether the coat's mirror image is in it"),
     Term("measurement_geometry", (), "From where light came and to where it was seen, such as 45/0 or d/8"),
     Term("finish", ("solid", "metallic", "pearl", "matt", UNKNOWN), "What the paint is like"),
     Term("provenance", ("measured", "synthetic", "derived", UNKNOWN), "Where the spectra come from"),
     Term("licence", (), "Under which terms it may be used: an SPDX identifier, or a text"),
-)  # fmt: skip
-"""What a library must say, or say to be unknown."""
+)
 
-#: The largest and least reflectance that is no slip of units: glint beside a panel, noise of a black one.
+#: Reflectance beyond which units are doubtful: noise of a black panel, glint beside a panel.
 _REFLECTANCE_RANGE = (-0.1, 2.0)
 #: Sunlight to thermal infrared [nm]: micrometres lie below, wavenumbers and picometres above.
 _WAVELENGTH_RANGE_NM = (150.0, 50_000.0)
 _ANGLES_DEG = {
-    "sun_zenith": (0.0, 90.0), "view_zenith": (0.0, 90.0), "sun_azimuth": (-180.0, 360.0),
-    "view_azimuth": (-180.0, 360.0), "aspecular_angle": (0.0, 180.0), "relative_azimuth": (0.0, 360.0),
-}  # fmt: skip
+    "sun_zenith": (0.0, 90.0),
+    "view_zenith": (0.0, 90.0),
+    "sun_azimuth": (-180.0, 360.0),
+    "view_azimuth": (-180.0, 360.0),
+    "aspecular_angle": (0.0, 180.0),
+    "relative_azimuth": (0.0, 360.0),
+}
 _SPREADS = (
-    "reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_u_coat",
-)  # fmt: skip
+    "reflectance_sd",
+    "reflectance_u_random",
+    "reflectance_u_systematic",
+    "reflectance_u_coat",
+)
 
 
 @dataclass(frozen=True)
 class LibraryFinding:
-    """What departs from the specification."""
+    """One departure from the specification."""
 
     rule: str  #: name of the rule, as docs/paint-library.md has it
     found: str
@@ -76,7 +84,7 @@ class LibraryFinding:
 
 @dataclass(frozen=True)
 class LibraryReport:
-    """Whether a library is what the specification says."""
+    """Result of comparing a library with the specification."""
 
     source: str
     paints: int
@@ -85,7 +93,7 @@ class LibraryReport:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found."""
+        """Whether there is no finding."""
         return not self.findings
 
     def __str__(self) -> str:
@@ -132,15 +140,21 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     findings = list(_structure(dataset))
     if not findings:  # nothing else can be looked at without it
         rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
-            _names, _wavelengths, _reflectances, _spreads, _populations, _places, _said,
-        )  # fmt: skip
+            _names,
+            _wavelengths,
+            _reflectances,
+            _spreads,
+            _populations,
+            _places,
+            _declarations,
+        )
         for rule in rules:
             findings.extend(rule(dataset))
     return LibraryReport(source, dataset.sizes.get(SIGNATURE, 0), dataset.sizes.get(BAND, 0), tuple(findings))
 
 
 def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
-    """Return a library that says all that the specification asks for; what nothing says is unknown.
+    """Return a library with all declarations of the specification; missing ones become ``unknown``.
 
     Parameters
     ----------
@@ -152,7 +166,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     Raises
     ------
     SchemaError
-        There is no such term, or it has no such word.
+        A term is unknown, or its word is not one of the allowed.
 
     Examples
     --------
@@ -164,50 +178,54 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     terms = {term.name: term for term in TERMS}
     for name, word in words.items():
         if name != "title" and name not in terms:
-            raise SchemaError(f"there is no term {name!r}", expected=f"one of {', '.join(terms)}, title")
+            raise SchemaError(
+                f"there is no term {name!r}",
+                expected=f"one of {', '.join(terms)}, title",
+                code="choice-unknown",
+            )
         if name in terms and terms[name].words and word not in terms[name].words:
-            raise SchemaError(f"{name} is {word!r}", expected=f"one of {', '.join(terms[name].words)}")
+            raise SchemaError(
+                f"{name} is {word!r}",
+                expected=f"one of {', '.join(terms[name].words)}",
+                code="choice-unknown",
+            )
     library = with_new_names(library)
-    said = library_terms(library)
-    attrs = {name: UNKNOWN for name in terms if said[name] is None}
+    declared = library_terms(library)
+    attrs = {name: UNKNOWN for name in terms if declared[name] is None}
     title = {} if library.attrs.get("title") else {"title": "Paint library"}
     return library.assign_attrs({VERSION_NAME: VERSION, **title, **attrs, **words})
 
 
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
-    """Return what a library says of each term: a list with a word a paint, one word for all, or None."""
+    """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
-    said: dict[str, Any] = {}
+    declared: dict[str, Any] = {}
     for term in TERMS:
         if term.name in library.variables and library[term.name].dims == (SIGNATURE,):
-            said[term.name] = [str(word) for word in library[term.name].values.tolist()]
+            declared[term.name] = [str(word) for word in library[term.name].values.tolist()]
         else:
-            said[term.name] = attrs.get(term.name)
-    return said
+            declared[term.name] = attrs.get(term.name)
+    return declared
 
 
 # --- the rules ---------------------------------------------------------------------------------------------
 
 
-def _finding(rule: str, found: str, expected: str) -> LibraryFinding:
-    return LibraryFinding(rule, found, expected)
-
-
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Yield what is missing, or on other dims."""
+    """Check that the required variables exist, on their dims."""
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
         if name not in library.variables:
-            yield _finding("structure", f"{name!r} is missing", expected)
+            yield LibraryFinding("structure", f"{name!r} is missing", expected)
         elif problem := row.dim_problem(library[name]):
-            yield _finding("structure", problem.partition(",")[0], expected)
+            yield LibraryFinding("structure", problem.partition(",")[0], expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
         if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
             wrong = row_of.dim_problem(library[key])
             if wrong and array.dims != (SIGNATURE, *row_of.dims):
-                yield _finding(
+                yield LibraryFinding(
                     "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
                 )
 
@@ -215,24 +233,30 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
 def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
     names = library[SIGNATURE].values.tolist()
     if not names:
-        yield _finding("paint-names", "there is no paint", "at least one")
+        yield LibraryFinding("paint-names", "there is no paint", "at least one")
     if odd := [name for name in names if not isinstance(name, str) or not name.strip()]:
-        yield _finding("paint-names", f"{len(odd)} names are empty or no text", "a text for every paint")
+        yield LibraryFinding(
+            "paint-names", f"{len(odd)} names are empty or no text", "a text for every paint"
+        )
     if twice := sorted({str(name) for name in names if names.count(name) > 1}):
-        yield _finding("paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint")
+        yield LibraryFinding(
+            "paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint"
+        )
 
 
 def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
     wavelength = library["wavelength"]
     values = np.asarray(wavelength.values, np.float64)
     if wavelength.attrs.get("units") != "nm":
-        yield _finding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
+        yield LibraryFinding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
     low, high = _WAVELENGTH_RANGE_NM
     if not np.isfinite(values).all() or values.min(initial=low) < low or values.max(initial=high) > high:
-        yield _finding("wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm")
+        yield LibraryFinding(
+            "wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm"
+        )
     steps = np.diff(values)
     if not ((steps > 0).all() or (steps < 0).all()):
-        yield _finding(
+        yield LibraryFinding(
             "wavelength-order",
             f"{int((steps == 0).sum())} stand twice, or they turn back",
             "rising or falling",
@@ -240,21 +264,21 @@ def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
     if "fwhm" in library.variables:
         fwhm = np.asarray(library["fwhm"].values, np.float64)
         if library["fwhm"].attrs.get("units") != "nm" or not (fwhm[np.isfinite(fwhm)] > 0).all():
-            yield _finding(
+            yield LibraryFinding(
                 "fwhm", f"{np.nanmin(fwhm):g} {library['fwhm'].attrs.get('units')}", "positive, in nm"
             )
     if "good" in library.variables and library["good"].dtype != bool:
-        yield _finding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
+        yield LibraryFinding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
 
 
 def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
     reflectance = library[CENTRE]
     if reflectance.attrs.get("units") != "1":
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-units", f"units are {reflectance.attrs.get('units')!r}", "'1', a fraction"
         )
     if reflectance.dtype.kind != "f":
-        yield _finding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
+        yield LibraryFinding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
         return
     values = reflectance.transpose(SIGNATURE, BAND).values
     low, high = _REFLECTANCE_RANGE
@@ -265,40 +289,41 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
         odd = ((values < low) | (values > high) | np.isinf(values)) & good
     if odd.any():
         where = _paints_of(library, odd.any(axis=1))
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-range", f"{_extremes(values[odd])} in {where}", f"{low:g} to {high:g} in good bands"
         )
     if (empty := ~np.isfinite(values).any(axis=1)).any():
-        yield _finding(
+        yield LibraryFinding(
             "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in some band"
         )
 
 
 def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare spread and uncertainty: there or said to be unknown, never negative."""
+    """Check spread and uncertainty: present or declared unknown, never negative."""
     stated = False
     for name in _SPREADS:
         if name in library.variables:
             values = library[name].values
             stated |= bool(np.isfinite(values).any())
             if (values < 0).any():
-                yield _finding("uncertainty-sign", f"{name} is negative", "0 or more")
+                yield LibraryFinding("uncertainty-sign", f"{name} is negative", "0 or more")
             if library[name].attrs.get("units") != "1":
-                yield _finding(
+                yield LibraryFinding(
                     "uncertainty-units", f"{name} has units {library[name].attrs.get('units')!r}", "'1'"
                 )
     if not stated and library.attrs.get("uncertainty") != UNKNOWN:
-        yield _finding(
-            "uncertainty", "neither spread nor uncertainty",
+        yield LibraryFinding(
+            "uncertainty",
+            "neither spread nor uncertainty",
             f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
-        )  # fmt: skip
+        )
     if "reflectance_quantiles" in library.variables and "quantile" in library.variables:
         levels = library["quantile"].values
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
         if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
-            yield _finding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
+            yield LibraryFinding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
         elif (np.diff(values, axis=1) < 0).any():
-            yield _finding("quantiles", "a higher quantile lies lower", "rising with their level")
+            yield LibraryFinding("quantiles", "a higher quantile lies lower", "rising with their level")
 
 
 def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -306,50 +331,58 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
         name: library[name].values for name in ("n", "n_eff") if name in library.variables
     }
     if "n" in counts and (counts["n"] < 1).any():
-        yield _finding("n", f"{counts['n'].min()} pixels", "1 or more")
+        yield LibraryFinding("n", f"{counts['n'].min()} pixels", "1 or more")
     if len(counts) == 2 and (counts["n_eff"] > counts["n"] * (1 + 1e-6)).any():
-        yield _finding("n", "more independent pixels than pixels", "n_eff at most n")
+        yield LibraryFinding("n", "more independent pixels than pixels", "n_eff at most n")
     if "member_reflectance" in library.variables:
         members = library["member_reflectance"].transpose(SIGNATURE, "member", BAND)
         if members.sizes["member"] and not np.isfinite(members.values).any():
-            yield _finding("members", "no member has a value", "spectra of single pixels, or none of them")
+            yield LibraryFinding(
+                "members", "no member has a value", "spectra of single pixels, or none of them"
+            )
 
 
 def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare angles and times."""
+    """Check angles and times."""
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values = np.asarray(library[name].values, np.float64)
             inside = values[np.isfinite(values)]
             if library[name].attrs.get("units") != "degree" or ((inside < low) | (inside > high)).any():
                 found = f"{name} {_extremes(inside)} {library[name].attrs.get('units')}"
-                yield _finding("angles", found, f"{low:g} to {high:g} degree")
+                yield LibraryFinding("angles", found, f"{low:g} to {high:g} degree")
     if "time" in library.variables and library["time"].dtype.kind != "M":
-        yield _finding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
+        yield LibraryFinding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
     if "diffuse_fraction" in library.variables:
         share = library["diffuse_fraction"].values
         if ((share < 0) | (share > 1)).any():
-            yield _finding("diffuse-fraction", _extremes(share), "0 to 1")
+            yield LibraryFinding("diffuse-fraction", _extremes(share), "0 to 1")
 
 
-def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Compare words: version, title, and every term."""
+def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
+    """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):
-        yield _finding(
+        yield LibraryFinding(
             "version", f"{VERSION_NAME} is {version!r}", f"{VERSION}; hp.io.declare_library sets it"
         )
     title = library.attrs.get("title")
-    if not isinstance(title, str) or not title.strip() or len(title) > _LONGEST_TEXT:
-        yield _finding("title", f"title is {title!r:.40}", "a text")
-    said = library_terms(library)
+    if not isinstance(title, str) or not title.strip() or len(title) > _MAX_TEXT_CHARS:
+        yield LibraryFinding("title", f"title is {title!r:.40}", "a text")
+    declared = library_terms(library)
     for term in TERMS:
-        words = said[term.name] if isinstance(said[term.name], list) else [said[term.name]]
+        words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
         expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
-        if said[term.name] is None:
-            yield _finding(term.name, "not said", expected)
-        elif odd := sorted({str(word) for word in words if not _is_word(word, term)}):
-            yield _finding(term.name, _some(odd), expected)
+        invalid = {
+            str(word)
+            for word in words
+            if not (isinstance(word, str) and word.strip() and len(word) <= _MAX_TEXT_CHARS)
+            or (term.words and word not in term.words)
+        }
+        if declared[term.name] is None:
+            yield LibraryFinding(term.name, "not said", expected)
+        elif invalid:
+            yield LibraryFinding(term.name, _some(sorted(invalid)), expected)
     contradiction = {
         BODY: INCLUDED,
         THROUGH_COAT: INCLUDED,
@@ -357,29 +390,21 @@ def _said(library: xr.Dataset) -> Iterator[LibraryFinding]:
         "8/d SCI": EXCLUDED,
         "8/d SCE": INCLUDED,
     }
-    for quantity, component in _pairs(said["quantity"], said["specular_component"]):
-        if contradiction.get(quantity) == component:
-            yield _finding(
+    # the two words of every paint, each declared for all paints or for each
+    both = (declared["quantity"], declared["specular_component"])
+    size = max(len(words) if isinstance(words, list) else 1 for words in both)
+    lists = (words if isinstance(words, list) else [words] * size for words in both)
+    for quantity, component in zip(*lists, strict=False):
+        if contradiction.get(str(quantity)) == str(component):
+            yield LibraryFinding(
                 "contradiction", f"{quantity}, specular component {component}", "both to say the same"
             )
             break
 
 
-def _is_word(word: Any, term: Term) -> bool:
-    is_text = isinstance(word, str) and bool(word.strip()) and len(word) <= _LONGEST_TEXT
-    return is_text and (not term.words or word in term.words)
-
-
-def _pairs(first: Any, second: Any) -> Iterator[tuple[str, str]]:
-    """Yield two words of every paint, each said of all or of each."""
-    size = max(len(each) if isinstance(each, list) else 1 for each in (first, second))
-    lists = (each if isinstance(each, list) else [each] * size for each in (first, second))
-    yield from zip(*([str(word) for word in words] for words in lists), strict=False)
-
-
 def _some(names: list[str]) -> str:
-    shown = ", ".join(f"{name!r:.60}" for name in names[:_MOST_NAMES])
-    return shown if len(names) <= _MOST_NAMES else f"{shown} and {len(names) - _MOST_NAMES} more"
+    shown = ", ".join(f"{name!r:.60}" for name in names[:_MAX_NAMES])
+    return shown if len(names) <= _MAX_NAMES else f"{shown} and {len(names) - _MAX_NAMES} more"
 
 
 def _paints_of(library: xr.Dataset, chosen: Array) -> str:

@@ -12,10 +12,10 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
-MOST_BYTES = 32 * 2**20
-"""Bytes of a text file that is read whole: 100,000 bands of 30 spectra."""
+#: Largest text file [bytes]: 100,000 bands of 30 spectra.
+MAX_BYTES = 32 * 2**20
 
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 _BREAK = re.compile(r"\r\n|\r|\n")
 _MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
@@ -27,19 +27,27 @@ _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re
 def lines_of(path: Path, expected: str) -> list[str]:
     """Return the lines of a text file, in UTF-8 or else latin-1.
 
-    Raises FormatError: The file cannot be read, is too large, or is no text.
+    Raises FormatError: The file cannot be read, is too large, or is binary.
     """
-    raw = read_limited_text(path, MOST_BYTES, expected)
+    raw = read_limited_text(path, MAX_BYTES, expected)
     if b"\0" in raw:
-        raise FormatError(f"{path}: holds NUL bytes, expected {expected}; UTF-16 text must be saved as UTF-8")
+        raise FormatError(
+            f"{path}: holds NUL bytes",
+            expected=expected,
+            mend="save UTF-16 text as UTF-8",
+            code="text-unreadable",
+        )
     return _BREAK.split(decoded_text(raw))
 
 
 def numbers_of_lines(
-    lines: Sequence[str], first: int, columns: int, source: str,
+    lines: Sequence[str],
+    first: int,
+    columns: int,
+    source: str,
     numbers_of: Callable[[str], list[float] | None] | None = None,
-) -> Floats:  # fmt: skip
-    """Return lines of numbers, (line, column); empty lines are passed over.
+) -> Floats:
+    """Return lines of numbers as an array (line, column); empty lines are skipped.
 
     first: Index of the first line of numbers.
     columns: Numbers of each line.
@@ -53,8 +61,12 @@ def numbers_of_lines(
             continue
         row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
         if row is None or len(row) != columns:
-            problems.add(f"line {at}: {line.strip()[:60]!r}, expected {columns} number{'s'[: columns - 1]}")
-            if len(problems) == _MOST_SHOWN:
+            problems.add(
+                f"line {at}: {line.strip()[:60]!r}",
+                expected=f"{columns} number{'s'[: columns - 1]}",
+                code="row-unreadable",
+            )
+            if len(problems) == _MAX_SHOWN:
                 break
         else:
             rows.append(np.array(row, np.float64))
@@ -63,31 +75,36 @@ def numbers_of_lines(
 
 
 def in_nanometres(values: Floats, factor: float) -> Floats:
-    """Return wavelengths [nm]; those of a damaged file may become infinite, which is refused later."""
+    """Return wavelengths [nm]; overflow of a damaged file becomes infinity, which is refused later."""
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     return nanometres
 
 
 def other_quantity(text: str) -> str:
-    """Return the word that says that values are no reflectance; empty where there is none."""
+    """Return the word that names another quantity than reflectance; empty without one."""
     match = _OTHER_QUANTITY.search(text)
     return match[0] if match and "reflect" not in text.lower() else ""
 
 
 def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:
-    """Return the nanometres of one unit of the wavelengths, and a note where that is inferred.
+    """Return the nanometres of one unit of the wavelengths, and a note where the unit is inferred.
 
     text: What the file says of its wavelengths; may be empty.
     wavelength: Their numbers.
-    Raises FormatError: They are no wavelengths, but wavenumbers, say.
+    Raises FormatError: The text names another unit, such as wavenumbers.
     """
     if _MICROMETRE.search(text):
         return 1e3, ""
     if _NANOMETRE.search(text):
         return 1.0, ""
     if other_unit := _OTHER.search(text):
-        raise FormatError(f"{source}: x in {other_unit[0]!r}, expected nm or um; pass wavelength=")
+        raise FormatError(
+            f"{source}: x in {other_unit[0]!r}",
+            expected="nm or um",
+            mend="pass wavelength=",
+            code="units-unknown",
+        )
     if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
         return 1e3, "no wavelength units: values below 100 taken as micrometres"
     return 1.0, "no wavelength units: values taken as nanometres"

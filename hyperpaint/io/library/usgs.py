@@ -21,17 +21,17 @@ _TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNOR
 _MEASUREMENT = re.compile(r"[A-Z]{4}")
 _AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
-_MOST_CANDIDATES = 64
+_MAX_CANDIDATES = 64
 _LEVELS = 3  # chapters lie in folders of their own
 
 
 def is_usgs(head: str) -> bool:
-    """Tell from its first line whether a text is a file of the library."""
+    """Return whether the first line of a text is that of a USGS spectrum."""
     return _TITLE.match(head.partition("\n")[0]) is not None
 
 
 def is_usgs_axis(head: str) -> bool:
-    """Tell from its first line whether a file holds wavelengths or bandwidths."""
+    """Return whether the first line of a text is that of USGS wavelengths or bandwidths."""
     return _AXIS.match(head.partition("\n")[0]) is not None
 
 
@@ -41,7 +41,7 @@ def read_usgs(
     """Read a spectrum of the USGS library.
 
     scale: Value of a reflectance of one, 1 by default.
-    wavelength, fwhm: Of the bands [nm]; by default those of files beside the spectrum, or in the two folders
+    wavelength, fwhm: Of the bands [nm]; by default from files beside the spectrum, or in the two folders
         above it.
     Raises FormatError: The numbers are not as they should be; it is no reflectance; or its wavelengths cannot
         be found.
@@ -50,61 +50,71 @@ def read_usgs(
     title, values = _column(path)
     record = _TITLE.match(title)
     heading = record[3].strip() if record else title.strip()
-    name, spectrometer, measurement = _parts(heading)
+    name, spectrometer, measurement = heading, "", ""
+    words = heading.rsplit(None, 2)
+    if len(words) == 3 and _MEASUREMENT.fullmatch(words[2]):
+        name, spectrometer, measurement = words
     if is_usgs_axis(title):
-        raise FormatError(f"{source}: {heading[:60]!r} is no spectrum; pass the file as wavelength= or fwhm=")
+        raise FormatError(
+            f"{source}: {heading[:60]!r} holds no spectrum",
+            expected="reflectance",
+            mend="pass the file as wavelength= or fwhm=",
+            code="quantity-wrong",
+        )
     if measurement == "TRAN":
-        raise FormatError(f"{source}: {heading[:60]!r} is a transmittance, expected reflectance")
+        raise FormatError(
+            f"{source}: {heading[:60]!r} is a transmittance", expected="reflectance", code="quantity-wrong"
+        )
     notes: list[str] = []
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
         raise FormatError(
-            f"{source}: no file of {values.size} wavelengths beside it or in the folders above; pass "
-            "wavelength=, the library's file '..._Wavelengths_...txt' of its spectrometer"
-            f"{' ' + spectrometer if spectrometer else ''}"
+            f"{source}: no file of {values.size} wavelengths beside it or in the folders above",
+            mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
+            code="wavelength-missing",
         )
     width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
     columns = {"spectrometer": spectrometer, "measurement": measurement}
     if record:
         columns |= {"library": record[1], "record": record[2]}
     return Spectra(
-        source=source, form="USGS spectral library text", names=[name], wavelength=nm, fwhm=width,
-        reflectance=reflectances(values[None, :], source, said=None, given=scale),
-        columns={key: text_column([value]) for key, value in columns.items()}, notes=notes,
-    )  # fmt: skip
-
-
-def _parts(heading: str) -> tuple[str, str, str]:
-    """Return the name, the spectrometer and the kind of measurement, such as AREF, that a heading says."""
-    words = heading.rsplit(None, 2)
-    if len(words) < 3 or not _MEASUREMENT.fullmatch(words[2]):
-        return heading, "", ""
-    return words[0], words[1], words[2]
+        source=source,
+        form="USGS spectral library text",
+        names=[name],
+        wavelength=nm,
+        fwhm=width,
+        reflectance=reflectances(values[None, :], source, file_scale=None, scale=scale),
+        columns={key: text_column([value]) for key, value in columns.items()},
+        notes=notes,
+    )
 
 
 def _column(path: Path) -> tuple[str, Floats]:
-    """Return the title of a file and its values."""
     lines = lines_of(path, "a file of the USGS spectral library")
     values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
     if values.size < 2:
-        raise FormatError(f"{path.name}: {values.size} values, expected a title and one value a line")
+        raise FormatError(
+            f"{path.name}: {values.size} values",
+            expected="a title and one value a line",
+            code="table-missing",
+        )
     return lines[0], values
 
 
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
-    """Return the wavelengths or bandwidths that a file of the library holds [nm], and a note on their units.
+    """Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
 
     Raises FormatError: The file is damaged, or holds something else.
     """
     title, values = _column(path)
     factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
     if not np.isfinite(values).all():
-        raise FormatError(f"{path.name}: not all of its {values.size} values are finite")
+        raise FormatError(f"{path.name}: not all of its {values.size} values are finite", code="not-finite")
     return in_nanometres(values, factor), note
 
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
-    """Return the wavelengths or bandwidths found near a spectrum; None where none has as many values."""
+    """Return the wavelengths or bandwidths from a file near a spectrum; None without one of equal length."""
     axes = {}
     for file in _candidates(path, kind):
         try:
@@ -119,7 +129,11 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
     if len({values.tobytes() for values, _ in axes.values()}) > 1:
         listed = ", ".join(sorted(file.name for file in axes))
         option = "wavelength=" if kind == "wave" else "fwhm="
-        raise FormatError(f"{path.name}: {listed} have {count} values each; pass {option}, the right one")
+        raise FormatError(
+            f"{path.name}: {listed} have {count} values each",
+            mend=f"pass the right one as {option}",
+            code="wavelength-ambiguous",
+        )
     for file, (values, note) in axes.items():
         notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
         return values
@@ -127,7 +141,7 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 
 
 def _candidates(path: Path, kind: str) -> list[Path]:
-    """Return the files that may hold an axis, of the nearest folder that has any."""
+    """Return the files that may hold an axis, from the nearest folder with any."""
     words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
     folder = path.absolute().parent
     for above in [folder, *folder.parents][:_LEVELS]:
@@ -136,8 +150,8 @@ def _candidates(path: Path, kind: str) -> list[Path]:
         except OSError:
             continue
         fitting = [n for n in names if n.lower().endswith(".txt") and any(w in n.lower() for w in words)]
-        if kind != "wave":  # spectra convolved to another spectrometer say so in their names
+        if kind != "wave":  # names of spectra convolved to another spectrometer hold "wavelength"
             fitting = [name for name in fitting if "wavelength" not in name.lower()]
         if fitting:
-            return [above / name for name in fitting[:_MOST_CANDIDATES] if (above / name) != path.absolute()]
+            return [above / name for name in fitting[:_MAX_CANDIDATES] if (above / name) != path.absolute()]
     return []

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
@@ -17,9 +19,6 @@ from .ecostress import write_ecostress_library
 from .envi_library import write_envi_library
 from .parquet_library import write_parquet_library
 from .records import CENTRE, checked_library, spectral_variables
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
@@ -44,14 +43,17 @@ _WRITERS: dict[str, Callable[..., Any]] = {
     "parquet": write_parquet_library,
     "zarr": _write_store,
 }
+#: Names of the formats.
 FORMATS = tuple(_WRITERS)
-"""Names of the formats."""
 
+#: Curves that each format can hold, the default first.
 _CURVES = {
-    "envi": ("centre", "all"), "ecostress": ("centre",), "csv": ("centre", "all"), "zarr": ("all", "centre"),
+    "envi": ("centre", "all"),
+    "ecostress": ("centre",),
+    "csv": ("centre", "all"),
+    "zarr": ("all", "centre"),
     "parquet": ("centre", "all"),
-}  # fmt: skip
-"""What of a paint each format can hold, the default first."""
+}
 
 _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 
@@ -87,12 +89,12 @@ def write_library(
     ----------
     library
         A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
-        (signature, band), `wavelength` (band), and whatever else is known of the paints.
+        (signature, band), `wavelength` (band), and further properties of the paints.
     path
         The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
         to a name without a suffix.
     format
-        One of the above; by default that of the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
+        One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
     curves
         ``centre`` for one spectrum a paint, the default of all but ``zarr``: members,
         quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``;
@@ -110,12 +112,12 @@ def write_library(
     Raises
     ------
     FormatError
-        The format is unknown, or cannot be told from the suffix.
+        The format is unknown, or the suffix names none.
     SchemaError
         ``curves`` is none that the format holds; it is no paint library; or names, values or attributes are
         such that the format cannot hold them; all problems are listed.
     StoreError
-        Something is there already, is being written, or cannot be written; what was there stays.
+        The target exists, is being written by another process, or cannot be written; it stays unchanged.
     UnitsError
         Units cannot be read.
     MissingExtraError
@@ -141,30 +143,29 @@ def write_library(
     path = Path(path)
     chosen = _OF_SUFFIX.get(path.suffix.lower()) if format is None else format
     if chosen not in _WRITERS:
-        given = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr"
+            requested,
+            expected=f"format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr",
+            code="choice-unknown",
         )
     kinds = _CURVES[chosen]
     if curves is not None and curves not in kinds:
-        raise SchemaError(f"curves={curves!r}, expected {' or '.join(kinds)} for {chosen}")
+        raise SchemaError(
+            f"curves={curves!r}", expected=f"{' or '.join(kinds)} for {chosen}", code="choice-unknown"
+        )
     path = _named(path, chosen)
     library = checked_library(with_whole_numbers(library, LIBRARY_VARIABLES))
     if (curves or kinds[0]) == "centre":
-        library = _centres(library)
+        others = [name for name in spectral_variables(library) if name != CENTRE]
+        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
+        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
     _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
     return path
 
 
-def _centres(library: xr.Dataset) -> xr.Dataset:
-    """Return a library with one spectrum a paint, and what belongs to no other."""
-    others = [name for name in spectral_variables(library) if name != CENTRE]
-    inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
-    return library.drop_vars(others).drop_dims(inner, errors="ignore")
-
-
 def _named(path: Path, format: str) -> Path:
-    """Return the file that is written: under a name that is known again."""
+    """Return the path of the written file, with a suffix that `open_library` recognises."""
     if format == "envi":
         own = path.suffix.lower() in (".sli", ".hdr")
         return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")

@@ -1,1 +1,1 @@
-"""Navigation of any format as one dataset whose conventions are declared; control points; clocks."""
+"""Navigation of any format as one dataset with declared conventions; control points; clocks."""

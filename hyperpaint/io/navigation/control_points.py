@@ -1,4 +1,4 @@
-"""Ground control points: where a surveyed point is on the ground, and where in a picture it is seen."""
+"""Ground control points: surveyed coordinates, and the pixels where the points are visible."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import re
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
 from hyperpaint.base.units import is_unit, same_dimension
@@ -18,13 +18,10 @@ from hyperpaint.io.files.text_tables import name_rows, table_of
 
 from .navigation_records import limited_numbers
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _MAX_BYTES = 16 << 20
-_MOST_ROWS = 100_000
-_LARGEST = 1e8
-_SAME_UNIT = 1e-9  # of rounding; feet of two kinds differ by 2e-6
+_MAX_ROWS = 100_000
+_MAX_COORDINATE = 1e8
+_UNIT_TOLERANCE = 1e-9  # of rounding; international and US survey feet differ by 2e-6
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -48,7 +45,7 @@ _METRES = {
     "cm": 0.01,
     "mm": 0.001,
 }
-#: Words that make a label one of a length which is not read: refused, not taken for metres.
+#: Words for lengths other than metres: a label with one is refused, not taken for metres.
 _LENGTHS = {
     *("yd", "yds", "yard", "yards", "inch", "inches", "mi", "mile", "miles", "nmi"),
     *("furlong", "furlongs", "fathom", "fathoms", "chain", "chains"),
@@ -61,7 +58,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
     The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
     at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, in
-    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (what else stands in
+    metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (other text in
     brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); and, where they
     are of several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A
     comment ``# crs: EPSG:32617`` before the header names the map; east and north come out in its
@@ -82,7 +79,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     Raises
     ------
     FormatError
-        The file cannot be read; columns are missing or doubled, or in a unit that is none of length; cells
+        The file cannot be read; columns are missing or duplicate, or not in a unit of length; cells
         are no finite numbers; all problems, up to a few, are listed.
     MissingExtraError
         The file names a map, coordinates in another unit than metres, and pyproj is not installed.
@@ -97,16 +94,18 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     >>> points.attrs["crs"], points.along_track_pixel.values.tolist(), points.name.values.tolist()
     ('EPSG:32617', [10.5], ['A'])
     """
-    import xarray as xr
-
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
     problems = Problems(f"{path} cannot be used as control points", FormatError)
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
-    if len(rows) < 2 or len(rows) > _MOST_ROWS:
-        raise FormatError(f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}")
+    if len(rows) < 2 or len(rows) > _MAX_ROWS:
+        raise FormatError(
+            f"{path}: {max(len(rows) - 1, 0)} points",
+            expected=f"a header and 1 to {_MAX_ROWS}",
+            code="table-missing",
+        )
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
     cells = _cells(rows[0][1], mark)
     headings = [column_heading(cell) for cell in cells]
@@ -114,27 +113,40 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
     for name in _NUMBERS:
         if header.count(name) != 1:
-            problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
+            problems.add(
+                f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
+                expected="one",
+                code="column-missing",
+            )
     for name, cell in zip(header, cells, strict=True):
         if name.endswith("_track") and _ONE_BASED.search(cell):
             problems.add(
-                f"column {name!r} is {cell.strip()[:40]!r}, expected pixels counted from 0; subtract 1"
+                f"column {name!r} is {cell.strip()[:40]!r}",
+                expected="pixels counted from 0",
+                mend="subtract 1",
+                code="pixel-origin",
             )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
-    crs = _crs(comments)
+    # the last CRS in the comments
+    pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
+    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
+    crs = maps[-1][:10_000] if maps else None
     named = {units[name] for name in ("east", "north")} - {""}
-    # without pyproj, metres stay what they are: a use of the map asks for it
+    # without pyproj, metres stay unchanged: pyproj is needed only where the CRS is used
     of_map = crs and (any(_metres(unit) != 1.0 for unit in named) or (named and find_spec("pyproj")))
     axis = _map_axis(crs, problems) if crs and of_map else None
     numbers = {
-        name: limited_numbers(table, name, _LARGEST, problems)
+        name: limited_numbers(table, name, _MAX_COORDINATE, problems)
         * _factor(name, units[name], problems, axis if name in ("east", "north") else None)
         for name in _NUMBERS
     }
     for name, values in numbers.items():
         if np.isnan(values).any():
-            problems.add(f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}")
+            problems.add(
+                f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}",
+                code="not-finite",
+            )
     problems.raise_if_any()
     keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
     texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}
@@ -155,15 +167,8 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     return points if crs is None else points.assign_attrs(crs=crs)
 
 
-def _crs(comments: list[str]) -> str | None:
-    """Return the map that comments name, the last where there are several."""
-    pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
-    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
-    return maps[-1][:10_000] if maps else None
-
-
 def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
-    """Return the unit of a map's axes, and the metres, or radians, of one."""
+    """Return the unit of the axes of a CRS, and its size in metres or radians."""
     with needs_extra("pyproj", "geo", "the unit of a map of control points"):
         import pyproj
     try:
@@ -174,7 +179,11 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
         axes = []
     units = {(axis.unit_name, axis.unit_conversion_factor) for axis in axes}
     if len(units) != 1:
-        problems.add(f"crs {crs[:80]!r} names no map whose unit PROJ knows, expected such as 'EPSG:32617'")
+        problems.add(
+            f"crs {crs[:80]!r} is unknown, or PROJ knows no unit of it",
+            expected="a CRS such as 'EPSG:32617'",
+            code="crs-unknown",
+        )
         return None
     return units.pop()
 
@@ -189,7 +198,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def column_heading(cell: str) -> tuple[str, str]:
-    """Return the name of a column, and the unit that follows it; empty without one, whatever else follows.
+    """Return the name of a column, and its unit, empty without one.
 
     Examples
     --------
@@ -205,10 +214,14 @@ def column_heading(cell: str) -> tuple[str, str]:
 
 
 def metres_of(name: str, unit: str, problems: Problems) -> float:
-    """Return the metres of one unit of a column; 1 where none is given, or one of something else."""
+    """Return the metres of one unit of a column; 1 without a unit, or with a wrong one, which is noted."""
     metres = _metres(unit or "m")
     if metres is None:
-        problems.add(f"column {name!r} in {unit!r:.40}, expected a unit of length, such as [m] or [ft]")
+        problems.add(
+            f"column {name!r} in {unit!r:.40}",
+            expected="a unit of length, such as [m] or [ft]",
+            code="units-unknown",
+        )
     return metres or 1.0
 
 
@@ -217,29 +230,35 @@ def _metres(unit: str) -> float | None:
 
 
 def _is_unit(text: str) -> bool:
-    # a number of metres is none, but too near one to be passed over as a label
+    # units of other kinds, and words of lengths, are no labels
     if is_unit(text) or same_dimension(text, "m") or text.lower() == "in":
         return True
     return not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
-    """Return the metres, pixels, or units of a map's axis, of one unit of a column; 1 where none is given."""
+    """Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit."""
     if name.endswith("_track"):
         if unit.lower() not in _PIXELS:
-            problems.add(f"column {name!r} in {unit!r:.40}, expected pixels, counted from 0")
+            problems.add(
+                f"column {name!r} in {unit!r:.40}", expected="pixels, counted from 0", code="units-unknown"
+            )
         return 1.0
     if axis is None or not unit:
         return metres_of(name, unit, problems)
     of_axis, size = axis
-    # whoever writes ft beside a map in US survey feet means those of the map
+    # ft beside a CRS in US survey feet means the feet of the CRS
     if unit.lower() in ("ft", "foot", "feet") and "foot" in of_axis.lower():
         return 1.0
     if _metres(of_axis) is None:
         if unit.lower() != of_axis.lower() and not (
             of_axis == "degree" and unit.lower().startswith(("deg", "°"))
         ):
-            problems.add(f"column {name!r} in {unit!r:.40}, expected {of_axis!r}, the unit of the crs")
+            problems.add(
+                f"column {name!r} in {unit!r:.40}",
+                expected=f"{of_axis!r}, the unit of the crs",
+                code="units-conflict",
+            )
         return 1.0
     factor = metres_of(name, unit, problems) / size
-    return 1.0 if abs(factor - 1.0) < _SAME_UNIT else factor
+    return 1.0 if abs(factor - 1.0) < _UNIT_TOLERANCE else factor

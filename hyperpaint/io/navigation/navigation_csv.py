@@ -1,4 +1,4 @@
-"""Navigation as a plain table: a header that names columns and units, and comments that say the rest."""
+"""Navigation as a table of text: a header of names and units, and comments with the conventions."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
@@ -19,14 +20,11 @@ from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_te
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-_LARGEST = 2**28
-_MOST_COLUMNS = 1000
-_MOST_COMMENTS = 1000
-_LATEST_S = 7e9
-"""Seconds from 1970, or 1980, to the end of the 22nd century."""
+_MAX_BYTES = 2**28
+_MAX_COLUMNS = 1000
+_MAX_COMMENTS = 1000
+#: Largest time [s], counted from 1970 or 1980: end of the 22nd century.
+_MAX_TIME_S = 7e9
 _ALIASES: Mapping[str, str] = {
     **dict.fromkeys(("latitude", "lat"), "latitude"),
     **dict.fromkeys(("longitude", "lon", "lng", "long"), "longitude"),
@@ -35,7 +33,7 @@ _ALIASES: Mapping[str, str] = {
     "pitch": "pitch",
     **dict.fromkeys(("heading", "yaw", "true heading"), "heading"),
 }
-#: What a time column counts from, by its name; "" where only a stamp with a zone tells.
+#: Origin of a time column by its name; "" where a stamp with a zone is needed.
 _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("utc", "utc time", "time utc"), "utc"),
     **dict.fromkeys(("time", "timestamp", "datetime", "date time"), ""),
@@ -55,7 +53,7 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the header: its place, and the unit that follows its name."""
+    """One column of the header: its name and unit."""
 
     key: str
     shown: str
@@ -63,10 +61,10 @@ class _Column:
 
 
 def is_navigation_csv(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is such a table: its header names a place and an attitude."""
+    """Return whether the header of a file names position and attitude."""
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MOST_COLUMNS)}
+    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MAX_COLUMNS)}
     return {"latitude", "longitude", "roll", "pitch"} <= names
 
 
@@ -84,13 +82,13 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     names: Headings of a table that has none, with units, in the order of its columns; those of columns that
         are not wanted may be anything else. Its cells may be parted by blanks, too.
     Returns PoseRecord: Angles in radian where all three are, else in degree.
-    Raises FormatError: Columns or units are missing, or cells are not what the header says; all are listed.
+    Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
     comments, header, table = _split(path, names)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    convention, assumed, said = _declared(comments, problems)
+    convention, assumed, clock_settings = _declared(comments, problems)
     columns = _columns(header, problems)
     problems.raise_if_any()
     unit = _angle_unit(columns, convention, "angle_unit" not in assumed, problems)
@@ -98,32 +96,38 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     for name in POSE:
         wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
         values[name] = _values(table, columns[name], wanted, problems)
-    stamp, has_time, clock = _stamps(table, columns["time"], said, problems)
+    stamp, has_time, clock = _stamps(table, columns["time"], clock_settings, problems)
     if not len(problems):  # the same cells would be named twice
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
     if not has_time.any():
-        raise FormatError(f"{path}: no row with a time")
+        raise FormatError(f"{path}: no row with a time", code="time-missing")
     timed_stamps = stamp[has_time]
     if clock == "week":
         timed_stamps = unwrap_weeks(timed_stamps)
     refuse_backwards(path.name, timed_stamps, row="row")
     left_out = int((~has_time).sum())
     return PoseRecord(
-        path.name, "csv", timed_stamps, "week" if clock == "week" else "1970",
-        {name: value[has_time] for name, value in values.items()}, convention.replace(angle_unit=unit),
-        assumed=tuple(name for name in assumed if name != "angle_unit"), time_scale=_scale(said, clock),
-        week=said.get("gps_week"), leap_seconds=said.get("leap_seconds"),
+        path.name,
+        "csv",
+        timed_stamps,
+        "week" if clock == "week" else "1970",
+        {name: value[has_time] for name, value in values.items()},
+        convention.replace(angle_unit=unit),
+        assumed=tuple(name for name in assumed if name != "angle_unit"),
+        time_scale=clock_settings.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc"),
+        week=clock_settings.get("gps_week"),
+        leap_seconds=clock_settings.get("leap_seconds"),
         attrs={"rows_without_time": left_out} if left_out else {},
-    )  # fmt: skip
+    )
 
 
 # --- text --------------------------------------------------------------------------------------------------
 
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
-    """Return comments, header and cells; cells of columns that nobody asks for are dropped."""
-    text = read_text(path, _LARGEST, MOST_ROWS)
+    """Return comments, header and cells; unused columns are dropped."""
+    text = read_text(path, _MAX_BYTES, MOST_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
     for start, line in numbered_lines(text):  # noqa: B007
@@ -131,24 +135,30 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
             head = line
             break
         key, _, value = line.lstrip("# \t").partition(":")
-        if line.strip() and len(comments) < _MOST_COMMENTS:
+        if line.strip() and len(comments) < _MAX_COMMENTS:
             comments[_plain(key).replace(" ", "_")] = value.strip()
     separator = next((mark for mark in ("\t", ";", ",") if mark in head), "," if names is None else None)
-    cells = head.split(separator, _MOST_COLUMNS) if names is None else list(names)
+    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
     header = [_column(cell) for cell in cells]
-    if len(cells) > _MOST_COLUMNS or not any(column.key in _ALIASES for column in header):
+    if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
         shown = head.strip()[:80] if names is None else ", ".join(cells)[:80]
         raise FormatError(
-            f"{path}: expected a header that names {', '.join(POSE)} and a time, found {shown!r}; "
-            "those of a table without one are given as columns="
+            f"{path}: the header is {shown!r}",
+            expected=f"names of {', '.join(POSE)} and a time",
+            mend="pass columns= for a table without a header",
+            code="header-missing",
         )
     first = start + (names is None)
     rows = (
-        (number, line.strip().split(separator, len(header)) if separator is None else
-         line.split(separator, len(header)))
+        (
+            number,
+            line.strip().split(separator, len(header))
+            if separator is None
+            else line.split(separator, len(header)),
+        )
         for number, line in numbered_lines(text)
         if number >= first and line.strip() and not line.lstrip().startswith("#")
-    )  # fmt: skip
+    )
     return comments, header, table_of(path, [column.shown for column in header], rows)
 
 
@@ -168,13 +178,13 @@ def _column(cell: str) -> _Column:
     return _Column(key, shown, unit.strip() if unit is not None else None)
 
 
-# --- what the file says of itself --------------------------------------------------------------------------
+# --- declarations in comments ------------------------------------------------------------------------------
 
 
 def _declared(
     comments: Mapping[str, str], problems: Problems
 ) -> tuple[Convention, list[str], dict[str, Any]]:
-    """Return the convention, what of it is assumed, and what is said of the clock."""
+    """Return the convention, its assumed fields, and the clock settings in the comments."""
     names = {field.name for field in fields(Convention)}
     declared: dict[str, Any] = {}
     for key, value in comments.items():
@@ -183,35 +193,45 @@ def _declared(
             try:
                 declared[name] = float(value)
             except ValueError:
-                problems.add(f"comment {key!r} is {value[:40]!r}, expected a number")
+                problems.add(
+                    f"comment {key!r} is {value[:40]!r}", expected="a number", code="number-unreadable"
+                )
         elif name in names:
             declared[name] = value
-    said: dict[str, Any] = {}
-    for name, most in (("gps_week", 11_479), ("leap_seconds", 100)):
+    clock_settings: dict[str, Any] = {}
+    for name, maximum in (("gps_week", 11_479), ("leap_seconds", 100)):
         text = comments.get(name)
         if text is None:
             continue
-        if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= most:
-            said[name] = int(text)
+        if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= maximum:
+            clock_settings[name] = int(text)
         else:
-            problems.add(f"comment {name!r} is {text[:40]!r}, expected a whole number up to {most}")
+            problems.add(
+                f"comment {name!r} is {text[:40]!r}",
+                expected=f"a whole number up to {maximum}",
+                code="value-out-of-range",
+            )
     if "time_scale" in comments:
         if comments["time_scale"].lower() in ("gps", "utc"):
-            said["time_scale"] = comments["time_scale"].lower()
+            clock_settings["time_scale"] = comments["time_scale"].lower()
         else:
-            problems.add(f"comment 'time_scale' is {comments['time_scale'][:40]!r}, expected 'gps' or 'utc'")
+            problems.add(
+                f"comment 'time_scale' is {comments['time_scale'][:40]!r}",
+                expected="'gps' or 'utc'",
+                code="choice-unknown",
+            )
     convention = Convention()
     try:
         convention = Convention(**declared)
     except SchemaError as error:
-        problems.add(str(error))
+        problems.add_error("", error)
     unsaid = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
     assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in unsaid]
-    return convention, assumed, said
+    return convention, assumed, clock_settings
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
-    """Return the columns of the pose and of the time; what is missing or doubled is noted."""
+    """Return the columns of pose and time; missing and duplicate ones are noted."""
     columns_by_name: dict[str, list[_Column]] = {}
     for column in header:
         name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
@@ -220,18 +240,26 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
     for name in (*POSE, "time"):
         if name not in columns_by_name:
             names = _CLOCKS if name == "time" else [key for key, value in _ALIASES.items() if value == name]
-            problems.add(f"no column of {name}; expected one named {' or '.join(map(repr, list(names)[:4]))}")
+            problems.add(
+                f"no column of {name}",
+                expected=f"one named {' or '.join(map(repr, list(names)[:4]))}",
+                code="column-missing",
+            )
         elif len(columns_by_name[name]) > 1:
             shown = ", ".join(repr(column.shown) for column in columns_by_name[name])
-            problems.add(f"{shown} are all {name}; keep one of them")
+            problems.add(f"{shown} are all {name}", mend="keep one of them", code="column-duplicate")
         elif name != "time" and columns_by_name[name][0].unit is None:
-            one, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
-            problems.add(f"column {one!r} has no unit; call it for example '{one} [{unit}]'")
+            heading, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
+            problems.add(
+                f"column {heading!r} has no unit",
+                mend=f"call it for example '{heading} [{unit}]'",
+                code="units-missing",
+            )
         elif name != "time":
             try:
                 conversion_factor(str(columns_by_name[name][0].unit), "m" if name == "altitude" else "degree")
             except UnitsError as error:
-                problems.add(f"column {columns_by_name[name][0].shown!r}: {error}")
+                problems.add_error(f"column {columns_by_name[name][0].shown!r}", error)
     return {name: columns[0] for name, columns in columns_by_name.items()}
 
 
@@ -241,7 +269,11 @@ def _angle_unit(
     radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
     unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
     if declared and convention.angle_unit != unit:
-        problems.add(f"comment 'angle_unit' is {convention.angle_unit!r}, the header says {unit!r}; drop one")
+        problems.add(
+            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+            mend="drop one",
+            code="units-conflict",
+        )
     return unit
 
 
@@ -257,68 +289,77 @@ def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> N
 
 
 def _stamps(
-    table: Table, column: _Column, said: Mapping[str, Any], problems: Problems
+    table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    """Return nanoseconds, which rows have a time, and what they count from."""
+    """Return nanoseconds, which rows have a time, and the origin of the stamps."""
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
     stamp = np.zeros(len(cells), np.int64)
-    first = next((cell for cell, here in zip(cells, has_time, strict=True) if here), "")
+    first = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
     if not first:
         return stamp, has_time, clock
     if ":" in first:
-        zoned = not clock and "time_scale" not in said
+        zoned = not clock and "time_scale" not in clock_settings
         stamp, wrong = _iso(cells, has_time, table.rows, zoned=zoned)
         if wrong.size:
             zone = " with a zone (or '# time_scale: utc')" if zoned else ""
             problems.add(
-                f"column {column.shown!r} is not like '2024-06-01T12:00:00.5Z'{zone} in {name_rows(wrong)}"
+                f"column {column.shown!r} is unreadable in {name_rows(wrong)}",
+                expected=f"times such as '2024-06-01T12:00:00.5Z'{zone}",
+                code="time-unreadable",
             )
         return stamp, has_time, clock if clock == "gps" else ""
     if clock in ("", "utc"):
         problems.add(
-            f"column {column.shown!r} holds numbers: from when do they count? Call it 'gps_time [s]' (from "
-            "1980-01-06), 'time_of_week [s]' or 'unix_time [s]'"
+            f"column {column.shown!r} holds numbers without an origin",
+            mend="name it 'gps_time [s]' (from 1980-01-06), 'time_of_week [s]' or 'unix_time [s]'",
+            code="time-origin-unknown",
         )
         return stamp, has_time, clock
     try:
         factor = conversion_factor(str(column.unit or "no unit"), "s")
     except UnitsError:
-        problems.add(f"column {column.shown!r} has no unit of time; call it for example '{column.key} [s]'")
+        problems.add(
+            f"column {column.shown!r} has no unit of time",
+            mend=f"name it for example '{column.key} [s]'",
+            code="units-missing",
+        )
         return stamp, has_time, clock
     return _counted(table, column, [cell or "0" for cell in cells], factor, clock, problems, has_time)
 
 
 def _counted(
-    table: Table, column: _Column, cells: list[str], factor: float, clock: str, problems: Problems,
+    table: Table,
+    column: _Column,
+    cells: list[str],
+    factor: float,
+    clock: str,
+    problems: Problems,
     has_time: NDArray[np.bool_],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:  # fmt: skip
-    """Return the stamps of a column of numbers."""
-    most = (2.0 * WEEK_S if clock == "week" else _LATEST_S) / factor
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
+    maximum = (2.0 * WEEK_S if clock == "week" else _MAX_TIME_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})
     count = len(problems)
-    seconds = limited_numbers(numbers, column.shown, most, problems) * factor
+    seconds = limited_numbers(numbers, column.shown, maximum, problems) * factor
     if len(problems) > count:
         return np.zeros(len(cells), np.int64), has_time, clock
     has_time = has_time & ~np.isnan(seconds)
     if (seconds < 0.0).any():
-        problems.add(f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}")
+        problems.add(
+            f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}",
+            code="value-out-of-range",
+        )
     stamp = nanoseconds(np.where(has_time & (seconds >= 0.0), seconds, 0.0))
     if clock == "gps" and has_time.any() and (seconds[has_time] <= 2.0 * WEEK_S).all():
         clock = "week"
     return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
 
 
-def _scale(said: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
-    scale: Literal["gps", "utc"] = said.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc")
-    return scale
-
-
 def _iso(
     cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return nanoseconds since 1970, and the lines whose cell is no stamp."""
+    """Return nanoseconds since 1970, and the lines with an unreadable stamp."""
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
     bad = np.zeros(len(cells), np.bool_)
     for place in np.flatnonzero(has_time).tolist():

@@ -1,4 +1,4 @@
-"""Navigation in the formats of vendors, each read into a `PoseRecord`.
+"""Navigation in formats of vendors, each read into a `PoseRecord`.
 
 Applanix SBET: a smoothed best estimate of trajectory, post-processed by POSPac. Records of 17 little-endian
 float64 and nothing else, so that only the size and the values can tell whether a file is one. Stamps are
@@ -7,8 +7,8 @@ seconds of a GPS week that the file does not name (POSPac exports seconds of the
 
 Resonon ``.lcf``, the navigation beside a cube of an airborne Pika: a table without a header, its columns
 separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude [degree],
-altitude [m], and two that are not used. No vendor description is public; what the columns mean is what public
-readers were told by the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
+altitude [m], and two that are not used. No vendor description is public; the meaning of the columns follows
+public readers, which had it from the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
 
 AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file, a line of which is a row of the record, a band a column,
 named by ``band names``.
@@ -29,7 +29,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 from hyperpaint.io.files.reading import numbered_lines
-from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_text, table_of
+from hyperpaint.io.files.text_tables import MOST_ROWS, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
@@ -40,8 +40,8 @@ _SBET_FIELDS = (
     *("x_acceleration", "y_acceleration", "z_acceleration", "x_rate", "y_rate", "z_rate"),
 )
 _SBET_RECORD = np.dtype([(name, "<f8") for name in _SBET_FIELDS])
+#: Largest SBET file [bytes]: 44 hours at 200 Hz.
 _MAX_SBET_BYTES = 2**32
-"""Bytes: 44 hours at 200 Hz."""
 _SBET_OTHERS = {
     "platform_heading": "Heading from the north of the wander frame",
     "wander_angle": "Platform heading less heading from true north",
@@ -62,9 +62,21 @@ def read_sbet(path: str | Path) -> PoseRecord:
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    records = _sbet_records(path)
+    with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
+        count, rest = divmod(size, _SBET_RECORD.itemsize)
+        if rest or not count:
+            raise FormatError(
+                f"{path}: {size} bytes",
+                expected=f"whole records of {_SBET_RECORD.itemsize} bytes",
+                mend="copy the file again, or check its format",
+                code="file-truncated",
+            )
+        records = np.fromfile(file, _SBET_RECORD, count)
+    if records.size != count:
+        raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
     values = {name: records[name].astype(np.float64) for name in ("altitude", "roll", "pitch")}
-    # numbers of a damaged file may overflow: what they become is refused below
+    # numbers of a damaged file may overflow; the result is refused below
     with np.errstate(invalid="ignore", over="ignore"):
         values["latitude"] = np.degrees(records["latitude"])
         values["longitude"] = np.degrees(records["longitude"])
@@ -82,26 +94,11 @@ def read_sbet(path: str | Path) -> PoseRecord:
     return PoseRecord(path.name, "Applanix SBET", stamp, "week", values, _SBET_CONVENTION, others=others)
 
 
-def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
-        size = os.fstat(file.fileno()).st_size
-        count, rest = divmod(size, _SBET_RECORD.itemsize)
-        if rest or not count:
-            raise FormatError(
-                f"{path}: {size} bytes, expected records of {_SBET_RECORD.itemsize} bytes: "
-                f"{count} whole ones and {rest} bytes more; it is cut short, or of another kind: copy it"
-            )
-        records = np.fromfile(file, _SBET_RECORD, count)
-    if records.size != count:
-        raise FormatError(f"{path}: became shorter while it was read")
-    return records
-
-
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
 _MAX_LCF_BYTES = 2**28
 _MAX_LCF_CELLS = 64
-_LATEST_LCF_S = 7e9
-"""Seconds from 1980 to 2199."""
+#: Largest time [s], counted from 1980: the year 2199.
+_MAX_LCF_TIME_S = 7e9
 _LCF_CONVENTION = Convention(roll_positive="right_wing_up", angle_unit="radian")
 
 
@@ -116,39 +113,6 @@ def read_lcf(path: str | Path) -> PoseRecord:
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    table = _lcf_table(path)
-    problems = Problems(f"{path} cannot be used as a Resonon .lcf file", FormatError)
-    values = {
-        name: limited_numbers(table, name, _LATEST_LCF_S if name == "time" else LIMITS[name], problems)
-        for name in _LCF_COLUMNS
-    }
-    seconds = values.pop("time")
-    if problem := _lcf_time_problem(seconds, table):
-        problems.add(problem)
-    if not len(problems):  # the same cells would be named twice
-        check_poses(values, "radian", problems, "row")
-    problems.raise_if_any()
-    weekly = bool((seconds <= 2.0 * WEEK_S).all())
-    stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
-    refuse_backwards(path.name, stamp, row="row")
-    return PoseRecord(
-        path.name, "Resonon lcf", stamp, "week" if weekly else "1970", values, _LCF_CONVENTION,
-        assumed=("euler_order",),
-    )  # fmt: skip
-
-
-def _lcf_time_problem(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], table: Table) -> str:
-    wrong = table.rows[~(seconds >= 0.0)]
-    if wrong.size:
-        return f"time is negative or unknown in {name_rows(wrong)}, expected seconds of GPS time"
-    weekly = seconds <= 2.0 * WEEK_S
-    if weekly.any() and not weekly.all():
-        lesser = table.rows[weekly] if 2 * weekly.sum() < weekly.size else table.rows[~weekly]
-        return f"time counts from elsewhere in {name_rows(lesser)} than in the other rows"
-    return ""
-
-
-def _lcf_table(path: Path) -> Table:
     text = read_text(path, _MAX_LCF_BYTES, MOST_ROWS)
     cells = (
         (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
@@ -158,20 +122,60 @@ def _lcf_table(path: Path) -> Table:
     first = next(cells, None)
     width = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
     rows = itertools.chain(() if first is None else (first,), cells)
-    return table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
+    table = table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
+    problems = Problems(f"{path} cannot be used as a Resonon .lcf file", FormatError)
+    values = {
+        name: limited_numbers(table, name, _MAX_LCF_TIME_S if name == "time" else LIMITS[name], problems)
+        for name in _LCF_COLUMNS
+    }
+    seconds = values.pop("time")
+    wrong = table.rows[~(seconds >= 0.0)]
+    in_week = seconds <= 2.0 * WEEK_S
+    if wrong.size:
+        problems.add(
+            f"time is negative or unknown in {name_rows(wrong)}",
+            expected="seconds of GPS time",
+            code="value-out-of-range",
+        )
+    elif in_week.any() and not in_week.all():
+        minority = table.rows[in_week] if 2 * in_week.sum() < in_week.size else table.rows[~in_week]
+        problems.add(
+            f"time has another origin in {name_rows(minority)} than in the other rows",
+            code="time-origin-conflict",
+        )
+    if not len(problems):  # the same cells would be named twice
+        check_poses(values, "radian", problems, "row")
+    problems.raise_if_any()
+    weekly = bool(in_week.all())
+    stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
+    refuse_backwards(path.name, stamp, row="row")
+    return PoseRecord(
+        path.name,
+        "Resonon lcf",
+        stamp,
+        "week" if weekly else "1970",
+        values,
+        _LCF_CONVENTION,
+        assumed=("euler_order",),
+    )
 
 
 _EPH_ATT_BANDS = {
-    "gpstime": "time", "lat": "latitude", "lon": "longitude", "alt": "altitude",
-    "pitch": "pitch", "roll": "roll", "heading": "heading",
-}  # fmt: skip
+    "gpstime": "time",
+    "lat": "latitude",
+    "lon": "longitude",
+    "alt": "altitude",
+    "pitch": "pitch",
+    "roll": "roll",
+    "heading": "heading",
+}
 _MAX_EPH_ATT_BYTES = 2**32
 _EPH_ATT_START = re.compile(r"ang([0-9]{8})t([0-9]{6})", re.IGNORECASE)
 _MAX_START_DIFFERENCE_S = 3600
 
 
 def is_eph_att(header: EnviHeader) -> bool:
-    """Tell whether the bands of an ENVI file are the columns of a navigation record."""
+    """Return whether the bands of an ENVI file are the columns of a navigation record."""
     return set(_EPH_ATT_BANDS) <= {name.lower() for name in header.band_names}
 
 
@@ -179,7 +183,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     """Read navigation of AVIRIS-NG.
 
     path: The header or the data file.
-    Returns PoseRecord: Angles [degree]. Nothing published states their signs, nor what the height is above.
+    Returns PoseRecord: Angles [degree]. Nothing published states their signs, or the reference of the height.
         The aircraft of the sample turns as it should where roll is right wing down and heading clockwise:
         heading rate = g tan(roll) / speed, within 6 %. The height is taken to be above the ellipsoid.
     Raises FormatError: No such file, or values that no flight has; all are listed.
@@ -187,12 +191,31 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
-    _refuse_others(header, header_path, data_path)
+    problems = Problems(f"{header_path} cannot be used as navigation", FormatError)
+    if not is_eph_att(header):
+        names = ", ".join(header.band_names)[:120]
+        problems.add(f"band names are {names!r}", expected=", ".join(_EPH_ATT_BANDS), code="column-missing")
+    if header.samples != 1:
+        problems.add(
+            f"samples is {header.samples}", expected="1 (a row of navigation is a line)", code="dims-wrong"
+        )
+    if header.dtype.kind != "f":
+        problems.add(f"values are {header.dtype}", expected="float64 (data type 5)", code="type-wrong")
+    stored_bytes = data_path.stat().st_size
+    expected_bytes = header.header_offset + header.lines * header.line_bytes
+    if stored_bytes != expected_bytes or stored_bytes > _MAX_EPH_ATT_BYTES:
+        problems.add(
+            f"{data_path.name} has {stored_bytes} bytes",
+            expected=f"{expected_bytes}, as its header says",
+            mend="copy it again",
+            code="file-size",
+        )
+    problems.raise_if_any()
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
     if stored.size != header.lines * header.bands:
-        raise FormatError(f"{data_path}: became shorter while it was read")
+        raise FormatError(f"{data_path}: became shorter during reading", code="file-truncated")
     # one sample a line leaves lines and bands
     by_bands = header.interleave == "bsq"
     table = stored.reshape((header.bands, header.lines)).T if by_bands else stored.reshape(header.lines, -1)
@@ -206,30 +229,19 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     stamp = unwrap_weeks(nanoseconds(seconds))
     refuse_backwards(data_path.name, stamp, row="row")
     return PoseRecord(
-        data_path.name, "AVIRIS-NG eph_att", stamp, "week", values, Convention(),
+        data_path.name,
+        "AVIRIS-NG eph_att",
+        stamp,
+        "week",
+        values,
+        Convention(),
         assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
         week=_week_of_name(data_path.name, int(stamp[0])),
-    )  # fmt: skip
-
-
-def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:
-    problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    if not is_eph_att(header):
-        names = ", ".join(header.band_names)[:120]
-        problems.add(f"band names are {names!r}, expected {', '.join(_EPH_ATT_BANDS)}")
-    if header.samples != 1:
-        problems.add(f"samples is {header.samples}, expected 1: a row of navigation is a line")
-    if header.dtype.kind != "f":
-        problems.add(f"values are {header.dtype}, expected float64 (data type 5)")
-    stored_bytes = data.stat().st_size
-    expected_bytes = header.header_offset + header.lines * header.line_bytes
-    if stored_bytes != expected_bytes or stored_bytes > _MAX_EPH_ATT_BYTES:
-        problems.add(f"{data.name} has {stored_bytes} bytes, its header says {expected_bytes}; copy it again")
-    problems.raise_if_any()
+    )
 
 
 def _week_of_name(name: str, first: int) -> int | None:
-    """Return the GPS week that a name's date and time say, where they agree with the first row's stamp."""
+    """Return the GPS week of the date and time in a file name, if it agrees with the first stamp."""
     match = _EPH_ATT_START.search(name)
     if match is None:
         return None

@@ -1,4 +1,4 @@
-"""Navigation of any kind of file as one dataset, its stamps UTC and its meaning declared."""
+"""Navigation of any format as one dataset with UTC stamps and declared conventions."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
@@ -19,25 +21,23 @@ from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
+from .navigation_csv import read_navigation_csv
+from .navigation_formats import read_eph_att, read_lcf, read_sbet
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
 from .nmea import is_nmea, read_nmea
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
-    #: A file's record, its UTC [ns since 1970-01-01], and attributes that say how it came about.
-    Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
+#: A file's record, its UTC [ns since 1970-01-01], and attributes on its origin.
+Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
 
 NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
-_HEAD = 4096
+_HEAD_BYTES = 4096
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
-_LAST_WEEK = 11_479
-"""Of the year 2199: nanoseconds overflow in the 23rd century."""
+#: GPS week in the year 2199; nanoseconds overflow in the 23rd century.
+_MAX_GPS_WEEK = 11_479
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",
     "longitude": "Longitude of the navigation's reference point, east positive",
@@ -62,7 +62,7 @@ def open_navigation(
     gps_time: str | os.PathLike[str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> xr.Dataset:
-    """Read a navigation record: where the platform was, how it was turned, and when.
+    """Read a navigation record: position, attitude and time of the platform.
 
     ==================  ===================================================================================
     ``imu_gps``         Headwall ``imu_gps.txt``, three generations; degree; UTC
@@ -74,27 +74,27 @@ def open_navigation(
     ``nmea``            a log of NMEA 0183 sentences: GGA with RMC or ZDA, and PASHR, HDT or THS; degree; UTC
     ==================  ===================================================================================
 
-    Each reader declares what its format is known to mean. What nothing published states is listed in the
-    attribute ``assumed``; which side column 0 looks to, and what the stamps of the camera's frames mark, no
-    navigation file can say: they stay undeclared until ``convention`` declares them.
+    Each reader declares the known conventions of its format. Conventions that nothing published states are
+    listed in the attribute ``assumed``. The side of column 0 and the instant of the camera's stamps are in no
+    navigation file; they stay undeclared until ``convention`` declares them.
 
     Parameters
     ----------
     paths
         One file, or several of one format that follow one another in time; or any Zarr that holds a record
-        as this function returns it, which keeps its times and, without ``convention``, what it declares.
+        as this function returns it, which keeps its times and, without ``convention``, its declarations.
     convention
-        What the numbers mean, in place of what the format declares; or a mapping that replaces some of its
+        Conventions of the numbers, in place of the format's; or a mapping that replaces some of its
         choices, such as ``{"column_order": "left_to_right"}``.
     format
-        By default told from name and content.
+        By default found from name and content.
     week, date
         Of files that count seconds of a GPS week: weeks since 1980-01-06, or the day of the first row,
         ``"2021-05-20"``. A date is checked against the day that the stamps say.
     leap_seconds
         GPS minus UTC [s]; by default of the table of the IERS. It is not used where stamps are UTC.
     time_scale
-        What the stamps count, where it is not what the format is known for.
+        Time scale of the stamps, where it is not the format's usual one.
     clock_offset_s
         UTC = stamp + ``clock_offset_s`` [s]. Needed, with ``date``, for an ``imu_gps.txt`` with the time of
         day of the recording computer alone.
@@ -116,7 +116,7 @@ def open_navigation(
     Raises
     ------
     FormatError
-        A file is damaged or of another kind, or its kind cannot be told; all problems are listed.
+        A file is damaged, or of another or unknown kind; all problems are listed.
     TimeError
         The GPS week is not known, or contradicts the stamps; time runs backwards, within a file or from one
         to the next; a clock that cannot be as described.
@@ -144,25 +144,29 @@ def open_navigation(
     'left_to_right'
     >>> scratch.cleanup()
     """  # noqa: E501
-    import xarray as xr
-
     from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(paths):
         return _stored(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
-        raise FormatError("no navigation file given, expected one or more")
+        raise FormatError("no navigation file is given", expected="one or more", code="empty-input")
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
     source.check()
     if format is not None and format not in get_args(NavigationFormat):
         raise SchemaError(
-            f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
+            f"format {format!r:.40}",
+            expected=", ".join(map(repr, get_args(NavigationFormat))),
+            code="choice-unknown",
         )
     parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
     if columns is not None and format not in (None, "csv"):
-        raise SchemaError(f"columns= name those of a table without a header, found format {format!r}")
+        raise SchemaError(
+            f"columns= with format {format!r}",
+            expected="format 'csv', a table without a header",
+            code="option-conflict",
+        )
     for path in files:
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
@@ -197,16 +201,16 @@ def open_navigation(
 
 
 def navigation_format(path: str | Path) -> NavigationFormat:
-    """Tell from its name and first bytes which kind of navigation a file holds.
+    """Return the format of a navigation file, by its name and first bytes.
 
-    Raises FormatError: It cannot be read, or is of none of them.
+    Raises FormatError: The file cannot be read, or its format is unknown.
     """
     path = input_path(path, "a navigation record")
     suffix = path.suffix.lower()
     if suffix == ".hdr" or is_plain_file(path.with_name(path.name + ".hdr")):
         return "eph_att"
     with open_input(path, "a navigation record") as file:
-        head = file.read(_HEAD)
+        head = file.read(_HEAD_BYTES)
     if suffix == ".sbet" or (suffix == ".out" and b"\0" in head):
         return "sbet"
     if suffix == ".lcf":
@@ -219,27 +223,42 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     if b"\0" not in head and suffix in (".csv", ".tsv", ".txt", ".asc", ".dat"):
         return "csv"
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
-    what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
-    raise FormatError(f"{path}: {what}, no known kind of navigation; give format=, one of {formats}")
+    content = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
+    raise FormatError(
+        f"{path}: {content}, no known kind of navigation",
+        mend=f"give format=, one of {formats}",
+        code="format-unknown",
+    )
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    """Return a record that somebody stored as `open_navigation` had returned it."""
+    """Return a stored result of `open_navigation`."""
     from hyperpaint.io.store import load_unverified
 
     record = load_unverified(path)
     problems = Problems(f"{path} holds no navigation record", FormatError)
     for name in (NAVIGATION_TIME, *POSE):
         if name not in record.variables:
-            problems.add(f"{name!r} is missing; there are {', '.join(map(str, record.variables))[:200]}")
+            problems.add(
+                f"{name!r} is missing among {', '.join(map(str, record.variables))[:200]}",
+                code="variable-missing",
+            )
         elif record[name].dims != (NAVIGATION_TIME,):
-            problems.add(f"{name!r} has dims {record[name].dims}", expected=f"({NAVIGATION_TIME!r},)")
+            problems.add(
+                f"{name!r} has dims {record[name].dims}",
+                expected=f"({NAVIGATION_TIME!r},)",
+                code="dims-wrong",
+            )
         elif name != NAVIGATION_TIME and "units" not in record[name].attrs:
-            problems.add(f"{name!r} has no units", expected="those that open_navigation gives it")
+            problems.add(
+                f"{name!r} has no units", expected="those that open_navigation gives it", code="units-missing"
+            )
     problems.raise_if_any()
     time = record[NAVIGATION_TIME].values
     if time.dtype.kind != "M" or not time.size or np.isnat(time).any():
-        raise TimeError(f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]")
+        raise TimeError(
+            f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
+        )
     utc = time.astype("datetime64[ns]").astype(np.int64)
     refuse_backwards(str(path), utc, row="sample")
     declared = Convention.from_attrs(record.attrs) or Convention()
@@ -255,25 +274,24 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
 def read_record(
     path: Path, format: NavigationFormat, columns: Sequence[str] | None = None, midnight: int | None = None
 ) -> PoseRecord:
-    """Read a file of any format but ``imu_gps``, its stamps as they are.
+    """Read a file of any format except ``imu_gps``, with uncorrected stamps.
 
     ``columns`` as of `open_navigation`; ``midnight`` as of `read_nmea`.
 
     Raises FormatError, TimeError: As the reader of the format.
     """
-    from .navigation_csv import read_navigation_csv
-    from .navigation_formats import read_eph_att, read_lcf, read_sbet
-
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
-        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att,
+        "sbet": read_sbet,
+        "lcf": read_lcf,
+        "eph_att": read_eph_att,
         "nmea": lambda path: read_nmea(path, midnight),
         "csv": lambda path: read_navigation_csv(path, columns),
-    }  # fmt: skip
+    }
     return readers[format](path)
 
 
 def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
-    """Read ``imu_gps.txt``; its stamps stay as they are, for `utc_of_record` to correct."""
+    """Read ``imu_gps.txt`` with uncorrected stamps."""
     record: Navigation = read_imu_gps(path)
     own_clock = record.utc is None
     if own_clock and gps_time is not None:
@@ -282,14 +300,24 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
         record = record.dated_at(int(source.midnight or 0))
     if record.utc is None or not record.utc.size:
         raise TimeError(
-            f"{path.name} holds no date; give gps_time= (gps_time.txt of the same flight), or date= and "
-            "clock_offset_s= (UTC = the computer's clock + clock_offset_s)"
+            f"{path.name} holds no date",
+            mend=(
+                "pass gps_time= (gps_time.txt of the same flight), or date= and clock_offset_s= (UTC "
+                "= the computer's clock + clock_offset_s)"
+            ),
+            code="date-missing",
         )
     refuse_backwards(path.name, record.utc, record.rows)
     return PoseRecord(
-        path.name, "Headwall imu_gps", record.utc, "1970", record.values, Convention(), assumed=ASSUMED,
+        path.name,
+        "Headwall imu_gps",
+        record.utc,
+        "1970",
+        record.values,
+        Convention(),
+        assumed=ASSUMED,
         time_scale="utc",
-    )  # fmt: skip
+    )
 
 
 # --- its stamps as UTC -------------------------------------------------------------------------------------
@@ -297,7 +325,7 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
 
 @dataclass(frozen=True)
 class TimeSource:
-    """What the caller says of the clock of a navigation record; see `open_navigation`."""
+    """Clock settings of a navigation record given by the caller; see `open_navigation`."""
 
     week: int | None = None
     date: str | datetime.date | None = None
@@ -306,28 +334,44 @@ class TimeSource:
     clock_offset_s: float | None = None
 
     def check(self) -> None:
-        """Raise one error that lists what cannot be.
+        """Raise one error that lists all invalid settings.
 
         Raises TimeError: A week, date, number of leap seconds, time scale or offset that does not exist.
         """
         problems = Problems("the clock of the navigation cannot be as described", TimeError)
         week, leap = self.week, self.leap_seconds
-        if week is not None and not (_is_whole(week) and 0 <= week <= _LAST_WEEK):
-            problems.add(f"week {week!r:.40}, expected the number of weeks since 1980-01-06, such as 2158")
+        if week is not None and not (_is_whole(week) and 0 <= week <= _MAX_GPS_WEEK):
+            problems.add(
+                f"week {week!r:.40}",
+                expected="the number of weeks since 1980-01-06, such as 2158",
+                code="value-out-of-range",
+            )
         if leap is not None and not (_is_whole(leap) and 0 <= leap <= 100):
-            problems.add(f"leap_seconds {leap!r:.40}, expected GPS minus UTC in whole seconds, such as 18")
+            problems.add(
+                f"leap_seconds {leap!r:.40}",
+                expected="GPS minus UTC in whole seconds, such as 18",
+                code="value-out-of-range",
+            )
         if self.time_scale not in (None, "gps", "utc"):
-            problems.add(f"time_scale {self.time_scale!r:.40}, expected 'gps' or 'utc'")
+            problems.add(
+                f"time_scale {self.time_scale!r:.40}", expected="'gps' or 'utc'", code="choice-unknown"
+            )
         if self.date is not None and self.midnight is None:
-            problems.add(f"date {str(self.date)!r:.40}, expected one like '2024-06-01'")
+            problems.add(
+                f"date {str(self.date)!r:.40}", expected="a date such as '2024-06-01'", code="time-unreadable"
+            )
         offset = self.clock_offset_s
         if offset is not None and not abs(offset) <= 1e9:
-            problems.add(f"clock_offset_s {offset!r:.40}, expected seconds, at most 1e9 either way")
+            problems.add(
+                f"clock_offset_s {offset!r:.40}",
+                expected="seconds, at most 1e9 either way",
+                code="value-out-of-range",
+            )
         problems.raise_if_any()
 
     @property
     def midnight(self) -> int | None:
-        """Nanoseconds from 1970 to 0 h of the date; None where there is none, or it is no date."""
+        """Nanoseconds from 1970 to 0 h of the date; None without a valid date."""
         text = str(self.date)
         if self.date is None or not _DATE.fullmatch(text) or not "1980-01-06" <= text < "2199-12-25":
             return None
@@ -342,7 +386,7 @@ def _is_whole(value: Any) -> bool:
 
 
 def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that say how it came about.
+    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes on its origin.
 
     Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
         times before GPS time began.
@@ -351,9 +395,9 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
     stamp = record.stamp
     attrs: dict[str, Any] = {}
     if record.counts_from == "week":
-        week, said = _week_of(record, source)
+        week, week_source = _week_of(record, source)
         stamp = stamp + (GPS_EPOCH + week * WEEK_S * NS_PER_S)
-        attrs = {"gps_week": week, "gps_week_source": said}
+        attrs = {"gps_week": week, "gps_week_source": week_source}
     _refuse_another_date(record, int(stamp[0]), source)
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
@@ -371,7 +415,7 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    """Return the GPS week in which the stamps count, and who says so."""
+    """Return the GPS week of the stamps, and its source."""
     if source.week is not None:
         return int(source.week), "given"
     if source.midnight is not None:
@@ -383,8 +427,9 @@ def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
     first = int(record.stamp[0]) // NS_PER_S
     day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[first // 86_400 % 7]
     raise TimeError(
-        f"{record.name} counts seconds of a GPS week (from {first} s: a {day}) and does not say which week; "
-        "give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight"
+        f"{record.name} counts seconds of an unknown GPS week (from {first} s: a {day})",
+        mend="give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
+        code="gps-week-missing",
     )
 
 
@@ -392,11 +437,18 @@ def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> 
     problems = Problems(f"{record.name} is of another day than was given", TimeError)
     shown = np.datetime64(first // NS_PER_S, "s")
     if source.midnight is not None and abs(first - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
-        problems.add(f"it begins at {shown}, date is {source.date}; correct the one that is wrong")
+        problems.add(
+            f"it begins at {shown}, but date is {source.date}",
+            mend="correct the wrong one",
+            code="date-conflict",
+        )
     if source.week is not None and record.counts_from != "week":
         stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
         if stamp_week != source.week:
-            problems.add(f"it begins at {shown}, in week {stamp_week}; week is {source.week}")
+            problems.add(
+                f"it begins at {shown}, in week {stamp_week}, but week is {source.week}",
+                code="gps-week-conflict",
+            )
     problems.raise_if_any()
 
 
@@ -407,44 +459,68 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
     first = parts[0][0]
     for (before, earlier, _), (record, utc, _) in itertools.pairwise(parts):
         if (record.format, record.convention, set(record.others)) != (
-            first.format, first.convention, set(first.others),
-        ):  # fmt: skip
+            first.format,
+            first.convention,
+            set(first.others),
+        ):
             raise FormatError(
-                f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
+                (
+                    f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format "
+                    "or convention"
+                ),
+                mend="open them apart",
+                code="formats-mixed",
             )
         if utc[0] <= earlier[-1]:
             end, start = (np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier[-1], utc[0]))
-            raise TimeError(f"{before.name} ends at {end}, after {record.name} begins at {start}; give one")
+            raise TimeError(
+                f"{before.name} ends at {end}, after {record.name} begins at {start}",
+                mend="give one of them",
+                code="time-overlap",
+            )
 
 
-def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
-    if given is None:
+def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | None) -> Convention:
+    if declared is None:
         return record.convention
-    if isinstance(given, Convention):
-        meant = given
+    if isinstance(declared, Convention):
+        meant = declared
     else:
-        unknown = set(given) - set(record.convention.__dataclass_fields__)
+        unknown = set(declared) - set(record.convention.__dataclass_fields__)
         if unknown:
-            raise SchemaError(f"convention has no {', '.join(map(repr, sorted(unknown)))}; see Convention")
-        meant = record.convention.replace(**given)
+            raise SchemaError(
+                f"convention has no {', '.join(map(repr, sorted(unknown)))}",
+                mend="see Convention",
+                code="key-unknown",
+            )
+        meant = record.convention.replace(**declared)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
         held = record.convention.angle_unit
         raise SchemaError(
-            f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) holds "
-            f"{held}; give Convention(angle_unit={held!r}, ...), or a mapping of what differs"
+            (
+                f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) "
+                f"holds {held}"
+            ),
+            mend=f"give Convention(angle_unit={held!r}, ...), or a mapping of the fields that differ",
+            code="units-conflict",
         )
     return meant
 
 
 def _attributes(
-    parts: Sequence[Part], meant: Convention, given: Convention | Mapping[str, Any] | None
+    parts: Sequence[Part], meant: Convention, convention: Convention | Mapping[str, Any] | None
 ) -> dict[str, Any]:
     record, _, timed = parts[0]
     attrs: dict[str, Any] = {
-        "source": ", ".join(part[0].name for part in parts), "format": record.format, **record.attrs, **timed,
+        "source": ", ".join(part[0].name for part in parts),
+        "format": record.format,
+        **record.attrs,
+        **timed,
         **meant.to_attrs(),
-    }  # fmt: skip
-    declared = set(meant.__dataclass_fields__) if isinstance(given, Convention) else set(given or ())
+    }
+    declared = (
+        set(meant.__dataclass_fields__) if isinstance(convention, Convention) else set(convention or ())
+    )
     assumed = [name for name in record.assumed if name not in declared]
     if assumed:
         attrs["assumed"] = ", ".join(assumed)

@@ -1,4 +1,4 @@
-"""Navigation records: where the camera was, how it was turned, and what UTC its clocks showed.
+"""Navigation records: position, attitude, and clocks of the camera.
 
 A reader of any format fills a `PoseRecord`, which `navigation_opening` turns into UTC and labels. Of the
 files of Headwall, ``imu_gps.txt`` is read by its header names (three generations of the program), and
@@ -12,9 +12,10 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
@@ -33,28 +34,29 @@ from .clocks import (
     tie_clock,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE_TIME = re.compile(
     r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2})(?:\.([0-9]{1,9}))?Z?"
 )
-#: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
+#: Name in the file to name in a flight line, and largest possible magnitude.
 _COLUMNS = {
-    "lat": ("latitude", 90.0), "lon": ("longitude", 360.0), "alt": ("altitude", 1e5), "roll": ("roll", 360.0),
-    "pitch": ("pitch", 360.0), "yaw": ("heading", 360.0),
-}  # fmt: skip
+    "lat": ("latitude", 90.0),
+    "lon": ("longitude", 360.0),
+    "alt": ("altitude", 1e5),
+    "roll": ("roll", 360.0),
+    "pitch": ("pitch", 360.0),
+    "yaw": ("heading", 360.0),
+}
+#: Largest possible magnitude of positions and angles [degree, m].
 LIMITS = dict(_COLUMNS.values())
-"""The largest magnitude of each that is a position or an angle at all [degree, m]."""
+#: ``latitude longitude altitude roll pitch heading``.
 POSE = tuple(LIMITS)
-"""``latitude longitude altitude roll pitch heading``."""
+#: Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public.
 ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
 )
-"""Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public."""
 _ATTITUDE = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"
@@ -65,17 +67,17 @@ class PoseRecord:
     """One navigation file."""
 
     name: str  # file name, for messages
-    format: str  # what the file is
+    format: str  # name of the format
     stamp: NDArray[np.int64]  # nanoseconds, (row,)
     # ``"1970"``, as the clock shows it; or the start of a GPS ``"week"``
     counts_from: Literal["1970", "week"]
     # `POSE` (row,), float64: latitude and longitude [degree], altitude [m], angles in the unit of the
     # convention; NaN where unknown
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    convention: Convention  # what the numbers mean, as far as the format or the file says
+    convention: Convention  # meaning of the numbers, by the format or the file
     assumed: tuple[str, ...] = ()  # fields of the convention that nothing published states
-    time_scale: Literal["gps", "utc"] = "gps"  # what the stamps count, unless the caller knows better
-    week: int | None = None  # what the file itself says
+    time_scale: Literal["gps", "utc"] = "gps"  # time scale of the stamps, unless the caller gives another
+    week: int | None = None  # from the file itself
     leap_seconds: int | None = None
     # Further columns (row,) with their attributes
     others: Mapping[str, tuple[NDArray[Any], Mapping[str, str]]] = field(default_factory=dict, repr=False)
@@ -83,22 +85,26 @@ class PoseRecord:
 
 
 def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: Problems, row: str) -> None:
-    """Note positions and angles that are none, NaN allowed.
+    """Note positions and angles out of range; NaN is allowed.
 
     values: `POSE`: latitude and longitude [degree], altitude [m].
     unit: Of roll, pitch and heading: ``"degree"`` or ``"radian"``.
-    problems: Takes what is wrong.
-    row: What a row of the file is called in messages.
+    problems: Takes the faults.
+    row: Name of a row of the file in messages.
     """
     for name, limit in LIMITS.items():
         # a heading less an angle of wander may pass a full turn
-        most = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
-        most = limit if name not in _ATTITUDE else most
+        maximum = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
+        maximum = limit if name not in _ATTITUDE else maximum
         with np.errstate(invalid="ignore"):
-            wrong = np.flatnonzero(~(np.abs(values[name]) <= most) & ~np.isnan(values[name]))
+            wrong = np.flatnonzero(~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name]))
         if wrong.size:
             where = name_rows(wrong + 1, row)
-            problems.add(f"{name} is {values[name][wrong[0]]:g} in {where}, expected within +-{most:.4g}")
+            problems.add(
+                f"{name} is {values[name][wrong[0]]:g} in {where}",
+                expected=f"within +-{maximum:.4g}",
+                code="value-out-of-range",
+            )
 
 
 def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems: Problems, row: str) -> None:
@@ -106,8 +112,10 @@ def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems
     wrong = np.flatnonzero(~((seconds >= 0.0) & (seconds <= most)))
     if wrong.size:
         problems.add(
-            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}, expected 0 to {most:g} s; "
-            f"is {name} of this format?"
+            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}",
+            expected=f"0 to {most:g} s",
+            mend=f"check that {name} is of this format",
+            code="value-out-of-range",
         )
 
 
@@ -147,12 +155,16 @@ class Navigation:
             return tie_clock(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
         held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
         raise TimeError(
-            f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which"
-            f" {self.name} does not cover ({held}); give the navigation of this flight, or gps_time or date"
+            (
+                f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which "
+                f"{self.name} does not cover ({held})"
+            ),
+            mend="give the navigation of this flight, or gps_time or date",
+            code="time-uncovered",
         )
 
     def dated_by(self, clock: Clock) -> Navigation:
-        """Return the record with UTC from a clock of the recording computer; rows outside it are dropped."""
+        """Return the record with UTC from a clock of the recording computer; rows outside are dropped."""
         stamp = self.stamps.get("time of day")
         if self.utc is not None or stamp is None:
             return self
@@ -161,7 +173,7 @@ class Navigation:
         return replace(self, utc=utc)._where(utc != NAT)
 
     def dated_at(self, midnight: int) -> Navigation:
-        """Return the record with UTC of the recording computer's time of day.
+        """Return the record with UTC from the recording computer's time of day.
 
         midnight: 0 h of the first row's day on that clock [ns since 1970-01-01].
         """
@@ -187,7 +199,11 @@ class Navigation:
         Raises TimeError: The record has no UTC, or it runs backwards.
         """
         if self.utc is None:
-            raise TimeError(f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s")
+            raise TimeError(
+                f"{self.name} holds no UTC",
+                mend="give gps_time, or date and clock_offset_s",
+                code="time-missing",
+            )
         refuse_backwards(self.name, self.utc, self.rows)
         new = np.concatenate([[True], np.diff(self.utc) > 0])
         knots = self.utc[new]
@@ -212,13 +228,13 @@ class Navigation:
 
 
 def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
-    """Read ``imu_gps.txt``, whichever of its three generations it is.
+    """Read ``imu_gps.txt`` of any of its three generations.
 
     All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
     ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
     date that spells its month. ``heading`` is ``Yaw``, which belongs to roll and pitch; what the column
     ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
-    no attitude, and are dropped where their date is not yet that of the others.
+    no attitude, and are dropped where their date does not agree with the others.
 
     correction: How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
     Raises FormatError: Binary (some systems write another log under this name), without the columns, or cells
@@ -240,12 +256,12 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
     if unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
-        warnings.warn(message, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
     if utc is None:
         return record
     keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
     if not keep.any():
-        raise FormatError(f"{path}: no row with a date")
+        raise FormatError(f"{path}: no row with a date", code="date-missing")
     return replace(
         record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
     )._where(keep)
@@ -254,7 +270,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
 def limited_numbers(
     table: Table, column: str, limit: float, problems: Problems, empty: str = ""
 ) -> NDArray[np.float64]:
-    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted.
+    """Return a column of numbers, NaN allowed; other cells and values beyond the limit are noted.
 
     empty: What an empty cell stands for, if for a number.
     """
@@ -267,7 +283,10 @@ def limited_numbers(
         numbers[["_" in cell for cell in cells]] = np.inf
     wrong = table.rows[np.abs(numbers) > limit]
     if wrong.size:
-        problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
+        problems.add(
+            f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}",
+            code="value-out-of-range",
+        )
     return numbers
 
 
@@ -279,12 +298,14 @@ def _number(cell: str) -> float:
 
 
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
+    """Return nanoseconds since 1970-01-01; NaT where an unaligned row has no date."""
     dates = instants([_iso(cell) for cell in table.columns[column]])
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
         raise FormatError(
-            f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
+            f"{table.name}: column {column!r} is unreadable in {name_rows(wrong)}",
+            expected="times such as '2021/07/23 12:34:56.789'",
+            code="time-unreadable",
         )
     return dates.astype(np.int64)
 
@@ -323,7 +344,7 @@ def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
 def _dated(
     utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Tell which rows have a date; of unaligned ones, a date that agrees with those of the aligned."""
+    """Return which rows have a date; an unaligned row needs one that agrees with the aligned rows."""
     dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
     aligned = dated & ~unaligned
     if stamp is None or not aligned.any():
@@ -338,7 +359,7 @@ def _dated(
 
 
 def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
-    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's date and time.
+    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's clock.
 
     path: The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
         for a header.
@@ -351,12 +372,17 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
     if not lines:
-        raise FormatError(f"{path}: no rows of computer time, tab, receiver date and time")
+        raise FormatError(
+            f"{path}: no rows of computer time, tab, receiver date and time", code="table-missing"
+        )
     rows = np.array([number for number, _ in lines], np.int64)
     pairs = [line.split("\t") for _, line in lines]
     wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
     if wrong:
-        raise FormatError(f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time")
+        raise FormatError(
+            f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time",
+            code="row-unreadable",
+        )
     table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
     utc = _dates(table, "pos", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)

@@ -1,4 +1,4 @@
-"""Navigation as a receiver talks it: NMEA 0183 sentences in a log, with whatever else stands in its lines."""
+"""Navigation as NMEA 0183 sentences in a log, among other text."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
 
 _MAX_BYTES = 2**28
-_MOST_POSITIONS = 400_000
-"""Positions of a log: five hours at 20 Hz."""
+#: Largest number of positions in a log: five hours at 20 Hz.
+_MAX_POSITIONS = 400_000
 
 _SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
 _CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
@@ -29,14 +29,14 @@ _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
 _DAY_S = 86_400
 _HALF_DAY_S = 43_200.0
+#: Qualities of GGA that are measured positions; not estimated, manual and simulated ones.
 _FIXES = (1, 2, 3, 4, 5, 9)
-"""Qualities of GGA that are measured positions; not estimated, manual and simulated ones."""
-_MOST_DAMAGED = 0.5
-"""Share of sentences with a wrong checksum, from which on a log is none [1]."""
+#: Share of sentences with a wrong checksum above which a log is refused [1].
+_MAX_DAMAGED_SHARE = 0.5
 
 
 def is_nmea(head: bytes) -> bool:
-    """Tell from its first bytes whether a file holds positions in NMEA sentences."""
+    """Return whether the first bytes of a file hold positions in NMEA sentences."""
     return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
 
 
@@ -45,8 +45,8 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
 
     A row is a GGA sentence with a fix: its time of day in UTC, position, and height above the ellipsoid, the
     sum of its height above mean sea level and the geoid's; above the geoid where a sentence lacks the latter.
-    The date is that of RMC or ZDA. Roll, pitch and heading are those of PASHR of the same time, heading else
-    that of HDT or THS beside it; the course over ground is no heading, and is not read. Other text in a
+    The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of the same time, heading else
+    from HDT or THS beside it; the course over ground is not the heading, and is not read. Other text in a
     line, before a sentence or instead of one, is passed over, and so are sentences with a wrong checksum,
     which are counted.
 
@@ -63,14 +63,25 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     log = _Log(path)
     for fields in _sound_sentences(path, text):
         log.take(fields)
-        if len(log.rows) > _MOST_POSITIONS:
-            raise FormatError(f"{path}: over {_MOST_POSITIONS} positions, expected a log of hours; cut it")
+        if len(log.rows) > _MAX_POSITIONS:
+            raise FormatError(
+                f"{path}: over {_MAX_POSITIONS} positions",
+                expected="a log of hours",
+                mend="cut the log to the flight",
+                code="file-too-large",
+            )
     log.problems.raise_if_any()
     if not log.rows:
-        raise FormatError(f"{path}: no position with a fix, expected GGA sentences of NMEA 0183")
+        raise FormatError(
+            f"{path}: no position with a fix", expected="GGA sentences of NMEA 0183", code="position-missing"
+        )
     day = log.first_day if log.first_day is not None else midnight
     if day is None:
-        raise TimeError(f"{path.name} holds no date (RMC or ZDA); give date='YYYY-MM-DD' of its first row")
+        raise TimeError(
+            f"{path.name} holds no date (RMC or ZDA)",
+            mend="give date='YYYY-MM-DD' of its first row",
+            code="date-missing",
+        )
     seconds = np.array(list(log.rows))
     stamp = np.rint(seconds * NS_PER_S).astype(np.int64) + day
     names = (*POSE, "separation")
@@ -84,15 +95,21 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ("roll", "pitch", "heading")):
         text = f"{path.name} holds positions alone: no roll, pitch or heading (PASHR, HDT or THS)"
-        warnings.warn(text, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
     return PoseRecord(
-        path.name, "NMEA 0183", stamp, "1970", values, Convention(height_reference=height),
-        assumed=("roll_positive", "pitch_positive", "euler_order"), time_scale="utc",
-    )  # fmt: skip
+        path.name,
+        "NMEA 0183",
+        stamp,
+        "1970",
+        values,
+        Convention(height_reference=height),
+        assumed=("roll_positive", "pitch_positive", "euler_order"),
+        time_scale="utc",
+    )
 
 
 def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
-    """Yield the fields of sentences whose checksum is right."""
+    """Yield the fields of sentences with a correct checksum."""
     damaged = total = 0
     for match in _SENTENCE.finditer(text):
         total += 1
@@ -100,15 +117,19 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
             yield match[1].split(",")
         else:
             damaged += 1
-    if damaged > _MOST_DAMAGED * total:
-        raise FormatError(f"{path}: {damaged} of {total} sentences have a wrong checksum; copy it again")
+    if damaged > _MAX_DAMAGED_SHARE * total:
+        raise FormatError(
+            f"{path}: {damaged} of {total} sentences have a wrong checksum",
+            mend="copy it again",
+            code="checksum-wrong",
+        )
     if damaged:
         message = f"{path.name}: {damaged} of {total} sentences have a wrong checksum, and are left out"
-        warnings.warn(message, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(message, code="checksum-wrong"), stacklevel=4)
 
 
 class _Log:
-    """What a log says so far."""
+    """Rows of a log, built from its sentences."""
 
     def __init__(self, path: Path) -> None:
         self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
@@ -118,19 +139,24 @@ class _Log:
         self._heading: float | None = None  # of the position that is still to come
         self._heading_first = False  # whether an epoch begins with it
         self._readers: dict[str, Callable[[list[str]], None]] = {
-            "GGA": self._take_gga, "RMC": self._take_rmc, "ZDA": self._take_zda, "PASHR": self._take_pashr,
-            "HDT": self._take_hdt, "THS": self._take_ths,
-        }  # fmt: skip
+            "GGA": self._take_gga,
+            "RMC": self._take_rmc,
+            "ZDA": self._take_zda,
+            "PASHR": self._take_pashr,
+            "HDT": self._take_hdt,
+            "THS": self._take_ths,
+        }
         self._turned: dict[float, dict[str, float]] = {}  # attitudes whose position is still to come
 
     def take(self, fields: list[str]) -> None:
-        """Take one sentence."""
         kind = fields[0][-3:] if fields[0] != "PASHR" else "PASHR"
         try:
             self._readers[kind](fields)
         except (ValueError, LookupError):
-            if len(self.problems) < 5:  # a few tell what is wrong
-                self.problems.add(f"sentence {','.join(fields)[:60]!r} is not as the standard has it")
+            if len(self.problems) < 5:  # the first ones suffice
+                self.problems.add(
+                    f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
+                )
 
     def _take_gga(self, fields: list[str]) -> None:
         if int(fields[6] or 0) not in _FIXES or not fields[2]:

@@ -38,8 +38,8 @@ from .spectrum_files import (
 Kind = Literal["binary", "text", "csv", "unknown"]
 
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
+#: Keys of calibration files, and the kind of block that each replaces.
 _CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
-"""What users call the files of an instrument's calibration, and the kind of block each replaces."""
 
 _NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 _HEAD_BYTES = 16 * 1024
@@ -48,7 +48,7 @@ _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One spectrum in one quantity, wherever it was read from."""
+    """One spectrum in one quantity, from any kind of file."""
 
     source: str  # file name; for one of many in a file, with its column
     wavelength: Floats  # (wavelength), float64; [nm] and the units of the quantity
@@ -62,7 +62,7 @@ class Spectrum:
     # (wavelength), where the file flags the detector as saturated
     saturated: npt.NDArray[np.bool_] | None = None
     path: Path | None = None  # where the file is
-    # White panel whose reflectance made that of the spectrum absolute; empty where it is relative
+    # White panel whose reflectance scales the spectrum; empty where reflectance is relative
     panel: str = ""
 
 
@@ -82,8 +82,8 @@ def open_asd(
         A file, a glob, a folder, or a list of files: binary ``.asd`` files of any version, or text exports.
     quantity
         ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
-        what the operator looked at, which binary files say; a text export does not, and is guessed from the
-        range of the operator's plot with a warning.
+        the quantity displayed to the operator, which binary files hold; for a text export it is guessed
+        from the range of the operator's plot, with a warning.
     absolute
         Multiply reflectance, which is relative to the white panel, by the panel's own (the block ABS).
     utc_offset_h
@@ -111,8 +111,8 @@ def open_asd(
     TimeError
         ``utc_offset_h`` is the offset of no zone.
     SchemaError
-        ``quantity`` or ``calibration`` is not one of those above, or what is asked to be ``absolute`` is no
-        reflectance.
+        ``quantity`` or ``calibration`` is not one of those above, or ``absolute`` is set for another
+        quantity than reflectance.
 
     Warns
     -----
@@ -143,33 +143,31 @@ def open_asd(
     spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
     stamped = [s for s in spectra if s.local_time is not None]
     if utc_offset_h is None and (silent := [s for s in stamped if s.utc_offset_h is None]):
-        _warn(f"local times are NaT, since {_zoneless(silent)}")
+        text = f"local times are NaT, since {_zoneless(silent)}"
+        warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
         stamped = [s for s in stamped if s.utc_offset_h is not None]
     offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
-    times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
+    times = np.full(len(spectra), np.datetime64("NaT", "ns"))
+    for place, spectrum in enumerate(spectra):
+        if spectrum.local_time is not None and id(spectrum) in offsets:
+            offset = np.timedelta64(round(offsets[id(spectrum)] * 3600e9), "ns")
+            times[place] = np.datetime64(spectrum.local_time, "ns") - offset
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
-    extra = _scale_of(spectra) if quantity == "reflectance" else {}
+    extra = {}
+    if quantity == "reflectance":
+        panels = sorted({spectrum.panel for spectrum in spectra} - {""})
+        extra = (
+            {"reflectance_scale": "absolute", "panel": listed(panels)}
+            if panels
+            else {"reflectance_scale": "relative"}
+        )
     return xr.Dataset(
         {quantity: label(values, quantity, **extra)},
         coords=_coords(spectra, times[order]),
         attrs={"instrument": "ASD"},
     )
-
-
-def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
-    if spectrum.local_time is None or offset_h is None:
-        return np.datetime64("NaT", "ns")
-    return np.datetime64(spectrum.local_time, "ns") - np.timedelta64(round(offset_h * 3600e9), "ns")
-
-
-def _scale_of(spectra: Sequence[Spectrum]) -> dict[str, str]:
-    """Return what reflectance is relative to, as attributes."""
-    panels = sorted({spectrum.panel for spectrum in spectra} - {""})
-    if not panels:
-        return {"reflectance_scale": "relative"}
-    return {"reflectance_scale": "absolute", "panel": listed(panels)}
 
 
 def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
@@ -189,7 +187,7 @@ def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> d
 
 
 def _name_of(spectrum: Spectrum) -> str:
-    """Return the name of a file without its ending, or of a column of one."""
+    """Return the name of a file without its suffixes, or of a column in it."""
     name = spectrum.source.rpartition(":")[2]
     while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
         name = name[:-4]
@@ -197,38 +195,59 @@ def _name_of(spectrum: Spectrum) -> str:
 
 
 def find_files(paths: Paths) -> list[Path]:
-    """Return the files that ``paths`` names: a file, a glob, a folder of spectra, or a list of these.
+    """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
 
     Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
 
     Raises FormatError: Nothing is there.
     """
-    return find_paths(paths, _files_of_folder, ".asd files, text exports or a csv")
 
+    def of_folder(files: list[Path]) -> list[Path]:
+        binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
+        return binaries or [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES]
 
-def _files_of_folder(files: list[Path]) -> list[Path]:
-    binaries = [p for p in files if p.suffix.lower() == ".asd" or p.suffix[1:].isdigit()]
-    return binaries or [p for p in files if p.suffix.lower() in _TEXT_SUFFIXES]
+    return find_paths(paths, of_folder, ".asd files, text exports or a csv")
 
 
 def read_spectra(
-    files: Sequence[Path], quantity: str | None, *, absolute: bool = False,
+    files: Sequence[Path],
+    quantity: str | None,
+    *,
+    absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
-) -> tuple[list[Spectrum], str]:  # fmt: skip
+) -> tuple[list[Spectrum], str]:
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
 
     Returns spectra : list of Spectrum: In the order of ``files``.
-    Returns quantity : str: What they are.
+    Returns quantity : str: Their quantity.
     Raises FormatError: See `open_asd`.
     Raises SchemaError: See `open_asd`.
     """
     if quantity is not None and quantity not in QUANTITIES:
-        raise SchemaError(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
-    external = _external_calibration(calibration or {})
+        raise SchemaError(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
+    # calibration files of the caller, by kind of block
+    calibration = calibration or {}
+    if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
+        raise SchemaError(
+            f"calibration keys {unknown}",
+            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
+            code="key-unknown",
+        )
+    calibration_files = for_all(calibration.values(), read_asd)
+    external = {
+        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
+    }
     contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
     if absolute and wanted != "reflectance":
-        raise SchemaError(f"absolute=True needs reflectance, found {wanted}; omit it, or name the quantity")
+        raise SchemaError(
+            f"absolute=True with quantity {wanted!r}",
+            expected="reflectance",
+            mend="omit absolute=, or pass quantity='reflectance'",
+            code="option-conflict",
+        )
     derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
     spectra = [
         replace(spectrum, path=path)
@@ -236,7 +255,12 @@ def read_spectra(
         for spectrum in of_file
     ]
     require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
-    _warn_of_dark(contents, wanted)
+    with_dark = [
+        content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
+    ]
+    if with_dark and wanted != "counts":
+        text = f"the dark current was not subtracted, so that {wanted} is biased, in: {listed(with_dark)}"
+        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
     return mask_undefined(spectra, wanted), wanted
 
 
@@ -247,16 +271,16 @@ def _read_file(path: Path) -> AsdFile | AsdText:
     if kind == "text":
         return read_asd_text(path)
     if path.is_file():
-        reason = "neither a binary .asd file nor a text export of ASD spectra"
+        found, code = "neither a binary .asd file nor a text export of ASD spectra", "format-unknown"
     elif os.path.lexists(path):
-        reason = "a pipe, a device or a link that leads nowhere; expected a file"
+        found, code = "a pipe, a device or a broken link", "file-not-plain"
     else:
-        reason = "no such file"
-    raise FormatError(f"{path.name}: {reason}")
+        found, code = "no such file", "file-not-found"
+    raise FormatError(f"{path.name}: {found}", code=code)
 
 
 def sniff(path: Path) -> Kind:
-    """Return what kind of spectra a file holds, by its first bytes; ``unknown`` also where there is none."""
+    """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
     head = head_of(path, _HEAD_BYTES)
     if is_asd(head):
         return "binary"
@@ -266,7 +290,7 @@ def sniff(path: Path) -> Kind:
 
 
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
-    """Return the quantity that all files say they are, or seem to be."""
+    """Return the common quantity of all files, declared or guessed."""
     quantity = common_quantity(
         (
             _QUANTITY_OF_DATA_TYPE.get(content.data_type)
@@ -278,10 +302,11 @@ def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     )
     texts = [content.name for content in contents if isinstance(content, AsdText)]
     if texts:
-        _warn(
-            f"text exports do not say their quantity; {quantity} is a guess from the range of the operator's "
-            f"plot. Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
+        text = (
+            f"text exports do not state their quantity; {quantity} is a guess from the range of the plot. "
+            f"Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
         )
+        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=3)
     return quantity
 
 
@@ -290,17 +315,26 @@ def _spectra_of(
 ) -> list[Spectrum]:
     if isinstance(content, AsdFile):
         wavelength, values, saturated = _derived(content, quantity, external, absolute=absolute)
+        panel = external.get("ABS", content.calibrations.get("ABS"))
         return [
             Spectrum(
-                content.name, wavelength, values, content.local_time, content.utc_offset_h,
+                content.name,
+                wavelength,
+                values,
+                content.local_time,
+                content.utc_offset_h,
                 averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
-                dark_utc=content.dark_utc, gps=content.gps, saturated=saturated,
-                panel=_panel_of(content, external) if absolute else "",
+                dark_utc=content.dark_utc,
+                gps=content.gps,
+                saturated=saturated,
+                panel=panel.name if absolute and panel is not None else "",
             )
-        ]  # fmt: skip
+        ]
     if absolute:
         raise FormatError(
-            f"{content.name}: a text export, to which no panel's reflectance can be put; give the binary file"
+            f"{content.name}: a text export cannot be scaled by the reflectance of its panel",
+            mend="give the binary file",
+            code="option-conflict",
         )
     averaging_s = None
     if content.integration_ms is not None:
@@ -309,29 +343,17 @@ def _spectra_of(
     return [
         Spectrum(
             f"{content.name}:{column}" if several else content.name,
-            content.wavelength, values, content.local_time, averaging_s=averaging_s,
+            content.wavelength,
+            values,
+            content.local_time,
+            averaging_s=averaging_s,
         )
         for column, values in zip(content.spectra, content.values, strict=True)
-    ]  # fmt: skip
-
-
-def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
-    unknown = sorted(set(calibration) - set(_CALIBRATION_KEYS))
-    if unknown:
-        raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(_CALIBRATION_KEYS)}")
-    read = for_all(calibration.values(), read_asd)
-    return {_CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
-
-
-def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
-    binaries = [content for content in contents if isinstance(content, AsdFile)]
-    with_dark = [file.name for file in binaries if not file.dark_subtracted]
-    if with_dark and quantity != "counts":
-        _warn(f"the dark current was not subtracted, so that {quantity} is biased, in: {listed(with_dark)}")
+    ]
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
-    """Turn saturated and undefined samples, and empty spectra, into NaN, and say so."""
+    """Replace saturated and undefined samples, and empty spectra, by NaN, with a warning."""
     reasons: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
@@ -347,9 +369,10 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
             undefined |= spectrum.saturated
         masked.append(replace(spectrum, values=np.where(undefined, np.nan, spectrum.values)))
     for reason, names in reasons.items():
-        _warn(
+        text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
         )
+        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
     return masked
 
 
@@ -358,7 +381,7 @@ def utc_offsets(
 ) -> list[float]:
     """Return local time minus UTC [h] of each spectrum.
 
-    spectra: With what their files say about the zone of the logging PC.
+    spectra: With the zone of the logging PC, where the file holds it.
     utc_offset_h: The user's word, which wins over the files', with a warning where these differ.
     one_clock: The spectra are one series off one PC: files that say nothing take the offset of those that do,
         which must agree.
@@ -368,19 +391,24 @@ def utc_offsets(
     for spectrum in spectra:
         if spectrum.utc_offset_h is not None:
             sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
-    said = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
+    offsets_text = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
-            _warn(f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}")
+            text = f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {offsets_text}"
+            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
-        raise TimeError(f"files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}")
+        raise TimeError(
+            f"UTC offsets differ within one series: {offsets_text}",
+            mend="pass utc_offset_h=",
+            code="utc-offset-conflict",
+        )
     if one_clock and sources_by_offset:
         return [next(iter(sources_by_offset))] * len(spectra)
     silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
     if silent:
-        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}")
+        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}", code="zone-missing")
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 
@@ -394,7 +422,7 @@ def _zoneless(silent: Sequence[Spectrum]) -> str:
 
 
 def _offset_hint(spectrum: Spectrum) -> str:
-    """Return what the GPS suggests, or the dark current: stamped in UTC, shortly before the spectrum."""
+    """Return a UTC offset suggested by the GPS, or by the dark current, which is stamped in UTC."""
     if spectrum.gps is not None and spectrum.local_time is not None:
         fix = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
         hours = round((spectrum.local_time - fix) / dt.timedelta(hours=1))
@@ -403,10 +431,6 @@ def _offset_hint(spectrum: Spectrum) -> str:
         return ""
     hours = (spectrum.local_time - spectrum.dark_utc) // dt.timedelta(hours=1)
     return f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, PaintWarning, stacklevel=2)
 
 
 # --- from counts to quantities -----------------------------------------------------------------------------
@@ -418,78 +442,71 @@ def _derived(
     """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
 
     See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
-    over the blocks in the file. ``absolute`` multiplies reflectance by that of the white panel.
+    over the blocks in the file. ``absolute`` multiplies reflectance by the panel's reflectance.
 
     Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
     """
     wavelength, values = file.wavelength, file.spectrum
+    # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
+    ends = [splice if splice > 0 else np.inf for splice in file.splices]
+    detector = np.searchsorted([ends[0], max(ends)], wavelength)
+    saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
     if quantity == "reflectance":
         if file.reference is None:
             raise FormatError(
-                f"{file.name}: no white reference in the file, so no reflectance; "
-                "pass quantity='counts', or give files saved after the white reference was taken"
+                f"{file.name}: no white reference in the file, so no reflectance",
+                mend="pass quantity='counts', or give files saved after the white reference was taken",
+                code="reference-missing",
             )
         values = ratio(file.spectrum, file.reference)
         if absolute:
             with np.errstate(all="ignore"):
                 values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
     elif quantity in _NEEDED_BLOCKS:
-        with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-            values = file.spectrum * _responsivity(file, quantity, external)
-        vnir = wavelength <= _splices(file)[0]
+        blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
+        lamp_counts, lamp_ms = blocks["FO"]
+        if file.integration_ms <= 0 or lamp_ms <= 0:
+            raise FormatError(
+                f"{file.name}: integration times {file.integration_ms:g} ms, calibration {lamp_ms:g} ms",
+                expected="positive numbers",
+                code="value-out-of-range",
+            )
+        with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
+            per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+            if quantity == "radiance":
+                per_count = per_count * blocks["BSE"][0] / np.pi
+            values = file.spectrum * per_count
+        vnir = wavelength <= ends[0]
         if not vnir.any():
-            raise FormatError(f"{file.name}: wavelengths lie beyond the first splice; copy it again")
-        return wavelength[vnir], values[vnir], _saturated(file)[vnir]
-    return wavelength, values, _saturated(file)
-
-
-def _panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
-    """Return the name of the panel whose reflectance makes that of the file absolute; empty without one."""
-    if "ABS" in external:
-        return external["ABS"].name
-    return file.calibrations["ABS"].name if "ABS" in file.calibrations else ""
+            raise FormatError(
+                f"{file.name}: all wavelengths lie beyond the first splice",
+                mend="copy the file again",
+                code="wavelength-range",
+            )
+        return wavelength[vnir], values[vnir], saturated[vnir]
+    return wavelength, values, saturated
 
 
 def _needed_blocks(
     file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
 ) -> dict[str, tuple[Floats, float]]:
-    """Return values and integration time [ms] of the calibration blocks of some kinds."""
+    """Return values and integration time [ms] of the calibration blocks of the given kinds."""
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
-            raise FormatError(f"{file.name}: its wavelengths are not those of calibration file {other.name}")
+            raise FormatError(
+                f"{file.name}: wavelengths differ from calibration file {other.name}", code="grid-mismatch"
+            )
         blocks[kind] = (other.spectrum, other.integration_ms)
     missing = [kind for kind in kinds if kind not in blocks]
     if missing:
         keys = [key for key, kind in _CALIBRATION_KEYS.items() if kind in missing]
         raise FormatError(
-            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}; pass "
-            f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
-            "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}",
+            mend=(
+                f"pass calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the files of the "
+                "instrument (.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+            ),
+            code="calibration-missing",
         )
     return blocks
-
-
-def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> Floats:
-    """Return irradiance or radiance per count (wavelength)."""
-    blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
-    lamp_counts, lamp_ms = blocks["FO"]
-    if file.integration_ms <= 0 or lamp_ms <= 0:
-        raise FormatError(
-            f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
-            f"{lamp_ms:g} ms; expected positive numbers"
-        )
-    per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
-    return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
-
-
-def _splices(file: AsdFile) -> list[float]:
-    """Return the last wavelengths of VNIR and SWIR 1, infinite where there is no further detector."""
-    return [splice if splice > 0 else np.inf for splice in file.splices]
-
-
-def _saturated(file: AsdFile) -> npt.NDArray[np.bool_]:
-    first, second = _splices(file)
-    detector = np.searchsorted([first, max(first, second)], file.wavelength)
-    flags = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])
-    return flags[detector]

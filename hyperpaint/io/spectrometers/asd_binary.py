@@ -25,7 +25,7 @@ from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import read_limited
 
 HEADER_BYTES = 484
-_LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
+_MAX_BYTES = 64 * 2**20  # ten times the size of 65,535 channels with every calibration block
 
 # name and struct format of each field of the header, in file order
 # ``saved`` is a C struct tm, the PC's local time; ``averages`` are of dark, reference, sample
@@ -55,18 +55,18 @@ _OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
 
 @dataclass(frozen=True, eq=False)
 class AsdFile:
-    """What one ``.asd`` file holds; arrays are (wavelength), float64 and read-only."""
+    """Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only."""
 
     name: str  # file name without its folder
     version: int  # 1 to 8
-    comment: str  # what the operator wrote; of the spectrum and of the white reference
+    comment: str  # of the operator, on the spectrum; `description` is on the white reference
     description: str
     # When the spectrum was saved, by the clock of the logging PC, in whole seconds, without a zone
     local_time: dt.datetime
     # Local time minus UTC [h], or None where the file has no white reference to take it from
     utc_offset_h: float | None
     dark_utc: dt.datetime | None  # when the dark current was measured, or None
-    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: what the operator looked at. The spectrum is
+    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: the quantity on display. The spectrum is
     # in raw counts in any case
     data_type: str
     wavelength: Floats  # nanometres
@@ -82,12 +82,12 @@ class AsdFile:
     instrument: str  # model and serial number
     instrument_number: int
     fore_optic: int  # field of view [degree], 0 none, 180 and more a cosine receptor
-    dark_subtracted: bool  # whether the dark current was taken off
+    dark_subtracted: bool  # whether the dark current was subtracted
     saturated: frozenset[str]  # detectors that the instrument found saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
 
 
 def is_asd(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a binary ``.asd`` file."""
+    """Return whether the first bytes of a file are those of a binary ``.asd`` file."""
     return head[:3] in _VERSIONS and b"\0" in head[:HEADER_BYTES]
 
 
@@ -101,13 +101,12 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         contradictory.
     """
     path = Path(path)
-    return _parse(read_limited(path, _LARGEST_FILE, "an ASD spectrometer's file"), path.name)
-
-
-def _parse(data: bytes, name: str) -> AsdFile:
-    cursor = Cursor(data, name)
+    data = read_limited(path, _MAX_BYTES, "an ASD spectrometer's file")
+    cursor = Cursor(data, path.name)
     if data[:3] not in _VERSIONS:
-        raise cursor.error(f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file")
+        raise cursor.error(
+            f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown"
+        )
     version = _VERSIONS[data[:3]]
     header = _header(cursor)
     channels: int = header["channels"]
@@ -117,24 +116,36 @@ def _parse(data: bytes, name: str) -> AsdFile:
     if version >= 2:
         flag, reference_ole, _ = cursor.values("Hdd", "the head of the white reference")
         if flag not in (0, 0xFFFF):
-            raise cursor.error(f"white reference flag {flag:#06x}, expected 0x0000 or 0xffff: damaged")
+            raise cursor.error(
+                f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
+            )
         description = cursor.text("the description of the white reference")
         # a file without a reference holds zeros or an old one in its place
         values = cursor.array(channels, dtype, "the white reference")
         reference = values if flag and np.any(values != 0.0) else None
     calibrations = _read_later_blocks(cursor, version, channels)
     if not cursor.at_end:
-        raise cursor.error(f"{cursor.left} bytes follow the last block of a version {version} file: damaged")
+        raise cursor.error(
+            f"{cursor.left} bytes follow the last block of a version {version} file", code="file-damaged"
+        )
+    first, step, dark_s = header["first_wavelength"], header["wavelength_step"], header["dark_epoch"]
+    local_time = _local_time(cursor, header["saved"])
+    if not (0 < first < 1e5 and 0 < step < 1e4):
+        raise cursor.error(
+            f"first wavelength {first} nm, step {step} nm", expected="positive numbers", code="file-damaged"
+        )
+    wavelength: Floats = first + step * np.arange(channels, dtype=np.float64)
+    wavelength.flags.writeable = False
     return AsdFile(
-        name=name,
+        name=path.name,
         version=version,
         comment=_plain_text(header["comment"]),
         description=description,
-        local_time=_local_time(cursor, header["saved"]),
+        local_time=local_time,
         utc_offset_h=None if reference is None else _utc_offset_h(reference_ole, header["reference_epoch"]),
-        dark_utc=_epoch(header["dark_epoch"]),
+        dark_utc=dt.datetime(1970, 1, 1) + dt.timedelta(seconds=dark_s) if dark_s > 0 else None,
         data_type=_DATA_TYPES[header["data_type"]],
-        wavelength=_wavelength(cursor, header),
+        wavelength=wavelength,
         spectrum=spectrum,
         reference=reference,
         integration_ms=nominal_integration_ms(header["integration_ms"]),
@@ -157,21 +168,18 @@ def _header(cursor: Cursor) -> dict[str, Any]:
         values = cursor.values(fmt, f"the header ({name})")
         header[name] = values[0] if len(values) == 1 else values
     if header["data_format"] not in _DTYPES:
-        raise cursor.error(f"data format {header['data_format']}, expected 0 float, 1 integer or 2 double")
+        raise cursor.error(
+            f"data format {header['data_format']}",
+            expected="0 float, 1 integer or 2 double",
+            code="file-damaged",
+        )
     if header["data_type"] >= len(_DATA_TYPES):
-        raise cursor.error(f"data type {header['data_type']}, expected 0 to {len(_DATA_TYPES) - 1}: damaged")
+        raise cursor.error(
+            f"data type {header['data_type']}", expected=f"0 to {len(_DATA_TYPES) - 1}", code="file-damaged"
+        )
     if header["channels"] == 0:
-        raise cursor.error("no channels: the file holds no spectrum")
+        raise cursor.error("the file has no channels", code="empty-input")
     return header
-
-
-def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> Floats:
-    first, step = header["first_wavelength"], header["wavelength_step"]
-    if not (0 < first < 1e5 and 0 < step < 1e4):
-        raise cursor.error(f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged")
-    wavelength: Floats = first + step * np.arange(header["channels"], dtype=np.float64)
-    wavelength.flags.writeable = False
-    return wavelength
 
 
 def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
@@ -182,20 +190,16 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
         # C allows the second 60
         return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
     except ValueError as error:
-        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date: damaged") from error
+        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date", code="time-unreadable") from error
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
-    """Return local time minus UTC of the white reference, which a file holds in both."""
+    """Return local time minus UTC [h] from the white reference, which is stamped in both."""
     if epoch_s <= 0 or not 0 < ole_days < 1e5:
         return None
     seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
     hours = round(seconds / 900.0) / 4.0  # zones differ by quarters of an hour
     return hours if abs(seconds - hours * 3600.0) < 60.0 and -12.0 <= hours <= 14.0 else None
-
-
-def _epoch(seconds: int) -> dt.datetime | None:
-    return dt.datetime(1970, 1, 1) + dt.timedelta(seconds=seconds) if seconds > 0 else None
 
 
 _TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
@@ -204,7 +208,7 @@ _CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
 
 @dataclass(frozen=True, eq=False)
 class AsdGps:
-    """Position that the spectrometer's GPS gave."""
+    """Position of the spectrometer by its GPS."""
 
     latitude: float  # degrees, north and east positive (the file itself counts west positive)
     longitude: float
@@ -225,7 +229,7 @@ class AsdCalibration:
 
 
 def nominal_integration_ms(milliseconds: int) -> float:
-    """Return the integration time that a nominal whole number of milliseconds stands for.
+    """Return the integration time for a nominal whole number of milliseconds.
 
     The file says 8 or 9 where the instrument integrates for 8.5 ms; the longer times (17, 34, 68 ...) are
     exact.
@@ -246,81 +250,69 @@ class Cursor:
         self._name = name
         self._at = 0
 
-    def error(self, problem: str) -> FormatError:
-        """Return an error that names the file."""
-        return FormatError(f"{self._name}: {problem}")
+    def error(self, found: str, *, expected: str = "", mend: str = "", code: str) -> FormatError:
+        return FormatError(f"{self._name}: {found}", expected=expected, mend=mend, code=code)
 
     @property
     def left(self) -> int:
-        """Bytes not read yet."""
+        """Number of bytes not read yet."""
         return len(self._data) - self._at
 
     @property
     def at_end(self) -> bool:
-        """True where nothing follows but what newer software appends."""
+        """True at the end of the file, or before the trailer of newer software."""
         return self.left == 0 or self._data[self._at :] == _TRAILER
 
-    def bytes(self, count: int, what: str) -> bytes:
-        """Read bytes; ``what`` names them in messages."""
+    def bytes(self, count: int, part: str) -> bytes:
+        """Read bytes; ``part`` names them in messages."""
         if count > self.left:
             raise self.error(
-                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left: "
-                "the file is truncated or damaged; copy it again from the instrument"
+                f"{part} needs {count} bytes at offset {self._at}, {self.left} are left",
+                mend="copy the file again from the instrument",
+                code="file-truncated",
             )
         self._at += count
         return self._data[self._at - count : self._at]
 
-    def values(self, fmt: str, what: str) -> tuple[Any, ...]:
+    def values(self, fmt: str, part: str) -> tuple[Any, ...]:
         """Read the values of a struct format, little-endian."""
-        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), what))
+        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), part))
 
-    def text(self, what: str) -> str:
-        """Read a text that its length precedes."""
-        (length,) = self.values("H", f"the length of {what}")
-        return _plain_text(self.bytes(length, what))
+    def text(self, part: str) -> str:
+        """Read a text with its length before it."""
+        (length,) = self.values("H", f"the length of {part}")
+        return _plain_text(self.bytes(length, part))
 
-    def array(self, count: int, dtype: np.dtype[Any], what: str) -> Floats:
+    def array(self, count: int, dtype: np.dtype[Any], part: str) -> Floats:
         """Read ``count`` numbers as read-only float64."""
-        raw = np.frombuffer(self.bytes(count * dtype.itemsize, what), dtype)
+        raw = np.frombuffer(self.bytes(count * dtype.itemsize, part), dtype)
         with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
             values = raw.astype(np.float64)
         values.flags.writeable = False
         return values
 
-    def safe_array(self, item_bytes: int, what: str) -> int:
-        """Read the head of an OLE SAFEARRAY and return how many items follow."""
-        (dims,) = self.values("H", what)
+    def safe_array(self, item_bytes: int, part: str) -> int:
+        """Read the head of an OLE SAFEARRAY and return the number of items that follow."""
+        (dims,) = self.values("H", part)
         if dims * 8 > self.left or dims > 60:
-            raise self.error(f"{what} has {dims} dimensions: the file is damaged")
+            raise self.error(f"{part} has {dims} dimensions", code="file-damaged")
         count = 1 if dims else 0
         for _ in range(dims):
-            count *= self.values("Ii", what)[0]
+            count *= self.values("Ii", part)[0]
         if count * item_bytes > self.left:
-            raise self.error(f"{what} declares {count} items, more than the {self.left} bytes left can hold")
+            raise self.error(
+                f"{part} declares {count} items, more than the {self.left} bytes left can hold",
+                code="file-damaged",
+            )
         return count
 
 
 def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
-    """Read what versions 6, 7 and 8 added, and return the calibration blocks by kind."""
+    """Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind."""
+    blocks: dict[str, AsdCalibration] = {}
     if version < 6 or (version == 6 and cursor.at_end):
-        return {}
-    _classifier(cursor)
-    calibrations = {}
-    if version >= 7:
-        _dependent_variables(cursor)
-        calibrations = _calibrations(cursor, channels)
-    if version >= 8:
-        cursor.values("i", "the audit count")
-        for _ in range(cursor.safe_array(2, "the audit log")):
-            cursor.text("an audit event")
-        cursor.values("Bq", "the signature")
-        for _ in range(7):
-            cursor.text("the signature")
-        cursor.bytes(128, "the signature")
-    return calibrations
-
-
-def _classifier(cursor: Cursor) -> None:
+        return blocks
+    # classifier
     cursor.values("BB", "the classifier block")
     for _ in range(20):
         cursor.text("the classifier block")
@@ -329,34 +321,43 @@ def _classifier(cursor: Cursor) -> None:
         cursor.text("a constituent")
         cursor.text("a constituent")
         cursor.values("9di2d", "a constituent")
-
-
-def _dependent_variables(cursor: Cursor) -> None:
-    cursor.values("hh", "the dependent variables")
-    for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
-        cursor.text("the label of a dependent variable")
-    count = cursor.safe_array(4, "the dependent variables")
-    cursor.bytes(4 * count, "the dependent variables")
-
-
-def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
-    (count,) = cursor.values("B", "the number of calibration blocks")
-    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
-    blocks: dict[str, AsdCalibration] = {}
-    for code, name, milliseconds, *gains in heads:
-        if not 0 <= code < len(_CALIBRATION_KINDS):
-            raise cursor.error(f"calibration block of type {code}, expected 0 to 3: damaged")
-        kind = _CALIBRATION_KINDS[code]
-        if kind in blocks:
-            raise cursor.error(f"two calibration blocks of kind {kind}, expected one of each: damaged")
-        values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
-        integration_ms = nominal_integration_ms(milliseconds)
-        blocks[kind] = AsdCalibration(kind, _plain_text(name), integration_ms, (gains[0], gains[1]), values)
+    if version >= 7:
+        # dependent variables
+        cursor.values("hh", "the dependent variables")
+        for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
+            cursor.text("the label of a dependent variable")
+        count = cursor.safe_array(4, "the dependent variables")
+        cursor.bytes(4 * count, "the dependent variables")
+        # calibration blocks: all heads, then all values
+        (count,) = cursor.values("B", "the number of calibration blocks")
+        heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
+        for number, name, milliseconds, *gains in heads:
+            if not 0 <= number < len(_CALIBRATION_KINDS):
+                raise cursor.error(
+                    f"calibration block of type {number}", expected="0 to 3", code="file-damaged"
+                )
+            kind = _CALIBRATION_KINDS[number]
+            if kind in blocks:
+                raise cursor.error(
+                    f"two calibration blocks of kind {kind}", expected="one of each", code="file-damaged"
+                )
+            values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
+            ms = nominal_integration_ms(milliseconds)
+            blocks[kind] = AsdCalibration(kind, _plain_text(name), ms, (gains[0], gains[1]), values)
+    if version >= 8:
+        # audit log and signature
+        cursor.values("i", "the audit count")
+        for _ in range(cursor.safe_array(2, "the audit log")):
+            cursor.text("an audit event")
+        cursor.values("Bq", "the signature")
+        for _ in range(7):
+            cursor.text("the signature")
+        cursor.bytes(128, "the signature")
     return blocks
 
 
 def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
-    """Return the fix in the header's GPS block, None where there is none."""
+    """Return the fix in the header's GPS block, None without one."""
     values = struct.unpack("<5dhbbbbbh5sbb", block)
     _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
     if latitude == longitude == altitude == 0.0:
@@ -369,8 +370,9 @@ def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
         return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), altitude, fix)
     except ValueError as error:
         raise cursor.error(
-            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
-            "expected ddmm.mmmm, dddmm.mmmm and metres: damaged"
+            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
+            expected="ddmm.mmmm, dddmm.mmmm and metres",
+            code="file-damaged",
         ) from error
 
 

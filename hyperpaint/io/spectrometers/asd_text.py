@@ -25,22 +25,22 @@ from hyperpaint.io.files.reading import read_limited_text
 
 from .asd_binary import nominal_integration_ms
 
-_LARGEST_FILE = 512 * 2**20
+_MAX_BYTES = 512 * 2**20
 _SEPARATORS = (";", "\t", ",")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
 _TABLE = re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE)
-# Windows' C library spells what is not a number in its own way
+# spellings of NaN and infinity by Windows' C library
 _NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
 
 
 @dataclass(frozen=True, eq=False)
 class AsdText:
-    """What one text export holds; arrays are float64 and read-only."""
+    """Content of one text export; arrays are float64 and read-only."""
 
     name: str  # file name without its folder
     spectra: tuple[str, ...]  # names of the spectra
     wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
-    values: npt.NDArray[np.float64]  # (spectrum, wavelength), in whatever quantity was exported
+    values: npt.NDArray[np.float64]  # (spectrum, wavelength), in the exported quantity
     # When the spectrum was saved, by the clock of the logging PC, or None without a preamble
     local_time: dt.datetime | None
     # As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
@@ -56,12 +56,12 @@ class AsdText:
 
     @property
     def likely_quantity(self) -> str | None:
-        """The quantity that ``ymax`` goes with in files whose quantity is known; a guess."""
+        """Quantity guessed from ``ymax``, by files of known quantity."""
         return {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}.get(self.ymax or 0.0)
 
 
 def is_asd_text(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a text export of ASD spectra."""
+    """Return whether the first bytes of a file are a text export of ASD spectra."""
     return any(_TABLE.match(line) for line in _lines(head))
 
 
@@ -69,7 +69,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     r"""Read one text export of ASD spectra.
 
     path: A file that ViewSpec exported, of any of its variants.
-    Returns AsdText: Spectra (spectrum, wavelength) and what the preamble says.
+    Returns AsdText: Spectra (spectrum, wavelength) and the fields of the preamble.
     Raises FormatError: The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
 
     Examples
@@ -81,11 +81,13 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     array([[0.89, 0.91]])
     """
     path = Path(path)
-    lines = _lines(read_limited_text(path, _LARGEST_FILE, "a text export of spectra"))
+    lines = _lines(read_limited_text(path, _MAX_BYTES, "a text export of spectra"))
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
         raise FormatError(
-            f"{path.name}: no line begins with 'Wavelength' and a separator: not a text export of ASD spectra"
+            f"{path.name}: no line begins with 'Wavelength' and a separator",
+            expected="a text export of ASD spectra",
+            code="format-unknown",
         )
     spectra, wavelength, values = _table(path.name, lines[start:])
     return AsdText(path.name, spectra, wavelength, values, **_preamble(path.name, "\n".join(lines[:start])))
@@ -96,7 +98,7 @@ def _lines(data: bytes) -> list[str]:
 
 
 def _preamble(name: str, text: str) -> dict[str, Any]:
-    """Return the fields of `AsdText` that the sentences above the table give."""
+    """Return the fields of `AsdText` from the sentences above the table."""
 
     def parsed(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
         match = re.search(pattern, text, re.IGNORECASE)
@@ -141,7 +143,9 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
             raise ValueError
         return stamp
     except ValueError as error:
-        raise FormatError(f"{name}: {match[0]!r} is not a date in the order month/day/year") from error
+        raise FormatError(
+            f"{name}: {match[0]!r} is not a date", expected="month/day/year", code="time-unreadable"
+        ) from error
 
 
 _Table = tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -154,7 +158,11 @@ def _table(name: str, lines: list[str]) -> _Table:
     while cells and not cells[-1]:  # a separator at the end of the line
         cells.pop()
     if len(cells) < 2:
-        raise FormatError(f"{name}: the table has no column beside 'Wavelength'; export the spectra again")
+        raise FormatError(
+            f"{name}: the table has no column beside 'Wavelength'",
+            mend="export the spectra again",
+            code="column-missing",
+        )
     by_rows = all(_number(cell) is not None for cell in cells[1:])
     labels, values = _rows(name, lines[1:], separator, len(cells), words=by_rows)
     if by_rows:
@@ -163,7 +171,11 @@ def _table(name: str, lines: list[str]) -> _Table:
         spectra, wavelength = tuple(cells[1:]), np.array([_number(label) for label in labels], np.float64)
         values = values.T
     if not (np.all(np.isfinite(wavelength)) and np.all(wavelength > 0) and np.all(np.diff(wavelength) > 0)):
-        raise FormatError(f"{name}: the wavelengths do not increase; the table is damaged")
+        raise FormatError(
+            f"{name}: the wavelengths do not increase",
+            mend="export the spectra again",
+            code="wavelength-unordered",
+        )
     values = np.ascontiguousarray(values)
     wavelength.flags.writeable = values.flags.writeable = False
     return spectra, wavelength, values
@@ -172,9 +184,9 @@ def _table(name: str, lines: list[str]) -> _Table:
 def _rows(
     name: str, lines: list[str], separator: str, width: int, *, words: bool
 ) -> tuple[list[str], npt.NDArray[np.float64]]:
-    """Return the first cells of the table's rows, and the numbers in the others.
+    """Return the first cells of the rows of a table, and the numbers of the others.
 
-    Lines that are no rows, such as ``x2bar``, are known above and below a table of columns, never inside it.
+    Other lines, such as ``x2bar``, occur above and below a table of columns, never inside it.
     """
     labels: list[str] = []
     values: list[list[float]] = []
@@ -188,13 +200,17 @@ def _rows(
             continue
         if len(cells) != width or len(whole) != len(row) or ended_at is not None:
             raise FormatError(
-                f"{name}: line {number} of the table holds {line.strip()[:60]!r}, "
-                f"expected {width} cells separated by {separator!r}; the table is damaged"
+                f"{name}: line {number} of the table holds {line.strip()[:60]!r}",
+                expected=f"{width} cells separated by {separator!r}",
+                mend="export the spectra again",
+                code="row-unreadable",
             )
         labels.append(cells[0])
         values.append(whole)
     if not labels:
-        raise FormatError(f"{name}: the table is empty; export the spectra again")
+        raise FormatError(
+            f"{name}: the table is empty", mend="export the spectra again", code="table-missing"
+        )
     return labels, np.array(values, np.float64)
 
 

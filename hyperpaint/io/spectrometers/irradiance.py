@@ -1,4 +1,4 @@
-"""The record of a sky-pointing spectrometer as one series in UTC, whatever it was logged in."""
+"""The record of a sky-pointing spectrometer as one series in UTC."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ Stamp = Literal["start", "mid", "end"]
 
 _GAP_INTERVALS = 2.5
 _MARGIN = np.timedelta64(60, "s")
-#: Where the sun has light to speak of, and what resolutions spectrometers have [nm].
+#: Range of sunlight, and range of the resolutions of spectrometers [nm].
 _SUNLIT_NM, _WIDTHS_NM = (200.0, 2600.0), (0.02, 100.0)
-#: Pairs of samples with one stamp that a message names.
-_MOST_SHOWN = 20
+#: Largest number of sample pairs in a message.
+_MAX_SHOWN = 20
 
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """Samples as they were logged, before clocks and units are settled."""
+    """Samples as logged, before correction of clocks and units."""
 
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
@@ -82,7 +82,7 @@ def open_irradiance(
         ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
         with a warning. Binary files become irradiance through their calibration.
     utc_offset_h
-        Clock of the logging PC minus UTC [h], zones only. By default what the files say; csv stamps may carry
+        Clock of the logging PC minus UTC [h], zones only. By default from the files; csv stamps may carry
         their zone; xarray objects are in UTC.
     clock_offset_s
         What has to be added to the logging PC's clock [s]: UTC = stamp - utc_offset_h + clock_offset_s.
@@ -99,7 +99,7 @@ def open_irradiance(
     calibration
         Calibration files of the instrument, see `hyperpaint.io.spectrometers.asd.open_asd`.
     averaging_s
-        Length of the averaging window [s]. By default what the file says (integration time times the spectra
+        Length of the averaging window [s]. By default from the file (integration time times the spectra
         averaged), else 0.
     clock_uncertainty_s
         How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
@@ -111,8 +111,8 @@ def open_irradiance(
         ``irradiance`` (irradiance_time, irradiance_wavelength) [W m-2 nm-1] float32, in memory, ordered by
         time; ``irradiance_fwhm`` [nm], ``irradiance_max_gap`` [s] and, where it is known,
         ``irradiance_clock_uncertainty`` [s]; coordinates ``irradiance_time`` (UTC at
-        the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes tell
-        what was assumed. ASD stamps are whole seconds, as in the files: what lies below a second is lost.
+        the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes name
+        the assumptions. ASD stamps are whole seconds, as in the files; fractions are lost.
 
     Raises
     ------
@@ -158,7 +158,10 @@ def open_irradiance(
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
-    times = _utc_middle(series, clock_offset_s, STAMP_TO_MID_EXPOSURES[stamp] * window)
+    # UTC at the middle of each sample
+    shift_s = STAMP_TO_MID_EXPOSURES[stamp] * window
+    seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
+    times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
@@ -178,88 +181,132 @@ def open_irradiance(
 
 
 def _check_arguments(
-    quantity: str | None, clock_offset_s: float, stamp: str, fwhm_nm: Any, max_gap_s: float | None,
-    averaging_s: float | None, clock_uncertainty_s: float | None,
-) -> None:  # fmt: skip
+    quantity: str | None,
+    clock_offset_s: float,
+    stamp: str,
+    fwhm_nm: Any,
+    max_gap_s: float | None,
+    averaging_s: float | None,
+    clock_uncertainty_s: float | None,
+) -> None:
     problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
     if quantity not in (None, "irradiance"):
-        problems.add(f"quantity={quantity!r}: expected 'irradiance'; hp.open_asd opens other quantities")
+        problems.add(
+            f"quantity={quantity!r}",
+            expected="'irradiance'",
+            mend="hp.open_asd opens other quantities",
+            code="choice-unknown",
+        )
     if not np.isfinite(clock_offset_s):
-        problems.add(f"clock_offset_s={clock_offset_s}: expected seconds")
+        problems.add(f"clock_offset_s={clock_offset_s}", expected="seconds", code="not-finite")
     if stamp not in STAMP_TO_MID_EXPOSURES:
-        problems.add(f"stamp={stamp!r}: expected one of {', '.join(STAMP_TO_MID_EXPOSURES)}")
+        problems.add(
+            f"stamp={stamp!r}", expected=f"one of {', '.join(STAMP_TO_MID_EXPOSURES)}", code="choice-unknown"
+        )
     if max_gap_s is not None and not (np.isfinite(max_gap_s) and max_gap_s > 0):
-        problems.add(f"max_gap_s={max_gap_s}: expected a positive number")
+        problems.add(f"max_gap_s={max_gap_s}", expected="a positive number", code="value-out-of-range")
     if fwhm_nm is not None and not are_widths(fwhm_nm):
         problems.add(
-            f"fwhm_nm={fwhm_nm}: expected a positive number, or pairs of increasing wavelength and width [nm]"
+            f"fwhm_nm={fwhm_nm}",
+            expected="a positive number, or pairs of increasing wavelength and width [nm]",
+            code="value-out-of-range",
         )
     for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s)):
         if value is not None and not (np.isfinite(value) and value >= 0):
-            problems.add(f"{name}={value}: expected seconds, not negative")
+            problems.add(f"{name}={value}", expected="seconds, not negative", code="value-out-of-range")
     problems.raise_if_any()
 
 
 def _from_files(
-    files: Sequence[Path], quantity: str | None, utc_offset_h: float | None, units: str | None,
+    files: Sequence[Path],
+    quantity: str | None,
+    utc_offset_h: float | None,
+    units: str | None,
     calibration: Mapping[str, str | os.PathLike[str]] | None,
-) -> _Series:  # fmt: skip
+) -> _Series:
     kinds = [sniff(path) for path in files]
     if "csv" in kinds:
         foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
         if foreign:
-            raise FormatError(f"csv and other files do not mix; open them apart. Not csv: {listed(foreign)}")
+            raise FormatError(
+                f"csv and other files in one series; not csv: {listed(foreign)}",
+                mend="open them apart",
+                code="formats-mixed",
+            )
         return _from_csv(files, utc_offset_h, units)
     if quantity is None and "text" not in kinds:
-        quantity = "irradiance"  # what is in a binary depends on its calibration, not on what was displayed
+        quantity = "irradiance"  # a binary file holds it by its calibration, whatever was on display
     spectra, held_quantity = read_spectra(files, quantity, calibration=calibration)
     if held_quantity != "irradiance":
         raise FormatError(
-            f"the files seem to hold {held_quantity}, not irradiance; pass quantity='irradiance' if they "
-            f"hold irradiance after all. Files: {listed([path.name for path in files])}"
+            f"the files seem to hold {held_quantity}: {listed([path.name for path in files])}",
+            expected="irradiance",
+            mend="pass quantity='irradiance' if they hold it",
+            code="quantity-wrong",
         )
     vendors = VARIABLES["irradiance"].units
     widths, source = asd_widths(spectra[0].wavelength)
     assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
     return _from_spectra(
-        spectra, utc_offset_h, units or vendors, fwhm=widths, fwhm_source=source,
+        spectra,
+        utc_offset_h,
+        units or vendors,
+        fwhm=widths,
+        fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
-    )  # fmt: skip
+    )
 
 
 def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
     tables = for_all(files, read_irradiance_csv)
     names = listed([table.name for table in tables])
-    for what in ("units", "fwhm_nm", "wavelength"):
-        if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
-            raise FormatError(f"the csv files differ in their {what}; open them apart: {names}")
+    for field_name in ("units", "fwhm_nm", "wavelength"):
+        if any(
+            not np.array_equal(getattr(table, field_name), getattr(tables[0], field_name)) for table in tables
+        ):
+            raise FormatError(
+                f"the csv files differ in their {field_name}: {names}",
+                mend="open them apart",
+                code="series-mismatch",
+            )
     found_units = units or tables[0].units
     if found_units is None:
         raise UnitsError(
-            f"{names}: no units; pass units=, or add a line on top, for example "
-            f"'# units: {VARIABLES['irradiance'].units}'"
+            f"{names}: no units",
+            mend=(
+                f"pass units=, or add a line on top, for example '# units: {VARIABLES['irradiance'].units}'"
+            ),
+            code="units-missing",
         )
     spectra = [
         Spectrum(
-            f"{table.name}:{line}", table.wavelength, values, time.replace(tzinfo=None),
+            f"{table.name}:{line}",
+            table.wavelength,
+            values,
+            time.replace(tzinfo=None),
             utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
         )
         for table in tables
         for line, time, values in zip(table.lines, table.times, table.values, strict=True)
-    ]  # fmt: skip
+    ]
     spectra = mask_undefined(spectra, "irradiance")
     return _from_spectra(spectra, utc_offset_h, found_units, one_clock=False, fwhm=tables[0].fwhm_nm)
 
 
 def _from_spectra(
-    spectra: Sequence[Spectrum], utc_offset_h: float | None, units: str, *, one_clock: bool = True,
+    spectra: Sequence[Spectrum],
+    utc_offset_h: float | None,
+    units: str,
+    *,
+    one_clock: bool = True,
     **extra: Any,
-) -> _Series:  # fmt: skip
+) -> _Series:
     without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
     if without_stamp:
         raise TimeError(
-            "spectra without a time stamp cannot make a series; export them with the header "
-            f"('Spectrum saved: ...'), or write a csv series: {listed(without_stamp)}"
+            f"spectra without a time stamp cannot make a series: {listed(without_stamp)}",
+            mend="export them with the header ('Spectrum saved: ...'), or write a csv series",
+            code="time-missing",
         )
     sources = [spectrum.source for spectrum in spectra]
     several = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
@@ -277,14 +324,18 @@ def _from_spectra(
 
 
 def _from_xarray(
-    data: xr.Dataset | xr.DataArray, utc_offset_h: float | None, units: str | None,
+    data: xr.Dataset | xr.DataArray,
+    utc_offset_h: float | None,
+    units: str | None,
     origin: str = "an xarray object",
-) -> _Series:  # fmt: skip
+) -> _Series:
     if isinstance(data, xr.DataArray):
         data = data.to_dataset(name="irradiance")
     if "irradiance" not in data.data_vars:
         raise SchemaError(
-            f"{origin} has no variable 'irradiance', only {[str(name) for name in data.data_vars]}; rename it"
+            f"{origin} has no variable 'irradiance', only {[str(name) for name in data.data_vars]}",
+            mend="rename it",
+            code="variable-missing",
         )
     array = data["irradiance"]
     time, wavelength = _axes(array, origin)
@@ -293,12 +344,24 @@ def _from_xarray(
         check_utc_offset(utc_offset_h)
     found_units = array.attrs.get("units", units)
     if found_units is None:
-        raise UnitsError(f"{origin}: 'irradiance' has no units; pass units=, for example 'W m-2 nm-1'")
+        raise UnitsError(
+            f"{origin}: 'irradiance' has no units",
+            mend="pass units=, for example 'W m-2 nm-1'",
+            code="units-missing",
+        )
     if units is not None and conversion_factor(str(found_units), units) != 1.0:
-        raise UnitsError(f"{origin}: units={units!r}, but the data say {found_units!r}; correct one of them")
+        raise UnitsError(
+            f"{origin}: units={units!r}, but the data have {found_units!r}",
+            mend="correct one of them",
+            code="units-conflict",
+        )
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
     if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
-        raise SchemaError(f"{origin}: {wavelength.name!r} does not increase; sort by it and drop repeats")
+        raise SchemaError(
+            f"{origin}: {wavelength.name!r} does not increase",
+            mend="sort by it and drop repeats",
+            code="wavelength-unordered",
+        )
     count = array.sizes[time.name]
     values = array.values.astype(np.float64)
     sources = [f"sample {i}" for i in range(count)]
@@ -330,21 +393,22 @@ def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]
         name = next((name for name in names if name in array.dims and name in array.coords), None)
         if name is None or array.ndim != 2:
             raise SchemaError(
-                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}, expected a time and a "
-                f"wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
-                f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
+                expected=(
+                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
+                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+                ),
+                code="dims-wrong",
             )
         axes.append(array[name])
     time, wavelength = axes
     if time.dtype.kind != "M" or time.isnull().any():
-        raise TimeError(f"{origin}: {time.name!r} has dtype {time.dtype}, expected datetime64 without NaT")
+        raise TimeError(
+            f"{origin}: {time.name!r} has dtype {time.dtype}",
+            expected="datetime64 without NaT",
+            code="type-wrong",
+        )
     return time, wavelength
-
-
-def _utc_middle(series: _Series, clock_offset_s: float, shift_s: Floats) -> npt.NDArray[np.datetime64]:
-    seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
-    times: npt.NDArray[np.datetime64] = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
-    return times
 
 
 def _refuse_duplicates(
@@ -355,18 +419,21 @@ def _refuse_duplicates(
         return
     advice = "leave one of each pair out, or write a csv series with finer stamps"
     problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    shown = twice[:_MOST_SHOWN]
+    shown = twice[:_MAX_SHOWN]
     for first, second in zip(order[shown], order[shown + 1], strict=True):
         same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
         remark = " (the same spectrum twice)" if same else ""
-        problems.add(f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}")
+        problems.add(
+            f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
+            code="time-duplicate",
+        )
     if len(twice) > len(shown):
-        problems.add(f"... ({len(twice)} pairs in all)")
+        problems.add(f"... ({len(twice)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
 
 
 def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
-    """Return the ordered values in the units of the table; refuse numbers that only damage writes."""
+    """Return the ordered values in the units of the table; refuse values beyond float32."""
     raw = series.values[order]
     with np.errstate(over="ignore"):
         values: Floats = raw * factor
@@ -374,31 +441,48 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
     if lost.any():
         where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
         raise FormatError(
-            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
+            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
+            mend="check whether the file is damaged",
+            code="value-out-of-range",
         )
     return values
 
 
 def _dataset(
-    series: _Series, times: npt.NDArray[np.datetime64], values: Floats, fwhm_nm: Any,
+    series: _Series,
+    times: npt.NDArray[np.datetime64],
+    values: Floats,
+    fwhm_nm: Any,
     max_gap_s: float | None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     fwhm = series.fwhm if fwhm_nm is None else widths_at(series.wavelength, fwhm_nm)
     if fwhm is None:
-        raise SchemaError(f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm=")
+        raise SchemaError(
+            f"{series.origin} has no spectral resolution", mend="pass fwhm_nm=", code="fwhm-missing"
+        )
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
     if gap_s is None:
         if len(times) < 2:
-            raise TimeError(f"a single irradiance sample ({series.origin}) has no interval; pass max_gap_s=")
+            raise TimeError(
+                f"a single irradiance sample ({series.origin}) has no interval",
+                mend="pass max_gap_s=",
+                code="argument-missing",
+            )
         gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
     width = np.asarray(fwhm, np.float64)
     if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
-        raise SchemaError(f"{series.origin}: irradiance_fwhm must be a positive number or one per wavelength")
+        raise SchemaError(
+            f"{series.origin}: irradiance_fwhm is not positive, or of another shape than the wavelengths",
+            expected="a positive number, or one per wavelength",
+            code="value-out-of-range",
+        )
     if not _WIDTHS_NM[0] <= width.min() <= width.max() <= _WIDTHS_NM[1]:
         raise SchemaError(
-            f"{series.origin}: irradiance_fwhm from {width.min():g} to {width.max():g} nm, expected "
-            f"{_WIDTHS_NM[0]:g} to {_WIDTHS_NM[1]:g} nm; is it in micrometres, or angstroms?"
+            f"{series.origin}: irradiance_fwhm from {width.min():g} to {width.max():g} nm",
+            expected=f"{_WIDTHS_NM[0]:g} to {_WIDTHS_NM[1]:g} nm",
+            mend="check whether it is in micrometres or angstroms",
+            code="value-out-of-range",
         )
     return xr.Dataset(
         {
@@ -420,7 +504,7 @@ def _dataset(
 
 
 def _check_magnitude(wavelength: Floats, values: Floats) -> None:
-    """Refuse a series whose scale no daylight has: its units are others than those given.
+    """Refuse a series of a magnitude that daylight never has, as with wrong units.
 
     wavelength : (irradiance_wavelength,): [nm].
     values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
@@ -430,8 +514,9 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     """
     if wavelength[-1] < _SUNLIT_NM[0] or wavelength[0] > _SUNLIT_NM[1]:
         raise UnitsError(
-            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g} nm, where there is no sunlight; are "
-            "they in micrometres, angstroms or wavenumbers? Convert them to nanometres"
+            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g} nm, where there is no sunlight",
+            mend="convert micrometres, angstroms or wavenumbers to nanometres",
+            code="wavelength-range",
         )
     brightest = brightest_median(wavelength, values)
     if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and (slip := unit_slip(brightest)):
@@ -439,7 +524,7 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
             f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1 at its brightest, {slip}; "
             "check its units, unless the sun was below the horizon"
         )
-        warnings.warn(text, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(text, code="irradiance-dim"), stacklevel=4)
     if np.isnan(brightest) or LOWEST_MEDIAN <= brightest <= HIGHEST_MEDIAN:
         return
     direction = (
@@ -449,8 +534,12 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     )
     slip = unit_slip(brightest) or "uW labelled as W?"
     raise UnitsError(
-        f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
-        f"other units ({slip}) or another quantity, such as counts? Pass units=, or convert them"
+        f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}",
+        mend=(
+            f"check for other units ({slip}) or another quantity, such as counts; pass units=, or "
+            "convert the values"
+        ),
+        code="irradiance-implausible",
     )
 
 
@@ -470,12 +559,20 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     variables = require(irradiance, names, "the irradiance of a flight line")
     stamps = variables["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
     if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
-        raise TimeError("irradiance times repeat, run backwards or are missing; sort them and drop repeats")
+        raise TimeError(
+            "irradiance times repeat, run backwards or are missing",
+            mend="sort them and drop repeats",
+            code="time-unordered",
+        )
     flown = time[~np.isnat(time)]
     if not flown.size or not stamps.size or stamps[-1] < flown.min() or stamps[0] > flown.max():
         raise TimeError(
-            f"the irradiance record covers {_span(stamps) or 'nothing'}, the line was flown "
-            f"{_span(flown) or 'at unknown times'}; check utc_offset_h and clock_offset_s"
+            (
+                f"the irradiance record covers {_span(stamps) or 'nothing'}, the line was flown "
+                f"{_span(flown) or 'at unknown times'}"
+            ),
+            mend="check utc_offset_h and clock_offset_s",
+            code="time-uncovered",
         )
     first, last = flown.min(), flown.max()
     start = min(
@@ -490,7 +587,6 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
 
 
 def _span(times: npt.NDArray[np.datetime64]) -> str:
-    """Return from when to when times are; empty where there is none."""
     return (
         "{} to {} UTC".format(*np.datetime_as_string([times.min(), times.max()], "s")) if times.size else ""
     )

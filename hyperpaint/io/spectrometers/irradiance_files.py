@@ -1,4 +1,4 @@
-"""Irradiance series in files (comma-separated values, Zarr, netCDF), and widths that files do not state."""
+"""Irradiance series in files (comma-separated values, Zarr, netCDF), and default widths."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarni
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
 
+#: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
-"""Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm]."""
+#: Wavelengths at which the silicon detector ends, beside another detector and alone.
 _ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
-"""Where the silicon detector hands over to the next, and where it ends in instruments that have no other."""
 
-_LARGEST_FILE = 2**29
-_MOST_VALUES = 24_000_000
-"""Samples times wavelengths of a file: three hours of an ASD instrument, one spectrum a second."""
+_MAX_BYTES = 2**29
+#: Largest number of values of a file: three hours of an ASD instrument, one spectrum a second.
+_MAX_VALUES = 24_000_000
 
-_LATEST_S = 7.2e9  # to the year 2198
+_MAX_TIME_S = 7.2e9  # to the year 2198
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
 
 
 @dataclass(frozen=True, eq=False)
 class IrradianceTable:
-    """What one file holds."""
+    """Content of one file."""
 
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
@@ -47,7 +47,7 @@ class IrradianceTable:
 
 
 def is_irradiance_csv(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is such a table."""
+    """Return whether the first bytes of a file are an irradiance table."""
     lines = head.decode("utf-8-sig", "replace").splitlines()
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     return first.split(",")[0].strip().strip('"').lower() == "time"
@@ -60,7 +60,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     with the wavelengths in nanometres, then a row a sample that begins with an ISO 8601 stamp, with a zone
     (``2024-05-21T12:00:00.5Z``) or, all of them, without.
 
-    Returns IrradianceTable: Values (sample, wavelength) and what the comments say.
+    Returns IrradianceTable: Values (sample, wavelength) and the units and width in the comments.
     Raises FormatError: The file cannot be read, or its header or rows are not as above.
 
     Examples
@@ -73,86 +73,91 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
     path = Path(path)
-    data = read_limited_text(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
-    if (count := data.count(b",")) > _MOST_VALUES:
+    name = path.name
+    data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
+    if (commas := data.count(b",")) > _MAX_VALUES:
         raise FormatError(
-            f"{path}: {count} values, expected at most {_MOST_VALUES}; make several files of it, or Zarr"
+            f"{path}: {commas} values",
+            expected=f"at most {_MAX_VALUES}",
+            mend="make several files of it, or Zarr",
+            code="file-too-large",
         )
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    text = data.decode("utf-8-sig", errors="replace")
+    text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
     del data  # it may be large
-    return _parse(path.name, text, count)
-
-
-def _parse(name: str, text: str, commas: int) -> IrradianceTable:
-    """Return what a text with so many commas holds; its rows are split one at a time."""
     comments: dict[str, str] = {}
+    # rows are split one at a time
     rows = (
         (line_number, [cell.strip().strip('"') for cell in line.strip().split(",")])
         for line_number, line in _beside_comments(text, comments)
     )
     _, header = next(rows, (0, [""]))
     if header[0].lower() != "time":
-        raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
-    wavelength = _wavelength(name, header[1:])
+        raise FormatError(
+            f"{name}: no header 'time,<wavelength>,...'",
+            expected="an irradiance series",
+            code="format-unknown",
+        )
+    wavelength = np.array(numbers(header[1:]) or [], np.float64)
+    if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
+        raise FormatError(
+            f"{name}: the header is 'time,{','.join(header[1:])[:60]}'",
+            expected="'time' and increasing positive wavelengths [nm]",
+            code="header-unreadable",
+        )
     times, lines = [], []
     values = np.empty((commas // len(wavelength) + 1, len(wavelength)))
     for index, (line_number, cells) in enumerate(rows):
         try:
-            lines.append(line_number)
-            times.append(_time(cells[0]))
+            time = dt.datetime.fromisoformat(cells[0])
+            if time.year not in _YEARS:
+                raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
             if len(cells) != len(wavelength) + 1:
                 raise ValueError(f"{len(cells) - 1} values")
             values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
         except (ValueError, OverflowError) as error:
             raise FormatError(
-                f"{name}: line {line_number} cannot be read ({error}); expected an ISO 8601 time such as "
-                f"2024-05-21T12:00:00Z and {len(wavelength)} numbers"
+                f"{name}: line {line_number} is unreadable ({error})",
+                expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
+                code="row-unreadable",
             ) from error
+        lines.append(line_number)
+        times.append(time)
     if not times:
-        raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
+        raise FormatError(
+            f"{name}: no rows", expected=f"a time and {len(wavelength)} values in each", code="table-missing"
+        )
     if len({time.tzinfo is None for time in times}) > 1:
-        raise FormatError(f"{name}: some stamps have a zone and some have not; give it to all or to none")
+        raise FormatError(
+            f"{name}: some stamps have a zone and some have not",
+            mend="give a zone to all stamps, or to none",
+            code="zone-missing",
+        )
+    width = number(comments.get("fwhm_nm", ""))
+    if "fwhm_nm" in comments and (width is None or not width > 0):
+        raise FormatError(
+            f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}'",
+            expected="a positive number",
+            code="number-unreadable",
+        )
     return IrradianceTable(
-        name, tuple(times), tuple(lines), wavelength, values[: len(times)], comments.get("units"),
-        _width(name, comments),
-    )  # fmt: skip
+        name,
+        tuple(times),
+        tuple(lines),
+        wavelength,
+        values[: len(times)],
+        comments.get("units"),
+        width if "fwhm_nm" in comments else None,
+    )
 
 
 def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a table with their numbers, and put its comments into a dict."""
+    """Yield the numbered lines of a table, and collect its comments in a dict."""
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
             comments[key.strip().lower()] = value.strip()
         elif line.strip():
             yield line_number, line
-
-
-def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
-    wavelength = np.array(numbers(cells) or [], np.float64)
-    if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
-        raise FormatError(
-            f"{name}: the header is 'time,{','.join(cells)[:60]}', expected 'time' and wavelengths in "
-            "nm, which must be positive and increase"
-        )
-    return wavelength
-
-
-def _time(cell: str) -> dt.datetime:
-    time = dt.datetime.fromisoformat(cell)
-    if time.year not in _YEARS:
-        raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
-    return time
-
-
-def _width(name: str, comments: dict[str, str]) -> float | None:
-    if "fwhm_nm" not in comments:
-        return None
-    width = number(comments["fwhm_nm"])
-    if width is None or not width > 0:
-        raise FormatError(f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number")
-    return width
 
 
 _SUFFIXES = (".nc", ".nc4", ".h5")
@@ -167,7 +172,7 @@ def is_store(path: Any) -> bool:
 
 
 def stored_series(path: Any) -> xr.Dataset:
-    """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
+    """Return the dataset with the series: the root, or the group irradiance of a collect."""
     from hyperpaint.io.store import list_groups, load_unverified
     from hyperpaint.io.store.reader import is_zarr
 
@@ -180,12 +185,13 @@ def stored_series(path: Any) -> xr.Dataset:
         raise
     except Exception as error:  # h5py and xarray leak classes of their own on damaged files
         raise FormatError(
-            f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
+            f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
+            code="file-unreadable",
         ) from error
 
 
 def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    """Return a product of HYPERNETS (L1A to L1C, irradiance) with the names of a series; others as they are.
+    """Return a product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
 
     Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
     1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
@@ -197,8 +203,10 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
     stamps = data["acquisition_time"].values
     if stamps.dtype.kind != "M":
         count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
-        if (np.abs(count) > _LATEST_S).any():
-            raise FormatError("'acquisition_time' holds values that are no seconds from 1970")
+        if (np.abs(count) > _MAX_TIME_S).any():
+            raise FormatError(
+                "'acquisition_time' is out of range", expected="seconds from 1970", code="time-unreadable"
+            )
         nanoseconds = np.where(np.isfinite(count), count * 1e9, 0.0).round().astype(np.int64)
         stamps = np.where(
             np.isfinite(count), nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns")
@@ -210,7 +218,7 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
         text = (
             f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
         )
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(text, code="samples-flagged"), stacklevel=2)
     data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
@@ -220,7 +228,7 @@ def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
 
 
 def are_widths(value: Any) -> bool:
-    """Tell whether a width is a positive number, or pairs (n, 2) of wavelength and width."""
+    """Return whether a value is a positive number, or pairs (n, 2) of wavelength and width."""
     try:
         widths = np.asarray(value, np.float64)
     except (TypeError, ValueError):  # pairs of unlike lengths
@@ -232,15 +240,15 @@ def are_widths(value: Any) -> bool:
 
 
 def widths_at(wavelength: Floats, widths: Any) -> Any:
-    """Return a number as it is, pairs (n, 2) as a width for every channel [nm]."""
+    """Return a number unchanged, pairs (n, 2) as one width for each channel [nm]."""
     pairs = np.asarray(widths, np.float64)
     return np.interp(wavelength, pairs[:, 0], pairs[:, 1]) if pairs.ndim == 2 else pairs
 
 
 def asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
-    """Return the widths that are assumed of an ASD instrument [nm], and what says so."""
+    """Return the widths assumed for an ASD instrument [nm], and the text of the assumption."""
     text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
     if wavelength.max() <= _ASD_VNIR_ENDS_NM:
         return ASD_FWHM_NM, text
-    beyond = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
-    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + beyond
+    swir_text = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
+    return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + swir_text

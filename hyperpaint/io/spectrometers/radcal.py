@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import number, numbers, read_limited_text
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
@@ -21,12 +18,15 @@ _FIRST = ("!FRM4SOC_CP", "!RADCAL")
 #: Columns of the tables; of the last, two are the instrument's own.
 _TABLES = {"LAMPDATA": 4, "PANELDATA": 4, "CALDATA": 10}
 _TEXTS = {
-    "DEVICE": "device", "CALDATE": "calibration_time", "CALLAB": "laboratory", "LAMP_ID": "lamp",
+    "DEVICE": "device",
+    "CALDATE": "calibration_time",
+    "CALLAB": "laboratory",
+    "LAMP_ID": "lamp",
     "PANEL_ID": "panel",
-}  # fmt: skip
+}
 _NUMBERS = {"AMBIENT_TEMP": "ambient_temperature_degC", "DEVICE_TEMP": "device_temperature_degC"}
+#: Standard uncertainty, a fraction, of an expanded one (k = 2) in percent.
 _HALF_OF_PERCENT = 1.0 / 200.0
-"""Standard uncertainty, a fraction, of an expanded one (k = 2) in percent."""
 
 
 def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -42,12 +42,12 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     -------
     xarray.Dataset
         ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
-        (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under the
-        lamp, NaN outside of what is known of it; ``coefficient`` (wavelength), in units of the instrument's
-        class, NaN where there is none, ``dark`` and two series of ``counts`` (series, wavelength). With each
-        of the first two and the coefficient comes a relative standard uncertainty, ``..._u``, half of what
-        the file gives for k = 2. All float64. Attributes: device, time, laboratory, lamp, panel and
-        temperatures.
+        (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under
+        the lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of
+        the instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series,
+        wavelength). With each of the first two and the coefficient comes a relative standard uncertainty,
+        ``..._u``, half of what the file gives for k = 2. All float64. Attributes: device, time, laboratory,
+        lamp, panel and temperatures.
 
     Raises
     ------
@@ -87,13 +87,15 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     >>> lamp.panel_radiance.values.round(4), lamp.lamp_irradiance_u.values
     (array([0.0006, 0.0013]), array([0.005, 0.005]))
     """
-    import xarray as xr
-
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines()]
     if tuple(lines[:2]) != _FIRST:
-        raise FormatError(f"{path} begins {' '.join(lines[:2])[:60]!r}, expected {' and '.join(_FIRST)}")
+        raise FormatError(
+            f"{path} begins {' '.join(lines[:2])[:60]!r}",
+            expected=" and ".join(_FIRST),
+            code="format-unknown",
+        )
     problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
     sections = _sections(lines)
     tables = {name: _table(name, sections, columns, problems) for name, columns in _TABLES.items()}
@@ -102,8 +104,8 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     device = device[1:]  # the first row holds integration times
     lamp_nm, lamp_irradiance = lamp[:, 0], lamp[:, 2] * 1e-3
     reflectance = np.interp(lamp_nm, panel[:, 0], panel[:, 2], np.nan, np.nan)
-    known = device[:, 2] > 0
-    coefficient = np.where(known, device[:, 2], np.nan)
+    is_known = device[:, 2] > 0
+    coefficient = np.where(is_known, device[:, 2], np.nan)
     values = {
         "lamp_irradiance": ("lamp_wavelength", lamp_irradiance, "W m-2 nm-1"),
         "lamp_irradiance_u": ("lamp_wavelength", lamp[:, 3] * _HALF_OF_PERCENT, "1"),
@@ -111,7 +113,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
         "panel_reflectance_u": ("panel_wavelength", panel[:, 3] * _HALF_OF_PERCENT, "1"),
         "panel_radiance": ("lamp_wavelength", lamp_irradiance * reflectance / np.pi, "W m-2 sr-1 nm-1"),
         "coefficient": ("wavelength", coefficient, ""),
-        "coefficient_u": ("wavelength", np.where(known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
+        "coefficient_u": ("wavelength", np.where(is_known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
         "dark": ("wavelength", device[:, 4], "count"),
         "counts": (("series", "wavelength"), device[:, [6, 8]].T, "count"),
     }
@@ -134,7 +136,7 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
-    """Return the lines of every section, with their numbers."""
+    """Return the numbered lines of every section."""
     sections: dict[str, list[tuple[int, str]]] = {}
     current: list[tuple[int, str]] | None = None
     for place, line in enumerate(lines, 1):
@@ -151,20 +153,31 @@ def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
 
 
 def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, problems: Problems) -> Floats:
-    """Return the numbers of a section (row, column); what is wrong is noted."""
+    """Return the numbers of a section (row, column); faults are noted."""
     rows = sections.get(name, [])
     if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
-        problems.add(f"[{name}] has {len(rows)} rows, expected at least two up to [END_OF_{name}]")
+        problems.add(
+            f"[{name}] has {len(rows)} rows",
+            expected=f"at least two up to [END_OF_{name}]",
+            code="table-missing",
+        )
         return np.zeros((0, columns))
     table = []
     for line, text in rows:
         cells = numbers(text.split())
         if cells is None or len(cells) != columns:
-            problems.add(f"line {line}: {text[:60]!r}, expected {columns} numbers of [{name}]")
+            problems.add(
+                f"line {line}: {text[:60]!r}",
+                expected=f"{columns} numbers of [{name}]",
+                code="row-unreadable",
+            )
             return np.zeros((0, columns))
         table.append(cells)
     values = np.array(table, np.float64)
     at = values[1:, 1] if name == "CALDATA" else values[:, 0]
     if not np.isfinite(values).all() or (np.diff(at) <= 0).any():
-        problems.add(f"[{name}] has wavelengths that do not increase, or values that are not finite")
+        problems.add(
+            f"[{name}] has wavelengths that do not increase, or values that are not finite",
+            code="wavelength-unordered",
+        )
     return values

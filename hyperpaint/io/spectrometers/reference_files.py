@@ -1,4 +1,4 @@
-"""References of field spectrometers, libraries and stores, and which reference belongs to which paint."""
+"""References of field spectrometers, libraries and stores, and their assignment to paints."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems
 from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.library import open_library
 
+from .asd import open_asd, sniff
 from .spectrum_files import find_paths
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .svc import open_svc
 
 _GROUP = "references/"
 
@@ -46,21 +48,25 @@ def _of_store(path: Any) -> list[xr.Dataset]:
     groups = list_groups(path)
     wanted = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
     if not wanted:
-        raise FormatError(f"{path}: expected a paint library, or groups {_GROUP}<instrument>")
+        raise FormatError(
+            f"{path}: no library and no references",
+            expected=f"a paint library, or groups {_GROUP}<instrument>",
+            code="library-missing",
+        )
     return [open_store(path, group) for group in wanted]
 
 
 def _spectra_in(inside: list[Path]) -> list[Path]:
-    """Return the spectra of a folder; text exports only where there is nothing else."""
-    own = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
-    return own or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
+    """Return the spectra of a folder; text exports only without others."""
+    spectra = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
+    return spectra or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
 
 def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
-    """Open files of field spectrometers, those of one instrument together.
+    """Open files of field spectrometers, grouped by instrument.
 
     files: SVC ``.sig``, ASD binary or text exports, in any mixture.
-    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
+    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
     Raises FormatError: Files cannot be read, or are of no kind known; all are named.
     """
     return _opened(files, quantity, references=False)
@@ -68,11 +74,6 @@ def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.
 
 def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) -> list[xr.Dataset]:
     """Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries."""
-    from hyperpaint.io.library import open_library
-
-    from .asd import open_asd, sniff
-    from .svc import open_svc
-
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Path]] = {}
     libraries: list[Path] = []
@@ -85,40 +86,44 @@ def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) ->
         elif references and suffix != ".asd":
             libraries.append(path)
         else:
-            problems.add(f"{path}: no file of a field spectrometer; expected .sig, .asd or a text export")
+            problems.add(
+                f"{path}: no file of a field spectrometer",
+                expected=".sig, .asd or a text export",
+                code="format-unknown",
+            )
     datasets: list[xr.Dataset] = []
 
-    def error_of(opener: Any, *arguments: Any) -> str:
+    def error_of(opener: Any, *arguments: Any) -> PaintError | None:
         try:
             datasets.append(opener(*arguments))
         except PaintError as error:
-            return str(error)
-        return ""
+            return error
+        return None
 
-    errors: list[str] = []
-    for opener, own in files_by_opener.items():
-        error = error_of(opener, own, quantity)
-        one_by_one = error and references and len(own) > 1
-        errors += [error_of(opener, path, quantity) for path in own] if one_by_one else [error]
+    errors: list[PaintError | None] = []
+    for opener, paths_of_opener in files_by_opener.items():
+        error = error_of(opener, paths_of_opener, quantity)
+        one_by_one = error and references and len(paths_of_opener) > 1
+        errors += [error_of(opener, path, quantity) for path in paths_of_opener] if one_by_one else [error]
     errors += [error_of(open_library, path) for path in libraries]
     for error in filter(None, errors):
-        problems.add(error)
+        problems.add_error("", error)
     problems.raise_if_any()
     return datasets
 
 
 _MAX_BYTES = 4 << 20
-_MOST_SHOWN = 5
+_MAX_SHOWN = 5
 _HEADINGS = ("paint", "name", "signature", "region")
 
 
 def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
-    r"""Read which references belong to which paints.
+    r"""Read the assignment of references to paints.
 
     path: Lines of paint and reference, separated by a comma, under headings or none; a paint may have several
         lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
     Returns dict: Names of references by names of paints, in the order of the file.
-    Raises FormatError: The file is no such list; the first problems are told.
+    Raises FormatError: The file is no such list; the first problems are listed.
 
     Examples
     --------
@@ -133,14 +138,16 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: no UTF-8 text; save it as UTF-8") from error
+        raise FormatError(
+            f"{path}: not UTF-8 text", mend="save it as UTF-8", code="text-unreadable"
+        ) from error
     problems = Problems(f"{path} is no list of paints and references", FormatError)
     pairs = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
     references_by_paint: dict[str, dict[str, None]] = {}
     for paint, reference in pairs:
         references_by_paint.setdefault(paint, {})[reference] = None
     if not references_by_paint and not problems:
-        problems.add("it names no pair")
+        problems.add("the file names no pair", code="empty-input")
     problems.raise_if_any()
     return {paint: tuple(references) for paint, references in references_by_paint.items()}
 
@@ -157,24 +164,34 @@ def _of_lines(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
                 continue
             if len(cells) == 2 and all(cells):
                 yield cells[0], cells[1]
-            elif len(problems) < _MOST_SHOWN:
-                problems.add(f"line {number}: {','.join(row)[:60]!r}, expected paint, comma, reference")
+            elif len(problems) < _MAX_SHOWN:
+                problems.add(
+                    f"line {number}: {','.join(row)[:60]!r}",
+                    expected="paint, comma, reference",
+                    code="row-unreadable",
+                )
     except csv.Error as error:
-        problems.add(f"after line {number}: {error}")
+        problems.add(f"after line {number}: {error}", code="row-unreadable")
 
 
 def _of_json(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
     try:
         document: Any = json.loads(text)
     except (ValueError, RecursionError) as error:
-        problems.add(f"no JSON ({error!s:.80})")
+        problems.add(f"not readable as JSON ({error!s:.80})", code="text-unreadable")
         return
     if not isinstance(document, dict):
-        problems.add("expected an object of paints, each with the name of its reference or a list of names")
+        problems.add(
+            "the JSON is no object",
+            expected="an object of paints, each with the name of its reference or a list of names",
+            code="type-wrong",
+        )
         return
     for paint, names in document.items():
         several = [names] if isinstance(names, str) else names
         if isinstance(several, list) and several and all(isinstance(name, str) and name for name in several):
             yield from ((paint, name) for name in several)
-        elif len(problems) < _MOST_SHOWN:
-            problems.add(f"{paint!r:.60}: {names!r:.60}, expected a name or a list of names")
+        elif len(problems) < _MAX_SHOWN:
+            problems.add(
+                f"{paint!r:.60}: {names!r:.60}", expected="a name or a list of names", code="type-wrong"
+            )

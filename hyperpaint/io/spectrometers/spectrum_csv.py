@@ -1,4 +1,4 @@
-"""One spectrum in a text file, a wavelength and a value a line; also the certificate of a white panel."""
+"""One spectrum in a text file, a wavelength and a value a line; also certificates of white panels."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.base.units import conversion_factor, is_unit
 from hyperpaint.io.files.reading import numbers, read_limited_text
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _MAX_BYTES = 16 << 20
-_MOST_SHOWN = 5
-_WAVELENGTHS = (100.0, 100_000.0)  # nm
+_MAX_SHOWN = 5
+_WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
 
 
 def read_spectrum_csv(
@@ -62,8 +59,12 @@ def _table(
         if row is not None and len(row) == 2:
             rows.append(row)
         elif rows or number > headings:
-            problems.add(f"line {number}: {content[:60]!r}, expected a wavelength [nm] and a value")
-            if len(problems) == _MOST_SHOWN:
+            problems.add(
+                f"line {number}: {content[:60]!r}",
+                expected="a wavelength [nm] and a value",
+                code="row-unreadable",
+            )
+            if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
         else:
             above.append(content)
@@ -73,11 +74,18 @@ def _table(
         table[:, 0] *= _factor(above, 0, path)
     wavelength, values = table.T.copy()
     if len(rows) < 2:
-        problems.add(f"{len(rows)} lines of numbers, expected two at least")
+        problems.add(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing")
     elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
-        problems.add("wavelengths do not increase from line to line, or a value is not finite")
-    elif not _WAVELENGTHS[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTHS[1]:
-        problems.add(f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}, expected nanometres")
+        problems.add(
+            "wavelengths do not increase from line to line, or a value is not finite",
+            code="wavelength-unordered",
+        )
+    elif not _WAVELENGTH_RANGE_NM[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTH_RANGE_NM[1]:
+        problems.add(
+            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}",
+            expected="nanometres",
+            code="wavelength-range",
+        )
     problems.raise_if_any()
     return wavelength, values, above
 
@@ -102,7 +110,7 @@ _ASIDE = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
-    """Return what turns a column into nm or a fraction, by the headings above it; 1 where these say none."""
+    """Return the factor of a column to nm or to a fraction, by its headings; 1 without units."""
     wanted, exact = _UNITS[column]
     units: dict[str, str] = {}
     for heading in headings:
@@ -111,24 +119,36 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
             if unit is not None:
                 units[unit] = name
             elif is_unit(name):
-                problem = f"{path}: heading {heading[:60]!r} names {name!r:.40}"
-                raise FormatError(f"{problem}, expected a unit such as {wanted!r}; correct the heading")
+                raise FormatError(
+                    f"{path}: heading {heading[:60]!r} names {name!r:.40}",
+                    expected=f"a unit such as {wanted!r}",
+                    mend="correct the heading",
+                    code="units-unknown",
+                )
     if len(units) > 1:
         names = " and ".join(map(repr, units.values()))
-        raise FormatError(f"{path}: headings name {names} for one column, expected one; correct the headings")
+        raise FormatError(
+            f"{path}: headings name {names} for one column",
+            expected="one",
+            mend="correct the headings",
+            code="units-conflict",
+        )
     percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
     if column == 1 and not units and percent is not None:
         raise FormatError(
-            f"{path}: {percent[:60]!r} speaks of percent, and not which column is in it; write [%] or [1] "
-            "behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
+            f"{path}: {percent[:60]!r} names percent, but not for which column",
+            mend=(
+                "write [%] or [1] behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
+            ),
+            code="units-ambiguous",
         )
     return conversion_factor(next(iter(units), wanted), wanted)
 
 
 def _names(heading: str, column: int, last: bool) -> list[str]:
-    """Return what may be the unit of a column; none where the heading is of no columns."""
+    """Return the candidate units of a column; empty where the heading names no columns."""
     comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
-    # what brackets hold is put aside, and so parts no cells
+    # the content of brackets is put aside, so that it separates no cells
     aside = _BRACKETS.findall(text)
     text = re.sub(r" *\x00", "\x00", _BRACKETS.sub("\x00", text.replace("\x00", " ")))
     mark = next((mark for mark in (";", "\t", ",", "  ") if mark in text.strip()), None)
@@ -161,8 +181,8 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     ----------
     path
         Text of two columns, separated by a comma, semicolon, tab or blanks, below 40 lines of headings or
-        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; what else
-        stands in brackets, ``R (8/h)``, is a label.
+        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; other
+        text in brackets, ``R (8/h)``, is a label.
 
     Returns
     -------
@@ -183,15 +203,15 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     >>> read_certificate(path).values
     array([0.981, 0.985])
     """
-    import xarray as xr
-
     path = Path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, in_units=True)
     values = values * _factor(headings, 1, path)
     if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
         raise FormatError(
-            f"{path}: values from {values.min():g} to {values.max():g}, expected reflectance as a fraction; "
-            "divide percent by 100"
+            f"{path}: values from {values.min():g} to {values.max():g}",
+            expected="reflectance as a fraction",
+            mend="divide percent by 100",
+            code="scale-missing",
         )
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(

@@ -1,10 +1,11 @@
-"""What readers of field spectrometers share: which files are meant, one error for all, names of spectra."""
+"""Shared steps of the readers of field spectrometers: find files, list errors, name spectra."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,10 +24,12 @@ _R = TypeVar("_R")
 
 
 def find_paths(
-    paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str,
+    paths: Paths,
+    of_folder: Callable[[list[Path]], list[Path]],
+    expected: str,
     of_pattern: Callable[[list[Path]], list[Path]] = list,
-) -> list[Path]:  # fmt: skip
-    """Return the files that ``paths`` names: a file, a glob, a folder, or a list of these.
+) -> list[Path]:
+    """Return the files of ``paths``: a file, a glob, a folder, or a list of these.
 
     of_folder, of_pattern: Pick the spectra among the files of a folder, and among what a glob matches.
     expected: What is looked for, for messages.
@@ -39,7 +42,7 @@ def find_paths(
     for entry in paths:
         path = input_path(entry, expected)
         if path.is_dir():
-            # what only looks like a file is kept: to read it is an error that names it, and none goes missing
+            # pipes and broken links are kept, so that reading reports them
             inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
             matches = of_folder(inside)
         elif os.path.lexists(path) or not is_pattern(str(path)):
@@ -49,13 +52,13 @@ def find_paths(
             try:
                 matches = of_pattern(matching_files(Path(*path.parts[:first]), "/".join(path.parts[first:])))
             except ValueError as error:
-                problems.add(f"{path}: {error}")
+                problems.add(f"{path}: {error}", code="pattern-unusable")
                 continue
         if not matches:
-            problems.add(f"{path}: no spectra found; expected {expected}")
+            problems.add(f"{path}: no spectra found", expected=expected, code="file-not-found")
         files += matches
     if not files and not problems:
-        problems.add("an empty list of files; name at least one")
+        problems.add("an empty list of files", mend="name at least one", code="empty-input")
     problems.raise_if_any()
     return files
 
@@ -66,24 +69,26 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
     Raises FormatError: It raised that for some: one error names all of them, each reason once.
     """
     outputs: list[_R] = []
-    failed: dict[str, list[str]] = {}
+    names_by_problem: dict[Problem, list[str]] = {}
     for item in items:
         try:
             outputs.append(function(item))
         except FormatError as error:
-            name, _, reason = str(error).partition(": ")
-            failed.setdefault(reason, []).append(name)
-    problems = Problems("spectra cannot be used", FormatError)
-    for reason, names in failed.items():
-        problems.add(f"{', '.join(names)}: {reason}")
-    problems.raise_if_any()
+            name, _, found = error.problem.found.partition(": ")
+            names_by_problem.setdefault(replace(error.problem, found=found), []).append(name)
+    if names_by_problem:
+        problems = [
+            replace(problem, found=": ".join(filter(None, [", ".join(names), problem.found])))
+            for problem, names in names_by_problem.items()
+        ]
+        raise FormatError("spectra cannot be used", problems=problems)
     return outputs
 
 
 def same_grids(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
 ) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
-    """Return each set of wavelengths with the names of the spectra on it."""
+    """Return each set of wavelengths with the names of its spectra."""
     groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
@@ -93,7 +98,7 @@ def same_grids(
 def require_one_grid(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
 ) -> None:
-    """Refuse spectra on several sets of wavelengths; ``advice`` goes with the message.
+    """Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
 
     Raises FormatError: There are several; each is listed with the names of its spectra.
     """
@@ -101,11 +106,16 @@ def require_one_grid(
     if len(groups) > 1:
         remarks = [", overlap kept" if np.any(np.diff(nm) <= 0.0) else "" for nm, _ in groups]
         problems = [
-            Problem(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}")
+            Problem(
+                f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}", code="grid-mismatch"
+            )
             for (nm, names), remark in zip(groups, remarks, strict=True)
         ]
         raise FormatError(
-            f"spectra differ in their wavelengths; open them apart{advice()}", problems=problems
+            "spectra differ in their wavelengths",
+            mend=f"open them apart{advice()}",
+            problems=problems,
+            code="grid-mismatch",
         )
 
 
@@ -119,8 +129,16 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
-        problems = [Problem(f"{key or 'unknown'}: {', '.join(of)}") for key, of in names_by_quantity.items()]
-        raise FormatError("the quantity of the spectra is not clear; pass quantity=", problems=problems)
+        problems = [
+            Problem(f"{key or 'unknown'}: {', '.join(of)}", code="quantity-ambiguous")
+            for key, of in names_by_quantity.items()
+        ]
+        raise FormatError(
+            "the spectra hold several or unknown quantities",
+            mend="pass quantity=",
+            problems=problems,
+            code="quantity-ambiguous",
+        )
     return next(str(quantity) for quantity in names_by_quantity)
 
 
@@ -129,13 +147,13 @@ def ratio(
 ) -> npt.NDArray[np.float64]:
     """Return the ratio, NaN where the denominator is zero or undefined."""
     quotient = np.full(numerator.shape, np.nan)
-    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+    with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
         np.divide(numerator, denominator, out=quotient, where=denominator != 0.0)
     return quotient
 
 
 def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
-    """Return a name for each spectrum that no other one has.
+    """Return a distinct name for each spectrum.
 
     sources: File of each spectrum and its name. Where names repeat, their folder is put before them; where
         that does not help, a number behind.
@@ -153,15 +171,19 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
 
 
 def check_utc_offset(hours: float) -> None:
-    """Refuse local time minus UTC [h] that is the offset of no zone.
+    """Refuse local time minus UTC [h] beyond the offsets of all zones.
 
     Raises TimeError: It is outside -14 to 14.
     """
     if not -14.0 <= hours <= 14.0:
-        raise TimeError(f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14")
+        raise TimeError(
+            f"utc_offset_h={hours}",
+            expected="local time minus UTC in hours, within -14 to 14",
+            code="value-out-of-range",
+        )
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return the names as text, the first ones of a long list."""
+    """Return the names as text, shortened to the first ``most``."""
     rest = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + rest

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import label
 
@@ -40,8 +39,8 @@ from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
+#: Wavelengths at which the vendor's software ends a detector by default [nm].
 SVC_JOINS = (990.0, 1900.0)
-"""Where the vendor's software ends a detector unless told otherwise [nm]."""
 
 _SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
 
@@ -64,7 +63,7 @@ def open_svc(
         A file, a glob, a folder, or a list of these.
     quantity
         ``reflectance`` (target / white reference), ``radiance``, ``counts`` or ``irradiance``. By default
-        reflectance from two scans in radiance, else what the scan is in.
+        reflectance from two scans in radiance, else the quantity of the scan.
     scan
         Which scan radiance, counts or irradiance are of: of the ``target`` or of the white ``reference``.
     overlap
@@ -88,7 +87,7 @@ def open_svc(
         and ``spectrum``, the names of the files without ``.sig``. Coordinates of each spectrum: ``time``
         and, for reflectance, ``reference_time`` (UTC, NaT where it cannot be known); ``latitude`` and
         ``longitude`` (NaN without a fix); ``overlap_matched``, whether the software changed values to make
-        detectors meet, and ``overlap``, what became of the channels there; the file's ``factors`` as text
+        detectors meet, and ``overlap``, the treatment of the channels there; the file's ``factors`` as text
         and as ``factor_reference`` and ``factor_target``; ``error_reference`` and ``error_target``, the bits
         that the instrument set; ``column_difference``, how far the file's own rounded reflectance is from
         the one returned; ``instrument``, ``source``, and ``header``, all of the file's header as JSON.
@@ -134,19 +133,29 @@ def open_svc(
     files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
     contents = for_all(files, read_svc)
     side = SCANS.index(scan)
-    wanted = quantity or _common_quantity(contents, side)
+    # by default reflectance from targets with both scans in radiance
+    wanted = quantity or common_quantity(
+        (
+            "reflectance"
+            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
+            else file.units[side],
+            file.name,
+        )
+        for file in contents
+    )
 
-    def measure(both: tuple[SvcFile, Path]) -> SvcMeasurement:
-        return _measurement(*both, wanted, side, joins, trim=overlap == "trim")
+    def measure(pair_: tuple[SvcFile, Path]) -> SvcMeasurement:
+        return _measurement(*pair_, wanted, side, joins, trim=overlap == "trim")
 
     measured = for_all(zip(contents, files, strict=True), measure)
     require_one_grid(
-        ((one.file.name, one.wavelength) for one in measured), lambda: _joins_that_help(measured)
+        ((item.file.name, item.wavelength) for item in measured), lambda: _joins_that_help(measured)
     )
-    values = np.stack([np.where(np.isfinite(one.values), one.values, np.nan) for one in measured])
+    values = np.stack([np.where(np.isfinite(item.values), item.values, np.nan) for item in measured])
     warn_of(
         "samples that are undefined (not finite) become NaN",
-        [one.file.name for one, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+        [item.file.name for item, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+        "samples-undefined",
     )
     coords = {
         **coords_of_channels(measured),
@@ -157,7 +166,7 @@ def open_svc(
     attrs: dict[str, Any] = {"instrument": "SVC"}
     if wanted != "reflectance":
         attrs["scan"] = scan
-    trimmed_at = [one.trimmed_at for one in measured if one.trimmed_at]
+    trimmed_at = [item.trimmed_at for item in measured if item.trimmed_at]
     if trimmed_at:
         attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
@@ -166,36 +175,34 @@ def open_svc(
 
 
 def _check_arguments(
-    quantity: str | None, scan: str, overlap: str, joins: tuple[float, float] | None,
+    quantity: str | None,
+    scan: str,
+    overlap: str,
+    joins: tuple[float, float] | None,
     utc_offset_h: float | None,
-) -> None:  # fmt: skip
+) -> None:
     problems = Problems("SVC files cannot be opened as asked", SchemaError)
     if quantity is not None and quantity not in QUANTITIES:
-        problems.add(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
+        problems.add(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
     if scan not in SCANS:
-        problems.add(f"scan={scan!r}: expected 'target' or 'reference'")
+        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
     if scan == "reference" and quantity == "reflectance":
-        problems.add("scan='reference': reflectance is of both scans; leave scan out, or ask for radiance")
+        problems.add(
+            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
+            mend="leave scan out, or pass quantity='radiance'",
+            code="option-conflict",
+        )
     if overlap not in ("keep", "trim"):
-        problems.add(f"overlap={overlap!r}: expected 'keep' or 'trim'")
+        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
     if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
-        problems.add(f"joins={joins!r}: expected two increasing wavelengths in nm")
+        problems.add(
+            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+        )
     problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
-
-
-def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
-    """Return what the files hold: of targets, reflectance, where both scans are in radiance."""
-    return common_quantity(
-        (
-            "reflectance"
-            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
-            else file.units[side],
-            file.name,
-        )
-        for file in contents
-    )
 
 
 def _measurement(
@@ -203,50 +210,62 @@ def _measurement(
 ) -> SvcMeasurement:
     overlap = overlap_of(file.header)
     detector = detectors_of(file, overlap.joins)
-    if quantity == "reflectance":
-        values = _reflectance(file)
-    elif file.units[side] != quantity:
+    of_reference, of_target = file.units
+    if (quantity == "reflectance" or side == 0) and not file.has_reference:
         raise FormatError(
-            f"{file.name}: its {SCANS[side]} is in {file.units[side]}, not in {quantity}; pass "
-            f"quantity={file.units[side]!r}, or save the file in {quantity} with the vendor's software"
+            f"{file.name}: no white reference was taken",
+            mend="pass quantity='radiance'" if quantity == "reflectance" else "pass scan='target'",
+            code="reference-missing",
         )
-    elif side == 0 and not file.has_reference:
-        raise FormatError(f"{file.name}: no white reference was taken; pass scan='target'")
-    else:
+    if quantity != "reflectance":
+        if file.units[side] != quantity:
+            raise FormatError(
+                f"{file.name}: its {SCANS[side]} is in {file.units[side]}",
+                expected=quantity,
+                mend=(
+                    f"pass quantity={file.units[side]!r}, or save the file in {quantity} with the "
+                    "vendor's software"
+                ),
+                code="quantity-wrong",
+            )
         values = (file.reference, file.target)[side] * _SCALE[quantity]
+    else:
+        # the ratio of the scans, which must be in the same units and of the same integration times
+        times = items(file.header.get("integration", ""))
+        if of_reference != of_target:
+            raise FormatError(
+                f"{file.name}: its reference is in {of_reference} and its target in {of_target}",
+                mend=f"pass quantity={of_target!r}",
+                code="units-conflict",
+            )
+        if of_target == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
+            raise FormatError(
+                f"{file.name}: reference and target are counts of different or unknown integration times",
+                mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
+                code="integration-time-conflict",
+            )
+        values = ratio(file.target, file.reference)
     at = _handovers(file, joins) if trim else ()
     used = _trimmed(file, at)
     if not used.any():
-        raise FormatError(f"{file.name}: its detectors do not follow one another in wavelength: damaged")
+        raise FormatError(
+            f"{file.name}: its detectors do not follow one another in wavelength",
+            mend="copy the file again",
+            code="wavelength-unordered",
+        )
     return SvcMeasurement(
-        file=file, path=path, overlap=overlap, wavelength=file.wavelength[used], values=values[used],
-        detector=None if detector is None else detector[used], trimmed_at=at,
-    )  # fmt: skip
-
-
-def _reflectance(file: SvcFile) -> Floats:
-    """Return target over reference, NaN where the reference is zero."""
-    reason = ""
-    times = items(file.header.get("integration", ""))
-    if not file.has_reference:
-        reason = "no white reference was taken, so no reflectance; pass quantity='radiance'"
-    elif file.units[0] != file.units[1]:
-        reason = (
-            f"its reference is in {file.units[0]} and its target in {file.units[1]}, so no reflectance; "
-            f"pass quantity={file.units[1]!r}"
-        )
-    elif file.units[1] == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
-        reason = (
-            "reference and target are counts, whose integration times differ or are not told, so no "
-            "reflectance; save the file in radiance with the vendor's software, or pass quantity='counts'"
-        )
-    if reason:
-        raise FormatError(f"{file.name}: {reason}")
-    return ratio(file.target, file.reference)
+        file=file,
+        path=path,
+        overlap=overlap,
+        wavelength=file.wavelength[used],
+        values=values[used],
+        detector=None if detector is None else detector[used],
+        trimmed_at=at,
+    )
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
-    """Return where one detector is to follow the other, for each step back of the wavelengths [nm]."""
+    """Return the wavelength of the change of detectors, for each step back of the wavelengths [nm]."""
     handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
@@ -255,15 +274,17 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
         if joins is not None and not low <= join <= high:
             raise FormatError(
-                f"{file.name}: the join at {join:g} nm is not where detectors overlap, {first:g} to "
-                f"{last:g} nm; pass joins= within the overlaps"
+                f"{file.name}: the join at {join:g} nm is outside the overlap of detectors",
+                expected=f"{first:g} to {last:g} nm",
+                mend="pass joins= within the overlaps",
+                code="join-outside-overlap",
             )
         handovers.append(min(max(join, low), high))
     return tuple(handovers)
 
 
 def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
-    """Return which channels are left where one detector is taken at each join."""
+    """Return which channels remain with one detector on each side of a join."""
     used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
         used[:start] &= file.wavelength[:start] <= join
@@ -272,12 +293,12 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
 
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
-    """Return the advice to trim where that makes one set of wavelengths of all files."""
-    for joins in sorted({one.overlap.joins for one in measured if one.overlap.joins is not None}):
+    """Return the advice to trim, where trimming gives all files one set of wavelengths."""
+    for joins in sorted({item.overlap.joins for item in measured if item.overlap.joins is not None}):
         try:
             grids = [
-                (one.file.name, one.file.wavelength[_trimmed(one.file, _handovers(one.file, joins))])
-                for one in measured
+                (item.file.name, item.file.wavelength[_trimmed(item.file, _handovers(item.file, joins))])
+                for item in measured
             ]
         except FormatError:
             continue

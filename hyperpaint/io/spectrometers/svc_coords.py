@@ -1,4 +1,4 @@
-"""Coordinates of SVC spectra: channels, times, places, and what their files say of themselves."""
+"""Coordinates of SVC spectra: channels, times, places, and header fields of their files."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from hyperpaint.base.schema import VARIABLES
 from .spectrum_files import listed, name_spectra
 from .svc_layout import DETECTORS, SvcFile, SvcOverlap, error_bits, pair, position_of
 
+#: The two scans of a file, in its order.
 SCANS = ("reference", "target")
-"""The two scans of a file, in its order."""
 
-_HALF = 0.005  # half of the last of two decimals
+_HALF_DIGIT = 0.005  # half of the last of two decimals
 _NAT = np.datetime64("NaT", "ns")
 _NOWHERE = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class SvcMeasurement:
-    """One file in one quantity, on the channels that are used."""
+    """One file in one quantity, on the channels in use."""
 
     file: SvcFile
     path: Path
@@ -44,19 +44,19 @@ class SvcMeasurement:
 
     @property
     def overlap_text(self) -> str:
-        """What became of the channels where detectors overlap."""
+        """Treatment of the channels where detectors overlap."""
         if self.trimmed_at:
             return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
         return self.overlap.text
 
 
 def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
-    """Return the wavelengths, and the detectors where all files tell the same."""
+    """Return the wavelengths, and the detectors where all files agree."""
     first = measured[0]
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
     if first.detector is not None and all(
-        one.detector is not None and np.array_equal(one.detector, first.detector) for one in measured
+        item.detector is not None and np.array_equal(item.detector, first.detector) for item in measured
     ):
         names = np.array(DETECTORS, object)[first.detector]
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
@@ -66,71 +66,75 @@ def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
 def coords_of_times(
     contents: Sequence[SvcFile], side: int, quantity: str, dayfirst: bool | None, utc_offset_h: float | None
 ) -> dict[str, Any]:
-    """Return UTC of the scans; of reflectance, of target and reference."""
+    """Return UTC of the scans; for reflectance, of target and reference."""
     stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
     orders = orders_of(
         (file.header.get("instrument", ""), stamp)
-        for file, both in zip(contents, stamps, strict=True)
-        for stamp in both
+        for file, stamps_of_file in zip(contents, stamps, strict=True)
+        for stamp in stamps_of_file
         if stamp is not None
     )
     clock = _Clock(orders, dayfirst, utc_offset_h)
     names = {side: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
     coords: dict[str, Any] = {}
     for scan, name in sorted(names.items(), reverse=True):
-        times = [clock.utc(file, both[scan], scan) for file, both in zip(contents, stamps, strict=True)]
-        what = "white reference" if scan == 0 else "target"
-        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {what}")
+        times = [
+            clock.utc(file, stamps_of_file[scan], scan)
+            for file, stamps_of_file in zip(contents, stamps, strict=True)
+        ]
+        target_name = "white reference" if scan == 0 else "target"
+        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}")
     clock.warn()
     return coords
 
 
 class _Clock:
-    """Turns stamps into UTC, and gathers why some cannot be."""
+    """Converts stamps to UTC, and collects the reasons of failures."""
 
     def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
         self._orders = orders
         self._dayfirst = dayfirst
         self._utc_offset_h = utc_offset_h
-        self._reasons: dict[str, dict[str, None]] = {}
+        self._files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
 
-    def _note(self, reason: str, file: SvcFile) -> np.datetime64:
-        self._reasons.setdefault(reason, {})[file.name] = None
+    def _note(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
+        self._files_by_reason.setdefault((reason, code), {})[file.name] = None
         return _NAT
 
     def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
-        """Return UTC of a scan, or NaT."""
         if stamp is None:
-            return self._note("times that are missing or cannot be read are NaT", file)
+            return self._note("missing or unreadable times are NaT", "time-unreadable", file)
         order = self._orders.get(file.header.get("instrument", ""))
         local = stamp.read(order if self._dayfirst is None and stamp.slashes else self._dayfirst)
         if local is None:
-            return self._note("dates whose day and month may be either way are NaT; pass dayfirst=", file)
+            return self._note("dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file)
         gps = None
         try:
             gps = read_gps_time(pair(file.header, "gpstime")[scan])
         except ValueError:
-            self._note("GPS times that cannot be read are left out", file)
+            self._note("unreadable GPS times are left out", "gps-time-unreadable", file)
         utc = utc_of(local, gps, (position_of(file.header, scan) or _NOWHERE)[1], self._utc_offset_h)
         if utc is None:
-            return self._note("local times without GPS time are NaT; pass utc_offset_h=", file)
+            return self._note(
+                "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
+            )
         if self._utc_offset_h is not None and gps is not None:
-            apart = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
-            if abs(apart) > 0.25:
-                self._note(f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used", file)
+            difference_h = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
+            if abs(difference_h) > 0.25:
+                reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
+                self._note(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")
 
     def warn(self) -> None:
-        """Say what was found, one line a reason."""
-        for reason, names in self._reasons.items():
-            warn_of(reason, list(names))
+        for (reason, code), names in self._files_by_reason.items():
+            warn_of(reason, list(names), code)
 
 
 def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
-    """Return where the scans were taken, after the GPS; ``side`` is 0 for references, 1 for targets."""
+    """Return the GPS positions of the scans; ``side`` is 0 for references, 1 for targets."""
     places = [position_of(file.header, side) for file in contents]
     unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
-    warn_of("positions that cannot be read are NaN", unreadable)
+    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
     columns = np.array([place or _NOWHERE for place in places], np.float64).T
     coords: dict[str, Any] = {}
     for name, column in zip(("latitude", "longitude"), columns, strict=True):
@@ -140,19 +144,19 @@ def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
 
 
 def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
-    """Return a coordinate of the spectra; lists hold texts of any length."""
+    """Return a coordinate of the spectra; lists hold texts."""
     array = np.array(values, object) if isinstance(values, list) else values
     return "spectrum", array, {"long_name": meaning, **attrs}
 
 
 def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
-    """Return names, instruments, and what the files say of overlap, matching and errors."""
-    files = [one.file for one in measured]
-    names = name_spectra([(one.path, one.path.name.removesuffix(one.path.suffix)) for one in measured])
+    """Return names, instruments, overlap, matching and errors of the files."""
+    files = [item.file for item in measured]
+    names = name_spectra([(item.path, item.path.name.removesuffix(item.path.suffix)) for item in measured])
     errors = np.array([error_bits(file.header) for file in files], np.int64)
-    factors = np.array([one.overlap.factors for one in measured], np.float64)
-    overlaps = [one.overlap_text for one in measured]
-    matched = np.array([one.overlap.matched for one in measured], bool)
+    factors = np.array([item.overlap.factors for item in measured], np.float64)
+    overlaps = [item.overlap_text for item in measured]
+    matched = np.array([item.overlap.matched for item in measured], bool)
     instruments = [file.header.get("instrument", "") for file in files]
     lines = [file.header.get("factors", "") for file in files]
     headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
@@ -177,32 +181,34 @@ def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[s
 
 
 def _column_differences(files: Sequence[SvcFile]) -> Floats:
-    """Return how far each file's fourth column is from the ratio; warn where rounding does not explain it."""
+    """Return the distance of each file's fourth column from the ratio; warn where it exceeds rounding."""
     differences = np.full(len(files), np.nan)
     contradictory = []
     for place, file in enumerate(files):
         with np.errstate(all="ignore"):
             share = file.target / file.reference
-            apart = np.abs(100.0 * share - file.percent)
+            difference = np.abs(100.0 * share - file.percent)
             # every number of the file is rounded, the two scans as well as the ratio
-            limit = _HALF * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
-            wrong = (apart > limit * (1.0 + 1e-9) + 1e-9) | (np.isfinite(share) & ~np.isfinite(file.percent))
-        if np.isfinite(apart).any():
-            differences[place] = np.nanmax(np.where(np.isfinite(apart), apart, np.nan)) / 100.0
+            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
+            wrong = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                np.isfinite(share) & ~np.isfinite(file.percent)
+            )
+        if np.isfinite(difference).any():
+            differences[place] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
         if wrong.any():
             contradictory.append(f"{file.name} ({np.count_nonzero(wrong)} channels)")
     warn_of(
-        "the reflectance in the file contradicts its two scans, whose ratio is used; was it edited or "
-        "resampled?",
+        "the reflectance in the file contradicts its two scans (edited or resampled?); their ratio is used",
         contradictory,
+        "reflectance-conflict",
     )
     return differences
 
 
-def warn_of(problem: str, names: Sequence[str]) -> None:
-    """Warn of a problem, where any files have it."""
+def warn_of(problem: str, names: Sequence[str], code: str) -> None:
+    """Warn of a problem of some files, if any."""
     if names:
-        warnings.warn(f"{problem}. Files: {listed(names)}", PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
 
 
 _STAMP = re.compile(
@@ -213,25 +219,34 @@ _STAMP = re.compile(
 )
 # first letters of the months in English, German, Italian, French, Spanish and Portuguese
 _MONTHS = (
-    ("jan", "gen", "ene", "jän"), ("feb", "fev", "fév"), ("mar", "mär", "mrz"), ("apr", "avr", "abr"),
-    ("may", "mai", "mag"), ("jun", "giu", "juin"), ("jul", "lug", "juil"), ("aug", "ago", "aoû", "aou"),
-    ("sep", "set"), ("oct", "okt", "ott", "out"), ("nov",), ("dec", "dez", "dic", "déc"),
-)  # fmt: skip
+    ("jan", "gen", "ene", "jän"),
+    ("feb", "fev", "fév"),
+    ("mar", "mär", "mrz"),
+    ("apr", "avr", "abr"),
+    ("may", "mai", "mag"),
+    ("jun", "giu", "juin"),
+    ("jul", "lug", "juil"),
+    ("aug", "ago", "aoû", "aou"),
+    ("sep", "set"),
+    ("oct", "okt", "ott", "out"),
+    ("nov",),
+    ("dec", "dez", "dic", "déc"),
+)
 _GPS_TIME = re.compile(r"(\d{1,2})(\d\d)(\d\d)(?:[.,](\d{1,6})\d{0,3})?", re.ASCII)
 _DAY = dt.timedelta(days=1)
 
 
 @dataclass(frozen=True)
 class LocalStamp:
-    """A date and time as a local clock showed it, without a zone."""
+    """Date and time of a local clock, without a zone."""
 
-    day_first: dt.datetime | None  # what it means in either order; None where that is no date
+    day_first: dt.datetime | None  # the date in either order; None where it does not exist
     month_first: dt.datetime | None
     slashes: bool  # false where the way it is written settles the order: only between slashes do both occur
 
     @property
     def order(self) -> bool | None:
-        """True for day first, False for month first, None where it may be either."""
+        """True for day first, False for month first, None where both are possible."""
         if self.day_first == self.month_first:
             return None
         if self.day_first is None or self.month_first is None:
@@ -240,11 +255,11 @@ class LocalStamp:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether the two orders give two dates, and nothing settles which it is."""
+        """Whether the two orders give two dates."""
         return self.order is None and self.day_first != self.month_first
 
     def read(self, dayfirst: bool | None) -> dt.datetime | None:
-        """Return the date in an order that is asked for, the only one there is, or None."""
+        """Return the date in the given order, in the only possible one, or None."""
         if self.day_first is None or self.month_first is None:
             return self.day_first or self.month_first
         order = self.order if dayfirst is None else dayfirst
@@ -254,7 +269,7 @@ class LocalStamp:
 
 
 def read_stamp(text: str) -> LocalStamp | None:
-    """Return what a time stamp means; None where it is none.
+    """Return a time stamp, None where it is unreadable.
 
     Examples
     --------
@@ -285,7 +300,7 @@ def read_stamp(text: str) -> LocalStamp | None:
 
 
 def _month(text: str) -> int | None:
-    """Return the number of a month; of a number, that number, which may be a day after all."""
+    """Return the number of a month; a number is returned unchanged, and may be a day."""
     if text.isdecimal():
         return int(text)
     word = text.lower()
@@ -301,7 +316,7 @@ def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.da
 
 
 def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
-    """Return the order that dates of each instrument are in, where those that leave no doubt agree.
+    """Return the order of dates of each instrument, where its unambiguous dates agree.
 
     stamps: Instrument and stamp of every scan.
 
@@ -323,7 +338,7 @@ def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
 
 
 def read_gps_time(text: str) -> dt.timedelta | None:
-    """Return the time of day in UTC, ``HHMMSS.sss``; None where there was no fix.
+    """Return the time of day in UTC from ``HHMMSS.sss``; None without a fix.
 
     Raises ValueError: It is no time of day.
 
@@ -348,7 +363,7 @@ def read_gps_time(text: str) -> dt.timedelta | None:
 def utc_of(
     local: dt.datetime, gps: dt.timedelta | None, longitude: float, utc_offset_h: float | None
 ) -> dt.datetime | None:
-    """Return UTC of a scan: the GPS' time of day on the date that the local clock puts next to it.
+    """Return UTC of a scan: the GPS time of day on the nearest date of the local clock.
 
     local: What the local clock showed.
     gps: Time of day in UTC, which wins over the local clock.

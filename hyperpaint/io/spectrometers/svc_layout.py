@@ -23,13 +23,13 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-_LARGEST_FILE = 4 * 2**20  # a hundred times what the instruments write
-_MOST_ROWS = 32_768
-_MOST_HEADER_LINES = 1000
-_MOST_DETECTORS = 3
+_MAX_BYTES = 4 * 2**20  # a hundred times the size of instrument files
+_MAX_ROWS = 32_768
+_MAX_HEADER_LINES = 1000
+_MAX_DETECTORS = 3
 _MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
-# what Windows writes where a ratio does not exist
+# text of Windows for ratios that do not exist
 _NO_NUMBERS = {
     **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind"), math.nan),
     **dict.fromkeys(("infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
@@ -40,28 +40,28 @@ _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class SvcFile:
-    """What one ``.sig`` file holds; arrays are (wavelength), float64 and read-only, in the file's order."""
+    """Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order."""
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
-    # What the scans of reference and target are in: ``radiance``, ``counts`` or ``irradiance``
+    # Quantity of the scans of reference and target: ``radiance``, ``counts`` or ``irradiance``
     units: tuple[str, str]
     # Nanometres; they step back where a detector ends and the next one, which overlaps it, begins
     wavelength: Floats
     reference: Floats  # the two scans, in the file's numbers
     target: Floats
     percent: Floats  # their ratio as the file rounds it
-    # Row of the first channel of each detector that is told by a step back; the first is 0
+    # Row of the first channel of each detector, found by a step back in wavelength; the first is 0
     starts: tuple[int, ...]
 
     @property
     def has_reference(self) -> bool:
-        """False where no white reference was taken: its column then holds nothing but 1, or 0."""
+        """False where no white reference was taken: its column then holds only 1, or only 0."""
         return not (np.all(self.reference == 1.0) or np.all(self.reference == 0.0))
 
 
 def is_svc(head: bytes) -> bool:
-    """Tell from its first bytes whether a file is a ``.sig`` file of an SVC spectrometer."""
+    """Return whether the first bytes of a file are those of an SVC ``.sig`` file."""
     return _MAGIC.match(head) is not None
 
 
@@ -83,26 +83,57 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     array([400., 800.])
     """
     path = Path(path)
-    data = read_limited_text(path, _LARGEST_FILE, "an SVC spectrometer's file")
+    data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
     if not is_svc(data[:200]):
         ger = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
         raise FormatError(
-            f"{path.name}: begins with {data[:24]!r}{ger}, expected '/*** Spectra Vista SIG Data ***/': "
-            "not an SVC .sig file"
+            f"{path.name}: begins with {data[:24]!r}{ger}",
+            expected="'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
+            code="format-unknown",
         )
     lines = decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     header, first = _header(path.name, lines)
     wavelength, reference, target, percent = _table(path.name, lines, first)
-    _refuse_truncated(path.name, header, len(wavelength))
+    # a file that keeps the overlap has a row for every channel of its instrument
+    model = _CHANNELS.search(header.get("instrument", ""))
+    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    if model and overlap_preserved and len(wavelength) < int(model[1]):
+        raise FormatError(
+            f"{path.name}: {len(wavelength)} rows",
+            expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
+            mend="copy the file again from the instrument",
+            code="file-truncated",
+        )
+    units = _units(path.name, header)
+    if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
+        raise FormatError(
+            f"{path.name}: wavelengths are not all positive numbers of nanometres",
+            mend="copy the file again",
+            code="wavelength-range",
+        )
+    # wavelengths step back where the next detector begins
+    starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
+    if len(starts) > _MAX_DETECTORS:
+        raise FormatError(
+            f"{path.name}: the wavelengths step back {len(starts) - 1} times",
+            expected=f"at most {_MAX_DETECTORS - 1} times, where detectors overlap",
+            mend="copy the file again",
+            code="wavelength-unordered",
+        )
     return SvcFile(
-        name=path.name, header=MappingProxyType(header), units=_units(path.name, header),
-        wavelength=wavelength, reference=reference, target=target, percent=percent,
-        starts=_detector_starts(path.name, wavelength),
-    )  # fmt: skip
+        name=path.name,
+        header=MappingProxyType(header),
+        units=units,
+        wavelength=wavelength,
+        reference=reference,
+        target=target,
+        percent=percent,
+        starts=starts,
+    )
 
 
 def _svc_number(text: str) -> float | None:
-    """Return the number that a cell holds, with a point or a comma; None where it is none.
+    """Return the number of a cell, with a point or a comma; None for other text.
 
     Examples
     --------
@@ -115,10 +146,10 @@ def _svc_number(text: str) -> float | None:
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
-    """Return the values by key, and the number of the first row of the table."""
+    """Return the values by key, and the index of the first row of the table."""
     header: dict[str, str] = {}
     last = ""
-    for number, line in enumerate(lines[1 : _MOST_HEADER_LINES + 1], start=1):
+    for number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):
         key, equals, value = line.partition("=")
         key = " ".join(key.lower().split())
         if key == "data" and equals and not value.strip():
@@ -128,18 +159,25 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
                 header[last] = f"{header[last]}\n{line.strip()}"
             continue
         if header.setdefault(key, value.strip()) != value.strip():
-            raise FormatError(f"{name}: {key!r} stands twice in the header and differs; the file is damaged")
+            raise FormatError(
+                f"{name}: the header has {key!r} twice with different values",
+                mend="copy the file again",
+                code="key-duplicate",
+            )
         last = key
     raise FormatError(
-        f"{name}: no line 'data=' among the first {_MOST_HEADER_LINES}, so no spectrum: the file is "
-        "truncated; copy it again from the instrument"
+        f"{name}: no line 'data=' among the first {_MAX_HEADER_LINES}",
+        mend="copy the file again from the instrument",
+        code="file-truncated",
     )
 
 
 def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     rows: list[list[float]] = []
-    if len(lines) - first > _MOST_ROWS:
-        raise FormatError(f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}: damaged")
+    if len(lines) - first > _MAX_ROWS:
+        raise FormatError(
+            f"{name}: {len(lines) - first} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large"
+        )
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
@@ -147,39 +185,23 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
         values = [value for cell in cells if (value := _svc_number(cell)) is not None]
         if len(cells) != 4 or len(values) != 4:
             raise FormatError(
-                f"{name}: line {number} holds {line.strip()[:60]!r}, expected four numbers (wavelength, "
-                "reference, target, per cent): the file is truncated or damaged; copy it again"
+                f"{name}: line {number} holds {line.strip()[:60]!r}",
+                expected="four numbers (wavelength, reference, target, percent)",
+                mend="copy the file again",
+                code="row-unreadable",
             )
         rows.append(values)
     if len(rows) < 2:
-        raise FormatError(f"{name}: {len(rows)} rows, expected a spectrum; copy the file again")
+        raise FormatError(
+            f"{name}: {len(rows)} rows",
+            expected="a spectrum",
+            mend="copy the file again",
+            code="table-missing",
+        )
     columns = [np.ascontiguousarray(column) for column in np.array(rows, np.float64).T]
     for column in columns:
         column.flags.writeable = False
     return columns
-
-
-def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
-    if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
-        raise FormatError(f"{name}: wavelengths that are not positive numbers of nanometres: damaged")
-    starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
-    if len(starts) > _MOST_DETECTORS:
-        raise FormatError(
-            f"{name}: the wavelengths step back {len(starts) - 1} times, expected at most "
-            f"{_MOST_DETECTORS - 1} (where detectors overlap); the file is damaged"
-        )
-    return starts
-
-
-def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
-    """Refuse a file that keeps the overlap and still has fewer rows than its instrument has channels."""
-    model = _CHANNELS.search(header.get("instrument", ""))
-    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
-    if model and overlap_preserved and rows < int(model[1]):
-        raise FormatError(
-            f"{name}: {rows} rows, expected the {model[1]} channels of an HR-{model[1]} whose overlap is "
-            "preserved: the file is truncated; copy it again from the instrument"
-        )
 
 
 def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
@@ -189,7 +211,11 @@ def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
         words *= 2
     if len(words) != 2 or any(word not in allowed for word in words):
         line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
-        raise FormatError(f"{name}: {line}, expected units= Radiance, Radiance (or Counts, Irradiance)")
+        raise FormatError(
+            f"{name}: {line}",
+            expected="units= Radiance, Radiance (or Counts, Irradiance)",
+            code="units-unknown",
+        )
     return words[0], words[1]
 
 
@@ -200,13 +226,13 @@ _RECORD = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]?")
 _REMOVED = re.compile(r"remove\s*@\s*(\d{3,4})(?:[.,]0)?\s*,\s*(\d{3,4})(?![\d])", re.IGNORECASE)
 _MATCHING = re.compile(r"matching type:\s*([^\]]*)", re.IGNORECASE)
 _ANGLE = re.compile(r"(\d{3,5})[.,](\d{1,8})\s*,?\s*([NSEW])", re.ASCII | re.IGNORECASE)
-_LONGEST = 2000  # characters of the line that are looked at
+_MAX_FACTORS_CHARS = 2000  # leading characters that are parsed
 _BITS = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True)
 class SvcOverlap:
-    """What was done where detectors overlap, as the line ``factors`` says it."""
+    """Treatment of overlapping detectors, from the header's ``factors``."""
 
     # True where all channels are there, False where channels were removed, None where the file is silent
     preserved: bool | None
@@ -221,12 +247,12 @@ class SvcOverlap:
 
     @property
     def matched(self) -> bool:
-        """Whether the file says that its values were matched."""
+        """Whether the values were matched."""
         return self.matching.lower() not in ("", "none")
 
     @property
     def text(self) -> str:
-        """In a word or two."""
+        """Short description."""
         if self.joins is not None:
             return f"removed @ {self.joins[0]:g}, {self.joins[1]:g} nm"
         return {True: "preserved", False: "removed", None: "unknown"}[self.preserved]
@@ -244,13 +270,13 @@ def items(value: str) -> list[str]:
 
 
 def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
-    """Return the texts for reference and target, empty where there is none."""
+    """Return the texts for reference and target, empty where missing."""
     entries = items(header.get(key, ""))
     return (entries[0], entries[1]) if len(entries) == 2 else ("", entries[0] if len(entries) == 1 else "")
 
 
 def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
-    """Return what the line ``factors`` says.
+    """Return the content of the header's ``factors``.
 
     A file that was processed again holds a record a time, the latest first.
 
@@ -260,7 +286,7 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
     >>> overlap_of({"factors": line})
     SvcOverlap(preserved=False, joins=(970.0, 1901.0), matching='None', factors=(0.795, 0.848))
     """
-    line = header.get("factors", "")[:_LONGEST]
+    line = header.get("factors", "")[:_MAX_FACTORS_CHARS]
     records = _RECORD.findall(line)
     numbers, latest = records[0] if records else (line, "")
     values = [_svc_number(item) for item in items(numbers)]
@@ -279,7 +305,7 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
 
 
 def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
-    """Return the instrument's error bits of reference and target, -1 where the file is silent."""
+    """Return the instrument's error bits of reference and target, -1 where missing."""
     first, second = (int(text) if _BITS.fullmatch(text) else -1 for text in pair(header, "error"))
     return first, second
 
@@ -307,7 +333,7 @@ def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | N
 
 def _angle(value: str, scan: int, letters: str, limit: float) -> float:
     entries = items(value)
-    # old firmware puts the letter behind a comma of its own: 11121.2335,W, 11121.2324,W
+    # old firmware puts a comma before the letter: 11121.2335,W, 11121.2324,W
     text = entries[scan] if len(entries) == 2 else ""
     if not text.strip(", "):
         return math.nan
@@ -322,7 +348,7 @@ def _angle(value: str, scan: int, letters: str, limit: float) -> float:
 
 
 def detectors_of(file: SvcFile, joins: tuple[float, float] | None) -> npt.NDArray[np.int64] | None:
-    """Return the number of the detector that each channel is of, None where the file does not tell."""
+    """Return the number of the detector of each channel, None where unknown."""
     if len(file.starts) > 1:
         number = np.zeros(len(file.wavelength), np.int64)
         for start in file.starts[1:]:

@@ -240,7 +240,7 @@ def test_values_outside_are_clipped_and_counted(tmp_path: Path) -> None:
     paints = library()
     paints["member_reflectance"][0, 0, 2:4] = -0.01
     paints["member_reflectance"][2, 1, 5] = 1.2
-    with pytest.warns(PaintWarning, match=r"3 samples outside 0 to 1 were clipped \(in 2 of 3 paints\)"):
+    with pytest.warns(PaintWarning, match="spectra-changed"):
         made = hp.write_dirsig(paints, tmp_path / "out")
     assert made.clipped.values.tolist() == [2, 0, 1]
     assert strict_ems(tmp_path / "out/emissivity/paint_0.ems")[2][0, 2:4].tolist() == [1.0, 1.0]
@@ -255,7 +255,7 @@ def test_unmeasured_ends_are_left_away_and_holes_refused(tmp_path: Path) -> None
     micrometres = strict_ems(tmp_path / "ends/emissivity/paint_0.ems")[1]
     np.testing.assert_allclose(micrometres, NM[1:-1] / 1000, atol=6e-8)
     paints = paints.assign_coords(good=("band", ~np.isin(np.arange(BANDS), [3, 4])))
-    with pytest.raises(SchemaError, match=r"no value at 625\.1, 700\.4 nm, inside the range") as caught:
+    with pytest.raises(SchemaError, match="value-missing") as caught:
         hp.write_dirsig(paints, tmp_path / "holes", gaps="refuse")
     assert str(caught.value).count("'paint ") == 3  # all paints are told
     assert not (tmp_path / "holes").exists()
@@ -270,9 +270,9 @@ def test_unmeasured_ends_are_left_away_and_holes_refused(tmp_path: Path) -> None
 def test_members_that_lack_an_end_are_left_out(tmp_path: Path) -> None:
     paints = library()
     paints["member_reflectance"][0, 1, 0] = np.nan
-    with pytest.raises(SchemaError, match=r"1 of 5 curves have no value at 399\.4 nm"):
+    with pytest.raises(SchemaError, match="value-missing"):
         hp.write_dirsig(paints, tmp_path / "out", gaps="refuse")
-    with pytest.warns(PaintWarning, match="1 members that lack an end"):
+    with pytest.warns(PaintWarning, match="spectra-changed"):
         made = hp.write_dirsig(paints, tmp_path / "out")
     assert (made.curves.values.tolist(), made.left_out.values.tolist()) == ([4, 5, 5], [1, 0, 0])
 
@@ -283,7 +283,7 @@ def test_a_bad_detector_element_stops_nothing_and_is_said(tmp_path: Path) -> Non
     paints = library()
     rho = paints["member_reflectance"].values[1].astype(float)
     paints["member_reflectance"][1, [0, 3], 4] = np.nan
-    with pytest.warns(PaintWarning, match=r"2 samples in gaps of curves were filled in .*in 1 of 3 paints"):
+    with pytest.warns(PaintWarning, match="spectra-changed"):
         made = hp.write_dirsig(paints, tmp_path / "out")
     assert made.curves.values.tolist() == [5, 5, 5]
     assert made.complete.values.tolist() == [5, 3, 5]
@@ -301,7 +301,7 @@ def test_bad_elements_at_both_ends_of_every_member__leave_the_centre(tmp_path: P
     paints = library()
     paints["member_reflectance"][2, :3, 0] = np.nan
     paints["member_reflectance"][2, 3:, -1] = np.nan
-    with pytest.warns(PaintWarning, match=r"1 paints have no member that reaches both ends: their centre"):
+    with pytest.warns(PaintWarning, match="spectra-changed"):
         made = hp.write_dirsig(paints, tmp_path / "out")
     assert made.curves.values.tolist() == [5, 5, 1]
     emissivity = strict_ems(tmp_path / "out/emissivity/paint_2.ems")[2]
@@ -313,7 +313,7 @@ def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:
     """Rationale: the .txt of a paint whose members are whole was filled in without a word."""
     paints = library()
     paints["reflectance"][1, 3:5] = np.nan
-    with pytest.raises(SchemaError, match=r"'paint 1': the centre has no value at 625\.1, 700\.4 nm"):
+    with pytest.raises(SchemaError, match="value-missing"):
         hp.write_dirsig(paints, tmp_path / "out", gaps="refuse")
     hp.write_dirsig(paints, tmp_path / "before", wavelength_range=(400.0, 540.0))
     made = hp.write_dirsig(paints, tmp_path / "out", gaps="interpolate")
@@ -329,7 +329,7 @@ def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:
 def test_clipping_of_the_centre_is_counted(tmp_path: Path) -> None:
     paints = library()
     paints["reflectance"][0, 2:4] = -0.01
-    with pytest.warns(PaintWarning, match=r"2 samples of centres outside 0 to 1 were clipped \(in 1 of 3"):
+    with pytest.warns(PaintWarning, match="spectra-changed"):
         made = hp.write_dirsig(paints, tmp_path / "out")
     assert made.centre_clipped.values.tolist() == [2, 0, 0]
     assert made.clipped.values.tolist() == [0, 0, 0]
@@ -337,7 +337,7 @@ def test_clipping_of_the_centre_is_counted(tmp_path: Path) -> None:
 
 def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
     paints = library()
-    with pytest.raises(SchemaError, match=r"measured 399.356 to 1001.42 nm, 380 to 1100 nm are asked for"):
+    with pytest.raises(SchemaError, match="wavelength-uncovered"):
         hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100))
     made = hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100), extrapolate=True)
     _, micrometres, emissivity = strict_ems(tmp_path / "out/emissivity/paint_0.ems")
@@ -346,7 +346,7 @@ def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
     assert made.extrapolated.values.tolist() == ["below and above"] * 3
     assert "below and above" in (tmp_path / "out/README.txt").read_text()
     assert made.range.values.tolist() == [[380.0, 1100.0]] * 3
-    with pytest.raises(SchemaError, match="nothing of 1200 to 1300 nm"):
+    with pytest.raises(SchemaError, match="wavelength-uncovered"):
         hp.write_dirsig(paints, tmp_path / "far", wavelength_range=(1200, 1300), extrapolate=True)
 
 
@@ -360,13 +360,13 @@ def test_detectors_that_overlap(tmp_path: Path) -> None:
     nm = NM.copy()
     nm[5:] -= 160.0
     paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
-    with pytest.warns(PaintWarning, match="fall at the joins of detectors"):
+    with pytest.warns(PaintWarning, match="wavelength-unordered"):
         hp.write_dirsig(paints, tmp_path / "out")
     micrometres = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[1]
     np.testing.assert_allclose(micrometres, np.sort(nm) / 1000, atol=6e-8)
     nm[5] = nm[2]
     paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
-    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match=r"two bands at 549\.8720 nm"):
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="wavelength-duplicate"):
         hp.write_dirsig(paints, tmp_path / "same")
 
 
@@ -374,9 +374,9 @@ def test_detectors_that_overlap(tmp_path: Path) -> None:
 
 
 def test_a_coat_does_not_count_twice(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="would count twice"):
+    with pytest.raises(SchemaError, match="coat-counted-twice"):
         hp.write_dirsig(library(mirror_reflection="included"), tmp_path / "out", specular=0.1)
-    with pytest.raises(SchemaError, match="would count twice"):
+    with pytest.raises(SchemaError, match="coat-counted-twice"):
         hp.write_dirsig(library(), tmp_path / "out", specular=0.1)
     made = hp.write_dirsig(library(mirror_reflection="included"), tmp_path / "out")
     assert made.attrs["mirror_reflection"] == "included"
@@ -414,7 +414,7 @@ def test_a_library_with_its_coat_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize("removed", ["none", "F0 0.04; none"])
 def test_a_sky_that_was_not_removed_is_in_there(removed: str, tmp_path: Path) -> None:
     paints = library(mirrored_sky_removed=removed)
-    with pytest.raises(SchemaError, match="would count twice"):
+    with pytest.raises(SchemaError, match="coat-counted-twice"):
         hp.write_dirsig(paints, tmp_path / "out", specular=0.04)
     assert hp.write_dirsig(paints, tmp_path / "out").attrs["mirror_reflection"] == "included"
 

@@ -96,14 +96,14 @@ def test_the_last_line_needs_no_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "text", "said"),
     [
-        (0, "3", "2 curves, expected the 3 of line 1; is the file cut off"),
-        (0, "1", "2 curves, expected the 1"),
+        (0, "3", "2 curves, expected 3"),
+        (0, "1", "2 curves, expected 1"),
         (0, "0", "line 1: '0', expected a number of curves"),
         (0, "1e3", "line 1: '1e3'"),
         (0, "99999999999", "line 1"),
         (5, "one", "line 6: 'one', expected the weight of 4 degrees"),
         (5, "-1", "negative"),
-        (5, "1e400", "beyond numbers"),
+        (5, "1e400", "value-out-of-range"),
         (5, "1.0 1.0", "line 6"),
         (92, "CURVE", "line 93: 'CURVE', expected CURVE_BEGIN or the number 0"),
         (93, "0.4", "line 94: '0.4', expected two numbers"),
@@ -113,8 +113,8 @@ def test_the_last_line_needs_no_end(tmp_path: Path) -> None:
         (93, "0.6 0.9", "curve 0, from line 94: wavelengths do not ascend"),
         (93, "0.5 0.9", "do not ascend"),
         (93, "0 0.9", "do not ascend"),
-        (94, "500 0.9", "up to 500, expected micrometres; are these nanometres"),
-        (94, "0.5 90", "emissivity from 0.9 to 90, expected 0 to 1; is it percent"),
+        (94, "500 0.9", "up to 500, expected micrometres"),
+        (94, "0.5 90", "emissivity from 0.9 to 90"),
         (94, "0.5 -0.1", "expected 0 to 1"),
         (94, "0.5 1e999", "expected 0 to 1"),
         (97, "0.6 0x1", "line 98"),
@@ -124,7 +124,7 @@ def test_the_last_line_needs_no_end(tmp_path: Path) -> None:
 def test_a_damaged_new_file_is_refused(line: int, text: str, said: str, tmp_path: Path) -> None:
     lines = NEW.copy()
     lines[line] = text
-    with pytest.raises(FormatError, match="is no DIRSIG emissivity file") as caught:
+    with pytest.raises(FormatError, match="DIRSIG emissivity") as caught:
         read_emissivity(written(tmp_path, lines))
     assert said in str(caught.value)
 
@@ -190,7 +190,7 @@ def test_text_is_what_formatting_one_by_one_gives(wavelength, count, random) -> 
 
 
 def test_wavelengths_that_are_written_alike_are_refused() -> None:
-    with pytest.raises(SchemaError, match=r"at or below 0\.4000000 um in turn"):
+    with pytest.raises(SchemaError, match="wavelength-unordered"):
         ColumnText([400.0, 400.00001])
 
 

@@ -27,7 +27,7 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path) -> None:
         assert name in str(caught.value)
     with pytest.raises(SchemaError, match="no paints"):
         hp.write_dirsig(library().isel(signature=slice(0)), tmp_path / "out")
-    with pytest.raises(SchemaError, match="no specular term"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", surface="SimpleReflectance",
                         specular=0.1)  # fmt: skip
     assert not list(tmp_path.iterdir())
@@ -43,12 +43,12 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path) -> None:
         (lambda lib: lib.assign(reflectance=lib.reflectance.astype(object)), "expected numbers"),
         (
             lambda lib: lib.assign(reflectance=(lib.reflectance * np.nan).assign_attrs(units="1")),
-            "fewer than two",
+            "value-missing",
         ),
         (lambda lib: lib.assign(reflectance=lib.reflectance.drop_attrs()), "units"),
         (
             lambda lib: lib.assign(reflectance=(lib.reflectance * 100).assign_attrs(units="1")),
-            "is it percent",
+            "value-out-of-range",
         ),
         (
             lambda lib: lib.assign(reflectance=lib.reflectance.where(lib.band < 1).assign_attrs(units="1")),
@@ -91,7 +91,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     before = files(out)
-    with pytest.raises(StoreError, match="exists; pass overwrite=True"):
+    with pytest.raises(StoreError, match="overwrite=True"):
         hp.write_dirsig(library(seed=1), out)
     assert files(out) == before
     hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
@@ -103,7 +103,7 @@ def test_an_export_with_files_of_others_is_never_replaced(tmp_path: Path) -> Non
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     (out / "thesis.txt").write_text("precious")
-    with pytest.raises(StoreError, match=r"thesis\.txt, which no export has"):
+    with pytest.raises(StoreError, match=r"thesis\.txt"):
         hp.write_dirsig(library(), out, overwrite=True)
     assert (out / "thesis.txt").read_text() == "precious"
 
@@ -119,7 +119,7 @@ def test_a_folder_of_others_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "scene")
     with pytest.raises(StoreError, match="expected a folder"):
         hp.write_dirsig(library(), tmp_path / "link", overwrite=True)
-    with pytest.raises(StoreError, match="is a URL"):
+    with pytest.raises(StoreError, match="folder-is-url"):
         hp.write_dirsig(library(), "s3://bucket/out")
     assert files(tmp_path / "scene") == {"scene.mat": b"precious"}
     (tmp_path / "empty").mkdir()
@@ -143,7 +143,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("hyperpaint.io.files.publishing.flush_group", full)
-    with pytest.raises(StoreError, match="cannot be written: No space left"):
+    with pytest.raises(StoreError, match="No space left"):
         hp.write_dirsig(library(seed=1), out, overwrite=True)
     assert files(out) == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

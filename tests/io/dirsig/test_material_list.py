@@ -61,10 +61,10 @@ def test_proxies_bundles_and_old_entries(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("ID = a", "ID = a b", "material 1 ('a b'): expected an ID without blanks"),
-        ("    ID = a\n", "", "expected an ID"),
-        ("    NAME = paint a, (matt)\n", "", "material 1 ('a'): no NAME"),
-        ("ID = a", "ID = a\nID = b", "ID is there twice in MATERIAL_ENTRY"),
+        ("ID = a", "ID = a b", "id-missing"),
+        ("    ID = a\n", "", "id-missing"),
+        ("    NAME = paint a, (matt)\n", "", "name-missing"),
+        ("ID = a", "ID = a\nID = b", "key-duplicate"),
         ("0.25", "1.5", "SPECULAR_FRACTION = '1.5', expected 0 to 1"),
         ("0.25", "nan", "SPECULAR_FRACTION"),
         ("0.25", "", "SPECULAR_FRACTION"),
@@ -80,20 +80,20 @@ def test_proxies_bundles_and_old_entries(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in ENTRY
-    with pytest.raises(FormatError, match="is no DIRSIG material list") as caught:
+    with pytest.raises(FormatError, match="DIRSIG material list") as caught:
         read_materials(written(tmp_path, ENTRY.replace(old, new, 1)))
     assert said in str(caught.value)
 
 
 def test_ids_are_there_once(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="ID 'a' is there twice"):
+    with pytest.raises(FormatError, match="id-duplicate"):
         read_materials(written(tmp_path, ENTRY + ENTRY))
     with pytest.raises(FormatError, match="no section"):
         read_materials(written(tmp_path, "\n"))
 
 
 def test_a_list_of_too_many_lines_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="400001 lines, expected a DIRSIG material list of at most 400000"):
+    with pytest.raises(FormatError, match="400001 lines"):
         read_materials(written(tmp_path, "\n" * 400_001))
 
 

@@ -32,13 +32,13 @@ from hyperpaint.io.flightline.flightline_opening import open_flightline
 
 def test_wavelengths_of_the_calibration_win(folder: Path) -> None:
     own = make_calibration().assign_coords(wavelength=("band", [500.5, 600.5, 701.0], NM))
-    with pytest.warns(PaintWarning, match="up to 1 nm apart"):
+    with pytest.warns(PaintWarning, match="wavelength-conflict"):
         line = open_line(folder, calibration=own)
     assert line["wavelength"].values.tolist() == [500.5, 600.5, 701.0]
 
 
 def test_a_calibration_of_another_camera_names_both(folder: Path) -> None:
-    with pytest.raises(SchemaError, match="3 bands x 4 columns, the calibration 2 bands x 4 columns"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         open_line(folder, calibration=make_calibration().isel(band=slice(2)))
 
 
@@ -90,7 +90,7 @@ def test_an_unsaid_line_shape_is_told() -> None:
 
 def test_a_tabulated_line_shape_needs_its_table() -> None:
     calibration = make_calibration().assign_attrs(srf_shape="tabulated")
-    with pytest.raises(SchemaError, match="'srf_offset' is missing"):
+    with pytest.raises(SchemaError, match="variable-missing"):
         open_calibration(calibration)
     table = calibration.assign(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"}))
     table = table.assign_coords(srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM))
@@ -122,12 +122,12 @@ def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
 
 
 def test_what_is_no_calibration_store(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such calibration"):
+    with pytest.raises(FormatError, match="file-not-found"):
         open_calibration(tmp_path / "none.zarr")
-    with pytest.raises(FormatError, match="not a readable"):
+    with pytest.raises(FormatError, match="file-unreadable"):
         open_calibration(tmp_path)
     (tmp_path / "a.nc").write_bytes(b"CDF\x01 is not enough")
-    with pytest.raises(FormatError, match="not a readable"):
+    with pytest.raises(FormatError, match="file-unreadable"):
         open_calibration(tmp_path / "a.nc")
 
 
@@ -193,13 +193,13 @@ def test_darks_of_unknown_times_are_averaged_by_their_lines(folder: Path) -> Non
     assert (line["dark_counts"] == 13).all()
     assert "averaged" in line.attrs["dark_source"]
     (folder / "two" / "settings.txt").write_text("Exposure (ms) = 7\n")
-    with pytest.raises(SchemaError, match="different exposures"):
+    with pytest.raises(SchemaError, match="exposure-conflict"):
         open_line(folder, dark=[one, two])
 
 
 def test_a_dark_of_another_shape(folder: Path) -> None:
     other = write_cube(folder / "other", "raw_0", np.ones((2, BANDS, 5), np.uint16))
-    with pytest.raises(SchemaError, match="3 bands x 5 columns, the cube has 3 x 4"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         open_line(folder, dark=other)
 
 

@@ -124,16 +124,16 @@ def test_what_failed_to_open_is_not_reported_again() -> None:
 
 @pytest.mark.parametrize("missing", [None, [], ()])
 def test_a_dark_must_be_named(missing: Any) -> None:
-    with pytest.raises(SchemaError, match=r'dark="none".*cubes = "none" in \[dark\]'):
+    with pytest.raises(SchemaError, match="dark-missing"):
         open_dark(missing, Timing(), None, LINE)
 
 
 def test_wrong_shapes_and_contents_are_refused() -> None:
-    with pytest.raises(SchemaError, match="3 bands x 4 columns, the cube has 3 x 5"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         open_dark(cube(frames(2)), Timing(), None, LINE.isel(cross_track=[0, 1, 2, 3, 3]))
     radiance = xr.Dataset({"radiance": (CUBE, np.ones((2, BANDS, COLUMNS), np.float32))})
-    with pytest.raises(FormatError, match="holds radiance, expected a dark cube"):
+    with pytest.raises(FormatError, match="counts-missing"):
         open_dark(radiance, Timing(), None, LINE)
     hollow = xr.Dataset({"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": "count"})})
-    with pytest.raises(SchemaError, match="not finite anywhere"):
+    with pytest.raises(SchemaError, match="not-finite"):
         open_dark(hollow, Timing(), None, LINE)

@@ -147,7 +147,7 @@ def test_cubes_of_one_flight_share_their_navigation(folder: Path, counts: np.nda
 
 def test_a_frame_index_of_another_cube_is_refused(folder: Path) -> None:
     write_index(folder / "flight" / "frameIndex_0.txt", np.arange(LINES - 1))
-    with pytest.raises(FormatError, match=r"70 lines.* 69 rows"):
+    with pytest.raises(FormatError, match="frame-index-mismatch"):
         open_line(folder)
 
 
@@ -232,7 +232,7 @@ def test_a_record_of_another_time_is_refused(folder: Path) -> None:
         away = sky.assign_coords(irradiance_time=sky["irradiance_time"] + np.timedelta64(hours, "h"))
         with pytest.raises(TimeError, match="utc_offset_h"):
             open_line(folder, irradiance=away)
-    with pytest.raises(TimeError, match="repeat, run backwards"):
+    with pytest.raises(TimeError, match="time-unordered"):
         open_line(folder, irradiance=sky.isel(irradiance_time=slice(None, None, -1)))
 
 
@@ -300,5 +300,5 @@ def test_counts_of_another_type_are_refused(folder: Path, counts: np.ndarray[Any
 
 @pytest.mark.filterwarnings("ignore:.*is used; settings.txt")
 def test_an_exposure_of_years_is_refused(folder: Path) -> None:
-    with pytest.raises(TimeError, match=r"an exposure of 1e\+19 s, expected at most 3600 s"):
+    with pytest.raises(TimeError, match="value-out-of-range"):
         open_line(folder, exposure_time=1e19)

@@ -76,7 +76,7 @@ def test_the_pose_comes_back_bit_for_bit(
 
 
 def test_what_is_no_line_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="give a flight line"):
+    with pytest.raises(SchemaError, match="dim-missing"):
         hp.io.write_line_table(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lines.csv")
     path = hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), tmp_path / "lines.csv")
     with pytest.raises(StoreError, match="overwrite=True"):

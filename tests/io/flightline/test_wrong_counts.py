@@ -34,7 +34,7 @@ def test_so_does_the_user(folder: Path, counts: np.ndarray[Any, Any], said: dict
 
 def test_otherwise_they_are_refused_with_the_ways_out(folder: Path, counts: np.ndarray[Any, Any]) -> None:
     _rewrite(folder, counts)
-    with pytest.raises(FormatError, match=r"neither header nor dark .* quantity='counts' .* radiance_units"):
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
         open_line(folder, dark=None)
 
 
@@ -53,10 +53,10 @@ def test_integers_with_units_of_radiance_are_no_counts(
 
 def test_a_dark_that_is_radiance_is_refused(folder: Path, counts: np.ndarray[Any, Any]) -> None:
     write_cube(folder / "dark", "raw_0", counts, description="{[HEADWALL Hyperspec III],RADIANCE}")
-    with pytest.raises(FormatError, match="expected a dark cube of raw counts"):
+    with pytest.raises(FormatError, match="counts-missing"):
         open_line(folder)
 
 
 def test_what_the_user_says_against_the_header_is_refused(folder: Path) -> None:
-    with pytest.raises(FormatError, match="its header says counts; correct the header"):
+    with pytest.raises(FormatError, match=r"header.* counts"):
         open_line(folder, quantity="radiance", radiance_units="W m-2 sr-1 nm-1")

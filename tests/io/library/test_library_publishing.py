@@ -118,7 +118,7 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
         patched.setattr(publishing, "_settle", lambda _: None)  # as a process that is killed
         with pytest.raises(Power):
             hp.write_library(new, path, overwrite=overwrite)
-    with pytest.raises(FormatError, match=r"no header beside it|no such file"):
+    with pytest.raises(FormatError, match=r"no header|no such file"):
         hp.open_library(path)
     hp.write_library(new, path, overwrite=overwrite)
     assert hp.open_library(path).sizes["signature"] == 5
@@ -151,7 +151,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
 def test_a_folder_with_anything_else__is_never_replaced(library: xr.Dataset, tmp_path: Path) -> None:
     folder = hp.write_library(library, tmp_path / "paints", format="ecostress")
     (folder / "thesis.doc").write_text("ten years of work")
-    with pytest.raises(StoreError, match=r"holds thesis.doc, which no library has"):
+    with pytest.raises(StoreError, match=r"thesis.doc"):
         hp.write_library(library, folder, format="ecostress", overwrite=True)
     assert (folder / "thesis.doc").read_text() == "ten years of work"
     with pytest.raises(StoreError, match=r"is a folder|holds"):
@@ -162,7 +162,7 @@ def test_a_header_too_large_to_be_read__is_refused(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(envi_library, "MAX_LIBRARY_HEADER_BYTES", 500)
-    with pytest.raises(ValueError, match="shorten names, write fewer members"):
+    with pytest.raises(ValueError, match="file-too-large"):
         hp.write_library(library, tmp_path / "paints.sli")
     assert list(tmp_path.iterdir()) == []
 

@@ -63,17 +63,17 @@ def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, s
 
 def test_sli__without_a_scale_is_refused_and_can_be_told(tmp_path: Path) -> None:
     path = write_sli(tmp_path, np.array(ROWS) * 100, NAMES + NM)
-    with pytest.raises(FormatError, match=r"values up to 60.* and no scale.*pass scale=100"):
+    with pytest.raises(FormatError, match="scale-missing"):
         hp.open_library(path)
     np.testing.assert_allclose(hp.open_library(path, scale=100)["reflectance"].values, ROWS, rtol=1e-6)
-    with pytest.raises(FormatError, match="scale is -1"):
+    with pytest.raises(FormatError, match="value-out-of-range"):
         hp.open_library(path, scale=-1)
 
 
 def test_sli__two_scales_that_differ_are_refused(tmp_path: Path) -> None:
     more = "reflectance scale factor = 1\nz plot titles = {wavelength, reflectance [*10000]}\n"
     path = write_sli(tmp_path, np.array(ROWS) * 1e4, NAMES + NM + more)
-    with pytest.raises(FormatError, match=r"scale factor' is 1, but 'z plot titles' say .*pass scale="):
+    with pytest.raises(FormatError, match="scale-conflict"):
         hp.open_library(path)
 
 
@@ -96,14 +96,14 @@ def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
 
 def test_sli__without_wavelengths_takes_those_given(tmp_path: Path) -> None:
     path = write_sli(tmp_path, ROWS, NAMES + "wavelength units = Wavenumber\nwavelength = {1, 2, 3}\n")
-    with pytest.raises(FormatError, match=r"gives no wavelengths .*'Wavenumber'.*pass wavelength="):
+    with pytest.raises(FormatError, match="wavelength-missing"):
         hp.open_library(path)
     given = hp.open_library(path, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0))
     assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
     assert given["fwhm"].values.tolist() == [5.0] * 3
-    with pytest.raises(FormatError, match="2 values of wavelength for 3 bands"):
+    with pytest.raises(FormatError, match="length-mismatch"):
         hp.open_library(path, wavelength=[450, 550])
-    with pytest.raises(FormatError, match="expected one finite number a band"):
+    with pytest.raises(FormatError, match="value-out-of-range"):
         hp.open_library(path, wavelength=[[450, np.nan]])
 
 
@@ -122,7 +122,7 @@ def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("names", ["", "spectra names = {red, matt, blue}\n", "spectra names = {red}\n"])
 def test_sli__names_that_cannot_be_trusted_are_numbers(tmp_path: Path, names: str) -> None:
-    with pytest.warns(PaintWarning, match="spectra are numbered"):
+    with pytest.warns(PaintWarning, match="header-incomplete"):
         library = hp.open_library(write_sli(tmp_path, ROWS, names + NM))
     assert library["signature"].values.tolist() == ["spectrum 1", "spectrum 2"]
 
@@ -142,13 +142,13 @@ def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
     assert "bands is 2, expected 1" in str(caught.value)
     assert "23 bytes, expected 48" in str(caught.value)
     header.write_text(header.read_text().replace("Spectral Library", "Standard"))
-    with pytest.raises(FormatError, match=r"expected a spectral library|wavelength"):
+    with pytest.raises(FormatError, match=r"spectral library|wavelength"):
         hp.open_library(header)
 
 
 def test_sli__of_another_quantity_is_refused(tmp_path: Path) -> None:
     path = write_sli(tmp_path, ROWS, NAMES + NM + "z plot titles = {Wavelength, Emissivity}\n")
-    with pytest.raises(FormatError, match=r"'Emissivity'.*expected reflectance"):
+    with pytest.raises(FormatError, match="quantity-wrong"):
         hp.open_library(path)
 
 
@@ -198,19 +198,19 @@ def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no table of numbers"),
-        ("hello\nworld\n", "no table of numbers"),
-        ("450\n550\n650\n", "no table of numbers"),
-        ("450,0.1,0.2\n550,0.2\n650,0.3\n", "line 2: '550,0.2', expected 3 numbers"),
-        ("450,0.1\n550,0.2\nend of file\n650,0.3\n", "line 3: 'end of file', expected 2 numbers"),
-        ("450,0.1\n550,0.2\n650,0.3,0.4\n", "line 3: '650,0.3,0.4', expected 2 numbers"),
+        ("", "table-missing"),
+        ("hello\nworld\n", "table-missing"),
+        ("450\n550\n650\n", "table-missing"),
+        ("450,0.1,0.2\n550,0.2\n650,0.3\n", "line 2.*row-unreadable"),
+        ("450,0.1\n550,0.2\nend of file\n650,0.3\n", "line 3.*row-unreadable"),
+        ("450,0.1\n550,0.2\n650,0.3,0.4\n", "line 3.*row-unreadable"),
         ("450,0.1\n550,inf\n650,0.3\n", "line 2: '550,inf'"),
-        ("450,0.1\n550,0.2\n650,0.3\n660,1_0\n670,1e400\n", "(?s)line 4: '660,1_0'.*line 5: '670,1e400'"),
+        ("450,0.1\n550,0.2\n650,0.3\n660,1_0\n670,1e400\n", "line 4.*row-unreadable"),
         ("450,10\n550,20\n650,30\n", "no scale.*scale=100"),
-        ("nm,radiance\n450,0.1\n550,0.2\n", "its heading says 'radiance', expected reflectance"),
-        ("cm-1,reflectance\n4500,0.1\n5500,0.2\n", "x in 'cm-1', expected nm or um"),
-        ("1,0.1\n2e9,0.2\n", "wavelengths from 1 to 2e.09 nm, expected 100 nm to"),
-        ("".join(f"{500 + (-1) ** at * at},0.1\n" for at in range(60)), "the first column rises and falls"),
+        ("nm,radiance\n450,0.1\n550,0.2\n", "'radiance'.*quantity-wrong"),
+        ("cm-1,reflectance\n4500,0.1\n5500,0.2\n", "'cm-1'.*units-unknown"),
+        ("1,0.1\n2e9,0.2\n", "wavelength-range"),
+        ("".join(f"{500 + (-1) ** at * at},0.1\n" for at in range(60)), "wavelength-unordered"),
     ],
 )
 def test_tables__what_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -219,7 +219,7 @@ def test_tables__what_is_none_is_refused(tmp_path: Path, text: str, said: str) -
 
 
 def test_text__utf_16_says_so(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="UTF-16 text must be saved as UTF-8"):
+    with pytest.raises(FormatError, match="text-unreadable"):
         hp.open_library(write_text(tmp_path, "450,0.1\n550,0.2\n", encoding="utf-16"))
 
 
@@ -252,15 +252,15 @@ def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("Number of X Values: 3", "Number of X Values: 4", "3 values, its header says 4"),
+        ("Number of X Values: 3", "Number of X Values: 4", "length-mismatch"),
         ("Reflectance (percentage)", "Transmittance (percent)", "expected reflectance"),
-        ("(micrometer)", "(cm-1, wavenumber)", "expected nm or um"),
-        ("X Units", "Units of x", "'X Units' is missing"),
-        ("0.55 20", "0.55 20 7", "line 11: '0.55 20 7', expected 2 numbers"),
-        ("0.55 20", "nan 20", "a wavelength is not a number"),
+        ("(micrometer)", "(cm-1, wavenumber)", "units-unknown"),
+        ("X Units", "Units of x", "key-missing"),
+        ("0.55 20", "0.55 20 7", "line 11.*row-unreadable"),
+        ("0.55 20", "nan 20", "number-unreadable"),
         (": none", ": hyperpaint metadata {", "damaged metadata"),
-        (": none", ': hyperpaint metadata {"signature": "x"}', "expected a new plain name"),
-        (": none", ': hyperpaint metadata {"n": "x"}', "metadata 'n': expected int values alone"),
+        (": none", ': hyperpaint metadata {"signature": "x"}', "metadata-damaged"),
+        (": none", ': hyperpaint metadata {"n": "x"}', "'n'.*metadata-damaged"),
     ],
 )
 def test_ecostress__what_is_wrong_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -298,10 +298,10 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
     with pytest.raises(
-        FormatError, match=r"w_Wavelengths_ASD.txt, w_Wavelengths_BECK.txt have 3 values each"
+        FormatError, match=r"w_Wavelengths_ASD.txt.*w_Wavelengths_BECK.txt.*wavelength-ambiguous"
     ):
         hp.open_library(other)
-    with pytest.raises(FormatError, match="is a transmittance"):
+    with pytest.raises(FormatError, match="quantity-wrong"):
         hp.open_library(write_text(chapter, usgs("splib07a Record=9: Glass NIC4a TRAN", values), "c.txt"))
 
 
@@ -313,7 +313,7 @@ def test_what_the_caller_says__is_never_passed_over(tmp_path: Path) -> None:
     assert library["fwhm"].values.tolist() == [5.0, 6.0]
     for name in ("own.sli", "own.csv", "own.zarr"):
         own = hp.write_library(library, tmp_path / name)
-        with pytest.raises(FormatError, match=r"own\.\w+ is a library of hyperpaint, which says its own"):
+        with pytest.raises(FormatError, match="option-conflict"):
             hp.open_library(own, scale=100)
 
 
@@ -330,7 +330,7 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
 def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     write_text(tmp_path, "450,0.1\n550,0.2\n", "a.txt")
     write_text(tmp_path, "nothing\n", "b.txt")
-    with pytest.raises(FormatError, match=r"b.txt: no table of numbers"):
+    with pytest.raises(FormatError, match=r"b.txt.*table-missing"):
         hp.open_library(tmp_path)
 
 
@@ -347,7 +347,7 @@ def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_p
 @pytest.mark.parametrize("path", ["absent.sli", "absent.txt", "*.nothing", "folder", []])
 def test_nothing_there__is_said(tmp_path: Path, path: str | list[str]) -> None:
     (tmp_path / "folder").mkdir()
-    with pytest.raises(FormatError, match=r"no such file|no spectra found|without text files|empty list"):
+    with pytest.raises(FormatError, match=r"file-not-found|empty-input"):
         hp.open_library(str(tmp_path / path) if isinstance(path, str) else path)
 
 
@@ -355,7 +355,7 @@ def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
-    with pytest.raises(FormatError, match="holds no paint library: 'signature' is missing"):
+    with pytest.raises(FormatError, match="library-missing"):
         hp.open_library(tmp_path / "x.zarr")
     with pytest.raises(StoreError):
         hp.open_library(tmp_path / "absent.zarr")
@@ -374,7 +374,7 @@ def ecostress(x: list[float], y: list[float], units: str, x_units: str = "Wavele
 
 def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([400.0, 500.0, 590.0], [10.0] * 3, "Reflectance (percent)"))
-    with pytest.raises(FormatError, match=r"from 400000 to 590000 nm.*said to be micrometres"):
+    with pytest.raises(FormatError, match="wavelength-range"):
         hp.open_library(path)
     assert hp.open_library(path, wavelength=[400, 500, 590])["wavelength"].values.tolist() == [400, 500, 590]
     far = write_text(tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt")
@@ -391,7 +391,7 @@ def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
 
 def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:
     text = "wavelength (nm),black,soot,white\n450,0.8,0.7,80\n550,0.9,0.6,81\n650,0.8,0.6,82\n"
-    with pytest.warns(PaintWarning, match=r"1 of 3 spectra .* above 1.1.*scale=100"):
+    with pytest.warns(PaintWarning, match="scale-missing"):
         hp.open_library(write_text(tmp_path, text, "few.csv"))
 
 
@@ -408,7 +408,7 @@ def test_marks_of_missing_values_are_missing(
     tmp_path: Path, units: str, y: list[float], expected: list[float]
 ) -> None:
     path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], y, units))
-    with pytest.warns(PaintWarning, match=r"value.* far below 0, such as -\d+.*taken for missing"):
+    with pytest.warns(PaintWarning, match="values-far-below-zero"):
         library = hp.open_library(path)
     np.testing.assert_allclose(library["reflectance"].values[0], expected, rtol=1e-6)
 
@@ -417,6 +417,6 @@ def test_marks_of_missing_values_are_missing_at_a_scale_that_hides_them(tmp_path
     rows = np.array(ROWS) * 1e4
     rows[0, 1], rows[1, 0] = -9999.0, -999.0
     path = write_sli(tmp_path, rows, NAMES + NM + "reflectance scale factor = 10000\n")
-    with pytest.warns(PaintWarning, match="2 values far below 0"):
+    with pytest.warns(PaintWarning, match="values-far-below-zero"):
         values = hp.open_library(path)["reflectance"].values
     assert np.isnan(values).tolist() == [[False, True, False], [True, False, False]]

@@ -170,9 +170,9 @@ def test_sli__header_says_what_is_known_of_the_paints(library: xr.Dataset, tmp_p
 
 
 def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="curves='all', expected centre for ecostress"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.write_library(library, tmp_path / "paints", format="ecostress", curves="all")
-    with pytest.raises(SchemaError, match="curves='members', expected centre or all for csv"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.write_library(library, tmp_path / "paints.csv", curves="members")
     found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre"))
     assert not {"member", "quantile"} & {*found.dims}
@@ -201,7 +201,7 @@ def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> No
     np.testing.assert_array_equal(found["layers"].values, [1, 2, 3, 4, np.nan])
     table["make"] = "Seat"
     table.to_csv(path, index=False)
-    with pytest.warns(PaintWarning, match=r"make differ from paints\.csv\.json, which is taken; delete it"):
+    with pytest.warns(PaintWarning, match="metadata-differ"):
         assert hp.open_library(path)["make"].values[0] == "VW"
     path.with_name("paints.csv.json").unlink()
     with pytest.warns(PaintWarning, match="is missing"):
@@ -215,11 +215,11 @@ def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("first", "row", "said"),
     [
-        ("signature,make,make,400,500", "a,b,c,1,1", "names of columns, each once"),
-        ("paint,my make,400,500", "a,b,1,1", "names of columns"),
-        ("signature,make,400,500", "a,1,1", "row 2: 'a,1,1', expected signature, make, and 2 numbers"),
+        ("signature,make,make,400,500", "a,b,c,1,1", "header-unreadable"),
+        ("paint,my make,400,500", "a,b,1,1", "header-unreadable"),
+        ("signature,make,400,500", "a,1,1", "row 2.*row-unreadable"),
         ("signature,make,400,500", "a,b,1,x", "row 2: 'a,b,1,x'"),
-        ("signature,make,400,-500", "a,b,1,1", "no table of numbers|wavelength"),
+        ("signature,make,400,-500", "a,b,1,1", "table-missing"),
     ],
 )
 def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
@@ -234,7 +234,7 @@ def test_without_metadata__spectra_and_members_still_lead_back(
 ) -> None:
     path = hp.write_library(library, tmp_path / name, curves="all")
     path.with_name(path.name + ".json").unlink()
-    with pytest.warns(PaintWarning, match=r"paints\.\w+\.json is missing"):
+    with pytest.warns(PaintWarning, match="metadata-missing"):
         found = hp.open_library(path)
     for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
@@ -249,11 +249,11 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
     shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
     other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match=r"'wavelength' differs; they are of two libraries"):
+    with pytest.raises(FormatError, match="grid-mismatch"):
         hp.open_library(path)
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match=r"shape \(2,\), expected \(5,\)"):
+    with pytest.raises(FormatError, match="metadata-damaged"):
         hp.open_library(path)
 
 
@@ -290,7 +290,7 @@ def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path:
     np.testing.assert_allclose(found["reflectance"].values, library["reflectance"].values, rtol=1e-6)
     np.testing.assert_allclose(found["wavelength"].values, library["wavelength"].values)
     del percent["reflectance"].attrs["units"]
-    with pytest.raises(SchemaError, match="'reflectance' has no units"):
+    with pytest.raises(SchemaError, match=r"'reflectance'.*units"):
         hp.write_library(percent, tmp_path / "more.sli")
 
 
@@ -311,20 +311,20 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
     assert "'n' has units 'm'" in str(caught.value)
     broken = library.assign_coords(signature=["a\nb", "c", "d\x00", "e", "f"])
     for format in ("envi", "csv", "ecostress"):
-        with pytest.raises(SchemaError, match=r"paint 0 is named 'a\\nb'"):
+        with pytest.raises(SchemaError, match="name-unwritable"):
             hp.write_library(broken.isel(band=[0, 1]), tmp_path / "paints", format=format)
-    gaps = r"paint 'red, matt' has no value at 1 of 7 bands"
+    gaps = "value-missing"
     with pytest.raises(SchemaError, match=gaps):
         hp.write_library(library, tmp_path / "paints", format="ecostress")
-    with pytest.raises(SchemaError, match="begin or end with blanks"):
+    with pytest.raises(SchemaError, match="name-unwritable"):
         hp.write_library(
             library.isel(band=[0, 1]).assign_coords(signature=[" a", "b", "c", "d", "e"]),
             tmp_path / "paints",
             format="ecostress",
         )
-    with pytest.raises(FormatError, match=r"no format of the suffix '\.xlsx'; expected format= one of envi"):
+    with pytest.raises(FormatError, match="choice-unknown"):
         hp.write_library(library, tmp_path / "paints.xlsx")
-    with pytest.raises(SchemaError, match="attribute 'when' of the library"):
+    with pytest.raises(SchemaError, match=r"'when'.*type-wrong"):
         hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv")
     assert list(tmp_path.iterdir()) == []
 
@@ -428,5 +428,5 @@ def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> Non
 def test_a_wavelength_given_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "twice.csv"
     path.write_text("wavelength (nm),red\n400,0.1\n500,0.2\n600,0.3\n700,0.4\n500,0.25\n800,0.3\n900,0.2\n")
-    with pytest.raises(FormatError, match=r"1 wavelengths are given twice, such as 500 nm"):
+    with pytest.raises(FormatError, match="wavelength-duplicate"):
         hp.open_library(path, wavelength=[400.0, 500.0, 600.0, 700.0, 500.0, 800.0, 900.0])

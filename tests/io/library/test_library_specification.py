@@ -162,9 +162,9 @@ def test_signatures_and_the_starter_library_say_what_is_asked_for():
 
 
 def test_a_word_that_is_none_is_refused(library):
-    with pytest.raises(hp.SchemaError, match="there is no term 'color'"):
+    with pytest.raises(hp.SchemaError, match="choice-unknown"):
         hp.io.declare_library(library, color="red")
-    with pytest.raises(hp.SchemaError, match="quantity is 'albedo', expected one of HCRF"):
+    with pytest.raises(hp.SchemaError, match="choice-unknown"):
         hp.io.declare_library(library, quantity="albedo")
 
 

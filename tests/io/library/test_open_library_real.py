@@ -177,12 +177,12 @@ def test_usgs_text__without_wavelengths_says_what_is_missing(text: Path, tmp_pat
     alone = tmp_path / "a" / "b" / "c" / USGS
     alone.parent.mkdir(parents=True)
     alone.write_bytes((text / USGS).read_bytes())
-    with pytest.raises(FormatError, match=r"no file of 2151 wavelengths beside it.*wavelength="):
+    with pytest.raises(FormatError, match="wavelength-missing"):
         hp.open_library(alone)
 
 
 def test_wavelengths_are_no_spectrum(text: Path) -> None:
-    with pytest.raises(FormatError, match="is no spectrum; pass the file as wavelength="):
+    with pytest.raises(FormatError, match="quantity-wrong"):
         hp.open_library(text / WAVELENGTHS)
 
 
@@ -211,7 +211,7 @@ def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path)
     assert library["signature"].values.tolist() == ["PVC_Red", "PVC_White"]
     assert library["file"].values.tolist() == ["PVC_Red.txt", "PVC_White.txt"]
     assert "the same rows count once" in library.attrs["notes"]  # two of 1024, where detectors join
-    with pytest.raises(FormatError, match=r"R90.txt has 2202 wavelengths from 250 to 2510 nm, expected 1022"):
+    with pytest.raises(FormatError, match=r"R90.txt.*grid-mismatch"):
         hp.open_library([text / "PVC_Red.txt", text / "PVC_White.txt", text / "R90.txt"])
 
 

@@ -46,11 +46,11 @@ def test_wavenumbers_become_nanometres(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"spectral_data.type": ["emissivity"] * 2}, "it holds emissivity, expected reflectance"),
-        ({"spectral_data.wavelength_unit": ["um", "nm"]}, "wavelengths are in nm, um"),
+        ({"spectral_data.type": ["emissivity"] * 2}, "quantity-wrong"),
+        ({"spectral_data.wavelength_unit": ["um", "nm"]}, "units-unknown"),
         ({"spectral_data.wavelengths": [[0.4, 0.5, 0.6], [0.4, 0.5, 0.7]]}, "different wavelengths"),
-        ({"spectral_data.values": [[0.1, 0.2], [0.2, 0.2, 0.2]]}, "row 0 has another number of values"),
-        ({"spectral_data.values": [None, [0.2, 0.2, 0.2]]}, "row 0 has another number of values"),
+        ({"spectral_data.values": [[0.1, 0.2], [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
+        ({"spectral_data.values": [None, [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
     ],
 )
 def test_what_is_no_library_is_refused(tmp_path, changes, message):
@@ -60,9 +60,7 @@ def test_what_is_no_library_is_refused(tmp_path, changes, message):
 
 def test_missing_columns_are_named(tmp_path):
     pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
-    with pytest.raises(
-        hp.FormatError, match=r"columns additional_properties, spectral_data\.type.* are missing"
-    ):
+    with pytest.raises(hp.FormatError, match="column-missing"):
         hp.open_library(tmp_path / "x.parquet")
 
 
@@ -70,7 +68,7 @@ def test_damaged_files_are_refused(tmp_path):
     whole = foreign(tmp_path / "x.parquet").read_bytes()
     for cut in (4, 40, len(whole) // 2, len(whole) - 4):
         (tmp_path / "cut.parquet").write_bytes(whole[:cut])
-        with pytest.raises(hp.FormatError, match="cannot be read as Parquet"):
+        with pytest.raises(hp.FormatError, match="file-unreadable"):
             hp.open_library(tmp_path / "cut.parquet")
 
 

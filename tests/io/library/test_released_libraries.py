@@ -142,5 +142,5 @@ def test_our_table_comes_back_through_pandas_with_its_index(
     assert opened["signature"].values.tolist() == ["red", "blue", "black"]
     np.testing.assert_array_equal(opened["reflectance"], library["reflectance"])
     pd.read_csv(path).iloc[::-1].to_csv(tmp_path / "turned.csv")
-    with pytest.raises(FormatError, match="first column has no name"):
+    with pytest.raises(FormatError, match="column-name-missing"):
         hp.open_library(tmp_path / "turned.csv")

@@ -36,10 +36,10 @@ def test_a_table(tmp_path: Path) -> None:
         ("", "0 points"),
         ("line,sample,east,north,height\n", "0 points"),
         ("line,sample,east,north\n1,2,3,4\n", "'height'"),
-        ("line,row,sample,east,north,height\n1,1,2,3,4,5\n", "2 columns for 'along_track'"),
+        ("line,row,sample,east,north,height\n1,1,2,3,4,5\n", "'along_track'.*column-missing"),
         ("line,sample,east,north,height\n1,2,3,4\n", "line 2 without 5 cells"),
-        ("line,sample,east,north,height\n1,2,3,nan,5\n", "'north' is not finite in line 2"),
-        ("line,sample,east,north,height\n1,2,x,4,inf\n", "'east' is not a number within 1e.08 in line 2"),
+        ("line,sample,east,north,height\n1,2,3,nan,5\n", "line 2.*not-finite"),
+        ("line,sample,east,north,height\n1,2,x,4,inf\n", "line 2.*value-out-of-range"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
@@ -92,7 +92,7 @@ def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: flo
 def test_a_unit_of_something_else_is_refused(tmp_path: Path, heading: str, told: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"line [m],sample,{heading},north,height\n1,2,3,4,50\n")
-    with pytest.raises(FormatError, match=r"'along_track' in 'm', expected pixels") as caught:
+    with pytest.raises(FormatError, match="units-unknown") as caught:
         read_control_points(path)
     assert told in str(caught.value)
 
@@ -120,9 +120,9 @@ def test_east_and_north_come_in_the_unit_of_their_map(
 @pytest.mark.parametrize(
     ("crs", "unit", "problem"),
     [
-        ("EPSG:4326", "m", "'east' in 'm', expected 'degree', the unit of the crs"),
-        ("EPSG:2263", "degree", "'east' in 'degree', expected a unit of length"),
-        ("EPSG:0", "ft", "crs 'EPSG:0' names no map"),
+        ("EPSG:4326", "m", "'east'.*units-conflict"),
+        ("EPSG:2263", "degree", "'east'.*units-unknown"),
+        ("EPSG:0", "ft", "'EPSG:0'.*crs-unknown"),
     ],
 )
 def test_units_that_are_not_of_the_map_are_refused(tmp_path: Path, crs: str, unit: str, problem: str) -> None:
@@ -136,7 +136,7 @@ def test_units_that_are_not_of_the_map_are_refused(tmp_path: Path, crs: str, uni
 def test_pixels_counted_from_1_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("line (1-based),sample,east,north,height\n1,2,3,4,50\n")
-    with pytest.raises(FormatError, match="counted from 0; subtract 1"):
+    with pytest.raises(FormatError, match="pixel-origin"):
         read_control_points(path)
 
 

@@ -114,7 +114,7 @@ def test_time_of_day_with_a_date_needs_the_offset_of_the_computer(tmp_path: Path
     timing = Timing(frame_index=index, date="2021-07-23", stamp="mid", clock_offset_s=18_000.5)
     made = line_times(Path("raw_0"), 2, timing)
     assert (made.time - np.datetime64("2021-07-24T05:00:00.49", "ns")).tolist() == [0, 10_000_000]
-    with pytest.raises(TimeError, match="expected one like"):
+    with pytest.raises(TimeError, match="time-unreadable"):
         line_times(Path("raw_0"), 2, Timing(frame_index=index, date="2021-02-30", clock_offset_s=0.0))
 
 
@@ -152,8 +152,8 @@ def test_a_record_that_never_aligned_is_told(tmp_path: Path) -> None:
         ({"utc": "2021/Foo/30 00:00:00.0"}, FormatError, "line 4"),
         ({"stamp": 10_500}, TimeError, "line 4"),
         ({"stamp": 7}, TimeError, "line 4"),
-        ({"utc": T0 - MS}, TimeError, "UTC: time runs backwards in line 4"),
-        ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, r"steps by \+17\.9.* line 4|backwards"),
+        ({"utc": T0 - MS}, TimeError, "line 4.*time-unordered"),
+        ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, "time-unordered"),
     ],
 )
 def test_damaged_rows_are_named(
@@ -172,7 +172,7 @@ def test_a_receiver_that_learns_its_leap_seconds_is_refused(tmp_path: Path) -> N
     for row in rows[3:]:
         row["utc"] += np.timedelta64(18, "s")
     path = write_a(tmp_path / "imu_gps.txt", rows)
-    with pytest.raises(TimeError, match=r"\+18\.000 s .*line 5"):
+    with pytest.raises(TimeError, match=r"line 5.*clock-step"):
         line_times(Path("raw_0"), 1, Timing(frame_index=write_index(tmp_path / "f.txt", [600]), nav=path))
 
 
@@ -294,11 +294,11 @@ def test_gaps_of_the_navigation_have_no_place_but_time(tmp_path: Path) -> None:
 def test_lines_outside_the_record_have_no_time(tmp_path: Path) -> None:
     nav = write_a(tmp_path / "imu_gps.txt", steady(3))
     timing = Timing(frame_index=write_index(tmp_path / "f.txt", [10_500, 20_500, 20_501]), nav=nav)
-    with pytest.warns(PaintWarning, match=r"1 of 3 lines \(2 to 2\)"):
+    with pytest.warns(PaintWarning, match="time-uncovered"):
         made = line_times(Path("raw_0"), 3, timing)
     assert np.isnat(made.time).tolist() == [False, False, True]
     away = Timing(frame_index=write_index(tmp_path / "f.txt", [90_500]), nav=nav)
-    with pytest.raises(TimeError, match="does not cover"):
+    with pytest.raises(TimeError, match="time-uncovered"):
         line_times(Path("raw_0"), 1, away)
 
 
@@ -319,19 +319,19 @@ def test_without_navigation_the_stamps_of_the_frames_are_used(tmp_path: Path) ->
 def test_stated_rates_that_the_stamps_contradict_are_told(tmp_path: Path) -> None:
     index = write_index(tmp_path / "f.txt", [0, 7000, 14_000])
     timing = Timing(frame_index=index, start_time=T0, frame_period=0.010)
-    with pytest.warns(PaintWarning, match="frame_period 10 ms.* 7 ms"):
+    with pytest.warns(PaintWarning, match="frame-rate-conflict"):
         line_times(Path("raw_0"), 3, timing, 0.005)
-    with pytest.warns(PaintWarning, match="exposure 5000 ms is longer"):
+    with pytest.warns(PaintWarning, match="exposure-too-long"):
         line_times(Path("raw_0"), 3, Timing(frame_index=index, start_time=T0), 5.0)
 
 
 @pytest.mark.parametrize(
     ("timing", "match"),
     [
-        (Timing(), "no line times"),
-        (Timing(start_time=T0), "frame_index or frame_period"),
+        (Timing(), "time-missing"),
+        (Timing(start_time=T0), "argument-missing"),
         (Timing(start_time="2021-07-23T12:00:00", frame_period=0.007), "no zone"),
-        (Timing(start_time="noon", frame_period=0.007), "not a time"),
+        (Timing(start_time="noon", frame_period=0.007), "time-unreadable"),
         (Timing(start_time=T0, frame_period=-0.007), "frame_period"),
         (Timing(start_time=T0, frame_period=0.007, stamp="after"), "stamp"),
     ],
@@ -353,7 +353,7 @@ def test_two_sources_of_utc_are_one_too_many(tmp_path: Path) -> None:
 
 def test_the_files_beside_a_cube_are_named(tmp_path: Path) -> None:
     write_index(tmp_path / "frameIndex_7.txt", [600], first=7)
-    with pytest.raises(TimeError, match=r"beside the cube: frameIndex_7\.txt"):
+    with pytest.raises(TimeError, match="time-missing"):
         line_times(tmp_path / "raw_7.hdr", 1, Timing())
 
 

@@ -71,9 +71,9 @@ def test_a_date_gives_the_week_and_is_checked(tmp_path: Path) -> None:
         flight = hp.open_navigation(path, date=date)
         assert flight.attrs["gps_week"] == 2158
         assert str(flight.navigation_time.values[0]).startswith("2021-05-20T11:59:42")
-    with pytest.raises(TimeError, match=r"begins at 2021-05-20T12:00:00, date is 2021-05-17"):
+    with pytest.raises(TimeError, match="date-conflict"):
         hp.open_navigation(path, date="2021-05-17")
-    with pytest.raises(TimeError, match="does not say which week; give week="):
+    with pytest.raises(TimeError, match="gps-week-missing"):
         hp.open_navigation(path)
 
 
@@ -108,9 +108,9 @@ def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None
     ("columns", "match"),
     [
         ({"latitude": 2.0}, "latitude is 114"),
-        ({"longitude": 1e308}, "longitude is inf"),  # in degrees beyond float64, and still no warning
+        ({"longitude": 1e308}, "value-out-of-range"),  # in degrees beyond float64, and still no warning
         ({"roll": [0.0, np.inf]}, "roll is inf in record 2"),
-        ({"altitude": 1e6}, r"altitude is 1e\+06 in records 1, 2"),
+        ({"altitude": 1e6}, "altitude is 1.*value-out-of-range"),
     ],
 )
 def test_sbet_with_impossible_values_is_refused(tmp_path: Path, columns: dict[str, Any], match: str) -> None:
@@ -129,12 +129,12 @@ def test_all_problems_of_an_sbet_are_told_at_once(tmp_path: Path) -> None:
 def test_sbet_of_part_records_is_refused(tmp_path: Path, size: int) -> None:
     path = tmp_path / "flight.sbet"
     path.write_bytes(bytes(size))
-    with pytest.raises(FormatError, match=f"{size} bytes, expected records of 136 bytes"):
+    with pytest.raises(FormatError, match=f"{size} bytes.*file-truncated"):
         hp.open_navigation(path, week=2158)
 
 
 def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(TimeError, match="backwards in record 3"):
+    with pytest.raises(TimeError, match=r"record 3.*time-unordered"):
         hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
 
 
@@ -180,13 +180,13 @@ def test_lcf_has_its_right_wing_up(tmp_path: Path) -> None:
 
 def test_lcf_of_the_week_needs_the_week(tmp_path: Path) -> None:
     path = write_lcf(tmp_path / "line.lcf", [5.0, 6.0], columns=7)
-    with pytest.raises(TimeError, match="which week"):
+    with pytest.raises(TimeError, match="gps-week-missing"):
         hp.open_navigation(path)
     assert hp.open_navigation(path, week=2158).attrs["gps_week"] == 2158
 
 
 def test_lcf_of_another_week_than_given_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(TimeError, match="in week 2149; week is 2158"):
+    with pytest.raises(TimeError, match="gps-week-conflict"):
         hp.open_navigation(write_lcf(tmp_path / "line.lcf", [1.3e9]), week=2158)
 
 
@@ -195,10 +195,10 @@ def test_lcf_of_another_week_than_given_is_refused(tmp_path: Path) -> None:
     [
         ("", "no rows"),
         ("1 2 3\n", "line 1 without"),
-        ("1e9 0 0 0 0 0 0\n1e9 0 0 x 0 0 0\n", "'heading' is not a number"),
+        ("1e9 0 0 0 0 0 0\n1e9 0 0 x 0 0 0\n", "'heading'.*value-out-of-range"),
         ("1e9 0 0 0 0 0 0\n1e9 0 0 0 0 95 0\n", "'latitude'.* line 2"),
         ("1e9 0 0 90 0 0 0\n", "heading is 90"),
-        ("1e9 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "counts from elsewhere in line 2"),
+        ("1e9 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "line 2.*time-origin-conflict"),
         ("-5 0 0 0 0 0 0\n", "negative"),
         ("1e9 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n", "unknown in line 2"),
         ("1e9 0 0 0 0 0 0 \0", "binary"),
@@ -273,27 +273,27 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
 @pytest.mark.parametrize(
     ("lines", "match"),
     [
-        (["a,b", "1,2"], "expected a header that names latitude"),
+        (["a,b", "1,2"], "header-missing"),
         (
             [CSV_HEADER.replace("roll [degree]", "roll"), CSV_ROWS[0]],
-            r"'roll' has no unit.*'roll \[degree\]'",
+            "'roll'.*units-missing",
         ),
         ([CSV_HEADER.replace("altitude [m]", "altitude [s]"), CSV_ROWS[0]], "'s' are not convertible to 'm'"),
-        ([CSV_HEADER.replace("pitch", "roll"), CSV_ROWS[0]], "are all roll"),
-        ([CSV_HEADER.replace("time", "when"), CSV_ROWS[0]], "no column of time"),
-        ([CSV_HEADER, CSV_ROWS[0].replace("Z", "")], "with a zone"),
-        ([CSV_HEADER, "12.5,43,-77,150,0,0,0"], "from when do they count"),
+        ([CSV_HEADER.replace("pitch", "roll"), CSV_ROWS[0]], "column-duplicate"),
+        ([CSV_HEADER.replace("time", "when"), CSV_ROWS[0]], "column-missing"),
+        ([CSV_HEADER, CSV_ROWS[0].replace("Z", "")], "time-unreadable"),
+        ([CSV_HEADER, "12.5,43,-77,150,0,0,0"], "time-origin-unknown"),
         ([CSV_HEADER, CSV_ROWS[0], "2024-06-01"], "line 3 without 7 cells"),
         ([CSV_HEADER], "no rows"),
-        ([CSV_HEADER, ",43,-77,150,0,0,0"], "no row with a time"),
+        ([CSV_HEADER, ",43,-77,150,0,0,0"], "time-missing"),
         ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "143.1")], "latitude is 143.1"),
-        ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "1_0")], "not a number"),
-        ([CSV_HEADER, CSV_ROWS[0].replace("06-01", "02-30")], "is not like"),
+        ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "1_0")], "value-out-of-range"),
+        ([CSV_HEADER, CSV_ROWS[0].replace("06-01", "02-30")], "time-unreadable"),
         (["# roll_positive: up", CSV_HEADER, CSV_ROWS[0]], "roll_positive 'up'"),
         (["# angle_unit: radian", CSV_HEADER, CSV_ROWS[0]], "'angle_unit' is 'radian'"),
         (["# gps_week: soon", CSV_HEADER, CSV_ROWS[0]], "'gps_week' is 'soon'"),
         (["# declination: west", CSV_HEADER, CSV_ROWS[0]], "'declination' is 'west'"),
-        ([CSV_HEADER.replace("time", "unix_time"), "12,43,-77,150,0,0,0"], "no unit of time"),
+        ([CSV_HEADER.replace("time", "unix_time"), "12,43,-77,150,0,0,0"], "units-missing"),
         ([CSV_HEADER.replace("time", "unix_time [s]"), "-12,43,-77,150,0,0,0"], "is negative"),
     ],
 )
@@ -346,7 +346,7 @@ def test_headwall_with_the_clock_of_the_computer_alone(tmp_path: Path) -> None:
     path = tmp_path / "imu_gps.txt"
     rows = [f"1\t2\t3\t43\t-77\t150\t12:00:0{i} 250000\n" for i in range(3)]
     path.write_text("Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n" + "".join(rows))
-    with pytest.raises(TimeError, match="holds no date; give gps_time="):
+    with pytest.raises(TimeError, match="date-missing"):
         hp.open_navigation(path)
     flight = hp.open_navigation(path, date="2021-07-23", clock_offset_s=18_000.0)
     assert seconds_since(flight.navigation_time.values, "2021-07-23T17:00:00") == [0.25, 1.25, 2.25]
@@ -390,14 +390,14 @@ def test_eph_att_that_is_none_is_refused(tmp_path: Path) -> None:
             write_eph(tmp_path, **{"lines": "200000000", "band names": "{a, b, c, d, e, f, g}"})
         )
     assert "band names" in str(caught.value)
-    assert "its header says 11200000000" in str(caught.value)
+    assert "expected 11200000000" in str(caught.value)
 
 
 def test_a_name_that_contradicts_the_stamps_says_no_week(tmp_path: Path) -> None:
     path = write_eph(tmp_path)
     for name in (path, Path(f"{path}.hdr")):
         name.rename(tmp_path / name.name.replace("t202244", "t052244"))
-    with pytest.raises(TimeError, match="which week"):
+    with pytest.raises(TimeError, match="gps-week-missing"):
         hp.open_navigation(tmp_path / "ang20170323t052244_eph_att")
 
 
@@ -408,12 +408,12 @@ def test_several_files_follow_one_another(tmp_path: Path) -> None:
     assert flight["roll"].values.tolist() == [0.1, 0.1, 0.2]
     assert flight.attrs["source"] == "a.sbet, b.sbet"
     overlapping = write_sbet(tmp_path / "c.sbet", [1.5])
-    with pytest.raises(TimeError, match=r"a\.sbet ends at .* after c\.sbet begins"):
+    with pytest.raises(TimeError, match=r"a\.sbet.*c\.sbet.*time-overlap"):
         hp.open_navigation([first, overlapping], week=2158)
     table = write_csv(tmp_path / "a.csv", CSV_HEADER, *CSV_ROWS)
     with pytest.raises(FormatError, match="differ"):
         hp.open_navigation([table, write_imu(tmp_path / "imu_gps.txt")])
-    with pytest.raises(FormatError, match="one or more"):
+    with pytest.raises(FormatError, match="empty-input"):
         hp.open_navigation([])
 
 
@@ -437,14 +437,14 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
     )
     with pytest.raises(SchemaError, match="holds radian"):
         hp.open_navigation(path, convention=Convention())
-    with pytest.raises(SchemaError, match="convention has no 'colour'"):
+    with pytest.raises(SchemaError, match="key-unknown"):
         hp.open_navigation(path, convention={"colour": "red"})
 
 
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(272))
-    with pytest.raises(FormatError, match="binary, no known kind"):
+    with pytest.raises(FormatError, match="format-unknown"):
         hp.open_navigation(path)
     assert hp.open_navigation(path, format="sbet", week=0, leap_seconds=0).sizes["navigation_time"] == 2
     with pytest.raises(SchemaError, match="format 'kml'"):

@@ -61,7 +61,7 @@ def test_the_sign_of_the_wander_angle(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_a_truncated_sbet_is_refused(shared_data: Path) -> None:
-    with pytest.raises(FormatError, match="271 bytes, expected records of 136 bytes: 1 whole ones and 135"):
+    with pytest.raises(FormatError, match="file-truncated"):
         hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947)
 
 

@@ -94,16 +94,16 @@ def test_damage_is_counted_or_refused(tmp_path: Path) -> None:
     assert any("1 of 3 sentences have a wrong checksum" in text for text in texts), texts
     assert flight.sizes["navigation_time"] == 1
     path.write_text(damaged.replace(",2024,", ",2023,").replace("120000.00,4330", "120000.00,4332"))
-    with pytest.raises(FormatError, match="3 of 3 sentences"):
+    with pytest.raises(FormatError, match=r"sentence.*checksum-wrong"):
         hp.open_navigation(path, format="nmea")
 
 
 @pytest.mark.parametrize(
     ("texts", "error", "problem"),
     [
-        ((gga("120000.00"),), TimeError, "holds no date"),
-        ((gga("120000.00", "4399.0000,X,07736.0000,W"),), FormatError, "not as the standard has it"),
-        (("GPZDA,120000.00,01,06,2024,00,00",), FormatError, "no position with a fix"),
+        ((gga("120000.00"),), TimeError, "date-missing"),
+        ((gga("120000.00", "4399.0000,X,07736.0000,W"),), FormatError, "row-unreadable"),
+        (("GPZDA,120000.00,01,06,2024,00,00",), FormatError, "position-missing"),
         ((gga("120000.00", "9930.0000,N,07736.0000,W"),), FormatError, "latitude is 99.5"),
     ],
 )
@@ -138,7 +138,7 @@ def test_columns_of_a_table_without_a_header(tmp_path: Path, separator: str) -> 
     np.testing.assert_allclose(flight.latitude, np.degrees([0.76, 0.76]))
     np.testing.assert_allclose(flight.heading, [359.5, 0.5])
     assert flight.navigation_time.values[0] == np.datetime64("2024-05-29T11:59:42.5")
-    with pytest.raises(FormatError, match="given as columns="):
+    with pytest.raises(FormatError, match="header-missing"):
         hp.open_navigation(path, format="csv")
 
 
@@ -147,9 +147,9 @@ def test_wrong_columns_are_refused(tmp_path: Path) -> None:
     path.write_text("302400.5 43.1 -77.6 150 0.5 -1\n")
     with pytest.raises(FormatError, match="line 1 without 8 cells"):
         hp.open_navigation(path, columns=COLUMNS, week=2316)
-    with pytest.raises(FormatError, match="no column of heading"):
+    with pytest.raises(FormatError, match="column-missing"):
         hp.open_navigation(
             path, columns=["utc", "lat [deg]", "lon [deg]", "alt [m]", "roll [deg]", "pitch [deg]"]
         )
-    with pytest.raises(SchemaError, match="without a header"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         hp.open_navigation(path, columns=COLUMNS, format="sbet")

@@ -91,7 +91,7 @@ def test_real_details(shared_data):
     assert (fore_optic.integration_ms, fore_optic.gains) == (136.0, (31, 16))
     handheld = read_asd(folder / "handheld_raw.asd")
     assert (handheld.instrument, handheld.splices, handheld.reference) == ("HandHeld", (1075.0, -1.0), None)
-    with pytest.raises(FormatError, match=r"handheld_raw\.asd: no white reference"):
+    with pytest.raises(FormatError, match="reference-missing"):
         open_asd(folder / "handheld_raw.asd", "reflectance", utc_offset_h=12)
 
 
@@ -106,7 +106,7 @@ def test_real_absolute_reflectance(shared_data):
     assert at(absolute, 350) == pytest.approx(at(relative, 350) * 0.98625571, rel=1e-8)
     assert relative.attrs["reflectance_scale"] == "relative"
     assert (absolute.attrs["reflectance_scale"], absolute.attrs["panel"]) == ("absolute", "abs64665_54.ref")
-    with pytest.raises(FormatError, match=r"v7sample00003\.asd: no calibration block ABS .*'absolute': path"):
+    with pytest.raises(FormatError, match="calibration-missing"):
         open_asd(shared_data / "asd_binary" / "v7sample00003.asd", absolute=True)
 
 
@@ -149,7 +149,7 @@ def test_real_radiance_ends_at_the_splice(shared_data):
 @pytest.mark.real_data
 def test_of_an_unknown_zone_the_time_is_nat_with_a_hint(shared_data):
     """Rationale: as `open_svc` does; a spectrum of a paint is of use without its time."""
-    with pytest.warns(PaintWarning, match=r"NaT, .*utc_offset_h=.*perhaps -6 .*v7sample00000\.asd"):
+    with pytest.warns(PaintWarning, match="zone-missing"):
         opened = open_asd(shared_data / "asd_binary" / "v7sample00000.asd")
     assert np.isnat(opened["time"].values).all()
     known = open_asd(shared_data / "asd_binary" / "v7sample00000.asd", utc_offset_h=-6)
@@ -159,7 +159,7 @@ def test_of_an_unknown_zone_the_time_is_nat_with_a_hint(shared_data):
 def test_only_those_of_unknown_zone_have_no_time(write_asd):
     write_asd("a.asd", COUNTS)
     path = write_asd("b.asd", COUNTS, reference=COUNTS, reference_epoch=1716286000, utc_offset_h=2.0)
-    with pytest.warns(PaintWarning, match=r"NaT, .*Files: a\.asd$"):
+    with pytest.warns(PaintWarning, match=r"a\.asd.*zone-missing"):
         opened = open_asd(path.parent, "counts")
     assert list(opened["source"].values) == ["b.asd", "a.asd"]
     assert np.isnat(opened["time"].values).tolist() == [False, True]
@@ -237,7 +237,7 @@ def test_irradiance_through_the_calibration_blocks(write_asd, nominal):
 
 def test_missing_blocks_are_named_and_files_stand_in(write_asd):
     path = write_asd("a.asd", COUNTS, data_type=4, blocks={2: (0, LAMP)})
-    with pytest.raises(FormatError, match=r"a\.asd: no calibration block FO .*'fore_optic': path.*text"):
+    with pytest.raises(FormatError, match="calibration-missing"):
         open_asd(path, utc_offset_h=0)
     files = {
         "lamp": write_asd("x.ill", LAMP * 2),
@@ -245,10 +245,10 @@ def test_missing_blocks_are_named_and_files_stand_in(write_asd):
     }
     irradiance = open_asd(path, utc_offset_h=0, calibration=files)["irradiance"]
     np.testing.assert_allclose(irradiance.values[0], 0.4 * COUNTS[:651] / 4000.0 * (68 / 136), rtol=1e-13)
-    with pytest.raises(SchemaError, match="lamp, fore_optic, panel"):
+    with pytest.raises(SchemaError, match="key-unknown"):
         open_asd(path, calibration={"ill": files["lamp"]})
     other_grid = {**files, "lamp": write_asd("y.ill", LAMP[:-1])}
-    with pytest.raises(FormatError, match=r"not those of calibration file y\.ill"):
+    with pytest.raises(FormatError, match=r"y\.ill.*grid-mismatch"):
         open_asd(path, utc_offset_h=0, calibration=other_grid)
 
 
@@ -264,9 +264,9 @@ def test_absolute_reflectance(write_asd):
     np.testing.assert_array_equal(opened.values[0], PANEL / 2)
     assert opened.attrs["panel"] == "x.ref"
     other_grid = {"absolute": write_asd("y.ref", PANEL[:-1])}
-    with pytest.raises(FormatError, match=r"a\.asd, b\.asd: its wavelengths are not those .* y\.ref"):
+    with pytest.raises(FormatError, match=r"a\.asd.*b\.asd.*grid-mismatch"):
         open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid)
-    with pytest.raises(SchemaError, match="absolute=True needs reflectance, found counts"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         open_asd(paths, "counts", absolute=True)
 
 
@@ -283,14 +283,14 @@ def test_spectra_have_names(write_asd, tmp_path):
     opened = open_asd(text, "reflectance")
     assert opened["spectrum"].values.tolist() == ["two"]
     assert np.isnan(opened["latitude"].item())
-    with pytest.raises(FormatError, match="text export, to which no panel's reflectance"):
+    with pytest.raises(FormatError, match="option-conflict"):
         open_asd(text, "reflectance", absolute=True)
 
 
 def test_an_unknown_zone_is_guessed_from_the_gps_for_the_message(write_asd):
     gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, 4815.0, -1142.0, 12.0, 1, 0, 7, 31, 22, 0, 0, b"", 0, 0)
     path = write_asd("a.asd", COUNTS, gps=gps, local=dt.datetime(2024, 5, 21, 0, 33, 7))
-    with pytest.warns(PaintWarning, match=r"perhaps \+2 by the GPS\. Files: a\.asd"):
+    with pytest.warns(PaintWarning, match=r"a\.asd.*zone-missing"):
         open_asd(path)
 
 
@@ -309,7 +309,7 @@ def test_saturation_and_zero_division_become_nan_and_are_said(write_asd):
 
 def test_dark_that_was_not_subtracted_is_said(write_asd):
     path = write_asd("a.asd", COUNTS, reference=COUNTS, dark_subtracted=False)
-    with pytest.warns(PaintWarning, match="dark current was not subtracted"):
+    with pytest.warns(PaintWarning, match="dark-not-subtracted"):
         open_asd(path, "reflectance", utc_offset_h=0)
 
 
@@ -322,7 +322,7 @@ def test_spectra_are_ordered_by_time_and_offsets_come_from_each_file(write_asd):
     assert list(opened["source"].values) == ["b.asd", "a.asd"]
     expected = np.array(["2024-05-21T03:30", "2024-05-21T10:00"], "datetime64[ns]")
     np.testing.assert_array_equal(opened["time"].values, expected)
-    with pytest.warns(PaintWarning, match=r"utc_offset_h=\+2 .*\+5\.5 h in b\.asd"):
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
         opened = open_asd(folder, utc_offset_h=2)
     assert opened["time"].values[0] == np.datetime64("2024-05-21T07:00", "ns")
 
@@ -345,7 +345,7 @@ def test_all_bad_files_are_named_at_once(write_asd, tmp_path):
 @pytest.mark.parametrize("paths", [[], "nothing*.asd"])
 def test_nothing_to_open(paths, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FormatError, match="spectra cannot be opened"):
+    with pytest.raises(FormatError, match=r"empty-input|file-not-found"):
         find_files(paths)
 
 
@@ -357,18 +357,18 @@ def test_what_only_looks_like_a_file_is_named(write_asd, tmp_path):
         open_asd(tmp_path, utc_offset_h=0)
     for name in ("pipe.asd", "gone.asd"):
         assert name in str(raised.value)
-    assert "a link that leads nowhere" in str(raised.value)
+    assert "file-not-plain" in str(raised.value)
     assert "a.asd" not in str(raised.value)
 
 
 def test_a_folder_without_spectra(tmp_path):
-    with pytest.raises(FormatError, match="no spectra found"):
+    with pytest.raises(FormatError, match="file-not-found"):
         open_asd(tmp_path)
 
 
 def test_different_wavelengths_are_refused(write_asd):
     paths = [write_asd("a.asd", COUNTS), write_asd("b.asd", COUNTS, first=325.0)]
-    with pytest.raises(FormatError, match=r"(?s)350 to 1050 nm: a\.asd.*325 to 1025 nm: b\.asd"):
+    with pytest.raises(FormatError, match=r"a\.asd.*grid-mismatch"):
         open_asd(paths, utc_offset_h=0)
 
 
@@ -377,9 +377,9 @@ def test_unclear_quantity(write_asd):
         write_asd("a.asd", COUNTS, data_type=1, reference=COUNTS),
         write_asd("b.asd", COUNTS, data_type=8),
     ]
-    with pytest.raises(FormatError, match=r"(?s)pass quantity=.*reflectance: a\.asd.*unknown: b\.asd"):
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
         open_asd(paths, utc_offset_h=0)
-    with pytest.raises(SchemaError, match="counts, radiance, reflectance, irradiance"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         open_asd(paths, "dn")
 
 
@@ -392,7 +392,7 @@ def test_impossible_zone(write_asd, offset_h):
 @pytest.mark.parametrize(
     ("offset", "packed", "problem"),
     [
-        (160, struct.pack("<9h", 0, 0, 0, 31, 1, 124, 0, 0, 0), "not a date"),
+        (160, struct.pack("<9h", 0, 0, 0, 31, 1, 124, 0, 0, 0), "time-unreadable"),
         (186, b"\x09", "data type"),
         (199, b"\x03", "data format"),
         (191, struct.pack("<f", float("nan")), "first wavelength"),

@@ -116,7 +116,7 @@ def test_old_years_and_twelve_hour_clock(tmp_path):
 
 def test_guessed_quantity_is_said(tmp_path):
     (tmp_path / "soil.txt").write_text(preamble("", ymax="1.25") + "Wavelength,a\n350,0.1\n")
-    with pytest.warns(PaintWarning, match=r"reflectance is a guess.*soil\.txt"):
+    with pytest.warns(PaintWarning, match="quantity-assumed"):
         opened = open_asd(tmp_path / "soil.txt", utc_offset_h=3)
     assert opened["reflectance"].values == 0.1
     assert opened["time"].values == np.datetime64("2024-05-21T08:33:13", "ns")
@@ -128,14 +128,14 @@ def test_guessed_quantity_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "no line begins with 'Wavelength'"),
-        ("Wavelength,a\n", "table is empty"),
+        ("", "'Wavelength'.*format-unknown"),
+        ("Wavelength,a\n", "table-missing"),
         ("Wavelength;\n350;1\n", "no column"),
-        ("Wavelength,a\n350,1\n351\n", "line 3 of the table holds '351'"),
-        ("Wavelength,a\n350,1\nx2bar,1\n352,2\n", "line 4 of the table holds '352,2'"),
-        ("Wavelength,a\n350,1\n351,one\n", "line 3 of the table holds '351,one'"),
-        ("Wavelength,a\n350,1\n350,1\n", "do not increase"),
-        ("Wavelength,a\ninf,1\n", "do not increase"),
+        ("Wavelength,a\n350,1\n351\n", "line 3.*row-unreadable"),
+        ("Wavelength,a\n350,1\nx2bar,1\n352,2\n", "line 4.*row-unreadable"),
+        ("Wavelength,a\n350,1\n351,one\n", "line 3.*row-unreadable"),
+        ("Wavelength,a\n350,1\n350,1\n", "wavelength-unordered"),
+        ("Wavelength,a\ninf,1\n", "wavelength-unordered"),
         ("Wavelength,350,351\na,1\n", "expected 3 cells"),
         ("Spectrum saved: 21/05/2024 at 11:33:13\nWavelength,a\n350,1\n", "month/day/year"),
     ],

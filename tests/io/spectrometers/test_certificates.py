@@ -53,12 +53,12 @@ def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> 
 @pytest.mark.parametrize(
     ("heading", "problem"),
     [
-        (f"# all values in %\n{NM},R", "speaks of percent"),
-        (f"# {NM}, uncertainty [%]\n{NM},R", "speaks of percent"),
+        (f"# all values in %\n{NM},R", "units-ambiguous"),
+        (f"# {NM}, uncertainty [%]\n{NM},R", "units-ambiguous"),
         (f"{NM},R [nm]", "names 'nm'"),
         (f"{NM},R [W m-2 nm-1]", "names 'W m-2 nm-1'"),
         ("Wavenumber [cm-1],R", "names 'cm-1'"),
-        (f"{NM},R [%]\n{NM},R [1]", "'%' and '1' for one column"),
+        (f"{NM},R [%]\n{NM},R [1]", "'%'.*units-conflict"),
     ],
 )
 def test_what_is_not_clear_is_refused(tmp_path: Path, heading: str, problem: str) -> None:

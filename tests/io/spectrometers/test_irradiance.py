@@ -93,7 +93,7 @@ def test_real_exports_need_a_zone_and_say_their_guess(shared_data):
     files = str(shared_data / "asd_ascii" / "asd-e-irrad-sky.*")
     with pytest.raises(TimeError, match="utc_offset_h="):
         open_irradiance(files, "irradiance")
-    with pytest.warns(PaintWarning, match="irradiance is a guess"):
+    with pytest.warns(PaintWarning, match="quantity-assumed"):
         guessed = open_irradiance(files, utc_offset_h=3)
     xr.testing.assert_identical(guessed, open_irradiance(files, "irradiance", utc_offset_h=3))
 
@@ -101,8 +101,8 @@ def test_real_exports_need_a_zone_and_say_their_guess(shared_data):
 @pytest.mark.real_data
 def test_an_export_that_seems_to_be_reflectance_is_refused(shared_data):
     with (
-        pytest.warns(PaintWarning, match="reflectance is a guess"),
-        pytest.raises(FormatError, match="seem to hold reflectance"),
+        pytest.warns(PaintWarning, match="quantity-assumed"),
+        pytest.raises(FormatError, match="quantity-wrong"),
     ):
         open_irradiance(shared_data / "asd_ascii" / "asd-Rfr-soil.tsv", utc_offset_h=3)
 
@@ -147,7 +147,7 @@ def test_a_logging_pc_five_hours_off(log):
     )
     assert series.attrs["irradiance_utc_offset_h"] == [-5.0]
     assert series.attrs["irradiance_clock_offset_s"] == 37.25
-    with pytest.warns(PaintWarning, match=r"utc_offset_h=\+2 is used although .* -5 h"):
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
         series = open_irradiance(files, stamp="mid", utc_offset_h=2)
     assert series["irradiance_time"].values[0] == np.datetime64("2024-05-21T10:00", "ns")
 
@@ -158,7 +158,7 @@ def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
         "2024-05-21T11:00", "ns"
     )
     files += log(6, prefix="v", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=2.0)
-    with pytest.raises(TimeError, match=r"\+1 h in w00000\.asd; \+2 h in v00000\.asd"):
+    with pytest.raises(TimeError, match=r"w00000\.asd.*v00000\.asd.*utc-offset-conflict"):
         open_irradiance(files)
     with pytest.raises(TimeError, match="utc_offset_h="):
         open_irradiance(files[:2])
@@ -196,7 +196,7 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
 
 def test_raw_counts_with_calibration_files(log, write_asd):
     files = log(0, 2, blocks={}, data_type=0)
-    with pytest.raises(FormatError, match=r"sky00000\.asd, sky00001\.asd: no calibration block LMP and FO"):
+    with pytest.raises(FormatError, match=r"sky00000\.asd.*sky00001\.asd.*calibration-missing"):
         open_irradiance(files, utc_offset_h=0)
     calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
     series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
@@ -227,7 +227,7 @@ def test_all_wrong_arguments_at_once():
 
 def test_exports_without_a_stamp_make_no_series(tmp_path):
     (tmp_path / "a.txt").write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
-    with pytest.raises(TimeError, match=r"without a time stamp.*a\.txt"):
+    with pytest.raises(TimeError, match=r"a\.txt.*time-missing"):
         open_irradiance(tmp_path, "irradiance", utc_offset_h=0)
 
 
@@ -238,7 +238,7 @@ def test_exports_without_a_stamp_make_no_series(tmp_path):
 def test_impossible_light_is_refused(log, factor):
     """E in mW, uW, uW cm-2, W cm-2 or kW that is said to be W m-2 nm-1."""
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
-    named = "values in W m-2 nm-1 that are said to be in uW m-2 nm-1"  # as likely as W mm-2
+    named = "irradiance-implausible"  # as likely as W mm-2
     if factor > 1e-6:
         unit = {1e6: "uW m-2 nm-1", 1e3: "mW m-2 nm-1", 100.0: "uW cm-2 nm-1", 1e-4: "W cm-2 nm-1"}[factor]
         named = f"values in {unit} .*taken for W m-2 nm-1"
@@ -308,14 +308,14 @@ def test_csv_needs_zone_units_and_width(tmp_path):
     ("text", "problem"),
     [
         ("", "no header"),
-        ("time,600,500\n", "must be positive and increase"),
-        ("time,nan\n", "must be positive and increase"),
-        ("time,a\n", "header is .time,a., expected"),
+        ("time,600,500\n", "header-unreadable"),
+        ("time,nan\n", "header-unreadable"),
+        ("time,a\n", "header is ..*header-unreadable"),
         ("time,500\n", "no rows"),
-        ("time,500\nnoon,1\n", "line 2 cannot be read"),
+        ("time,500\nnoon,1\n", "line 2.*row-unreadable"),
         ("time,500\n2024-05-21T12:00:00Z,1,2\n", "2 values"),
         ("time,500\n0001-01-01,1\n", "outside 1970 to 2199"),
-        ("time,500\n2024-05-21T12:00:00Z,1\n2024-05-21T12:00:01,1\n", "give it to all or to none"),
+        ("time,500\n2024-05-21T12:00:00Z,1\n2024-05-21T12:00:01,1\n", "zone-missing"),
         ("# fwhm_nm: three\ntime,500\n2024-05-21T12:00:00Z,1\n", "fwhm_nm: three"),
     ],
 )
@@ -341,7 +341,7 @@ def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
 
 def test_csv_and_binaries_do_not_mix(log, tmp_path):
     (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
-    with pytest.raises(FormatError, match=r"do not mix.*sky00000\.asd"):
+    with pytest.raises(FormatError, match="formats-mixed"):
         open_irradiance([*log(0), tmp_path / "sky.csv"])
 
 
@@ -362,10 +362,10 @@ def test_every_time_resolution_comes_out_in_nanoseconds(resolution):
 
 def test_units_and_width_of_an_xarray_series():
     data = sky(utc("2024-05-21T12:00", "2024-05-21T12:01")) * 1000
-    with pytest.raises(UnitsError, match="has no units"):
+    with pytest.raises(UnitsError, match="units-missing"):
         open_irradiance(data.drop_attrs(deep=False), fwhm_nm=3)
     data.attrs["units"] = "mW m-2 nm-1"
-    with pytest.raises(UnitsError, match="correct one of them"):
+    with pytest.raises(UnitsError, match="units-conflict"):
         open_irradiance(data, fwhm_nm=3, units="W m-2 nm-1")
     with pytest.raises(SchemaError, match="fwhm_nm="):
         open_irradiance(data)
@@ -377,17 +377,17 @@ def test_units_and_width_of_an_xarray_series():
 
 def test_what_is_no_series_is_refused():
     times = utc("2024-05-21T12:00", "2024-05-21T12:01")
-    with pytest.raises(SchemaError, match="no variable 'irradiance'"):
+    with pytest.raises(SchemaError, match="variable-missing"):
         open_irradiance(sky(times).to_dataset(name="radiance"))
-    with pytest.raises(SchemaError, match="expected a time and a wavelength"):
+    with pytest.raises(SchemaError, match="dims-wrong"):
         open_irradiance(sky(times).rename(time="when"))
     with pytest.raises(TimeError, match="expected datetime64"):
         open_irradiance(sky([1.0, 2.0]), fwhm_nm=3)
     with pytest.raises(TimeError, match="in hours"):
         open_irradiance(sky(times), fwhm_nm=3, utc_offset_h=-18000)
-    with pytest.raises(SchemaError, match="does not increase"):
+    with pytest.raises(SchemaError, match="wavelength-unordered"):
         open_irradiance(sky(times).isel(wavelength=slice(None, None, -1)), fwhm_nm=3)
-    with pytest.raises(TimeError, match="sample 0 and sample 1"):
+    with pytest.raises(TimeError, match="time-duplicate"):
         open_irradiance(sky(times[[0, 0]]), fwhm_nm=3)
 
 
@@ -411,16 +411,16 @@ def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
     np.testing.assert_array_equal(again["irradiance"].values, series["irradiance"].values)
     np.testing.assert_array_equal(again["irradiance_time"].values, series["irradiance_time"].values)
     (tmp_path / "lot.zarr/irradiance/irradiance/c/0/0").unlink()
-    with pytest.raises(IncompleteStoreError, match="irradiance: 1 of 1 chunks are missing"):
+    with pytest.raises(IncompleteStoreError, match="1 of 1 chunks"):
         open_irradiance(tmp_path / "lot.zarr")
 
 
 def test_a_damaged_store_is_named(tmp_path):
     (tmp_path / "sky.zarr").mkdir()
     (tmp_path / "sky.zarr" / "zarr.json").write_text("{")
-    with pytest.raises(FormatError, match=r"sky\.zarr: cannot be opened"):
+    with pytest.raises(FormatError, match="file-unreadable"):
         open_irradiance(tmp_path / "sky.zarr")
-    with pytest.raises(FormatError, match=r"gone\.zarr: cannot be opened"):
+    with pytest.raises(FormatError, match=r"gone\.zarr.*file-unreadable"):
         open_irradiance(tmp_path / "gone.zarr")
 
 
@@ -438,7 +438,7 @@ def test_a_width_may_depend_on_wavelength() -> None:
     np.testing.assert_allclose(series.irradiance_fwhm, [4.0, 3.5, 3.0, 10.0, 10.0])
     assert series.irradiance_fwhm.dims == ("irradiance_wavelength",)
     for wrong in ([[700, 3.0], [400, 3.0]], [[400, -1.0]], [3.0, 4.0], [[400, 3.0], [500]]):
-        with pytest.raises(SchemaError, match="pairs of increasing wavelength"):
+        with pytest.raises(SchemaError, match="value-out-of-range"):
             open_irradiance(sky, fwhm_nm=wrong)
 
 

@@ -30,9 +30,9 @@ def test_real_certificates(shared_data: Path) -> None:
     ("content", "told"),
     [
         (b"400,98.1\n500,98.5\n", "divide percent by 100"),
-        (b"400,0.9\n", "expected two at least"),
+        (b"400,0.9\n", "table-missing"),
         (b"0.4,0.9\n0.5,0.9\n", "expected nanometres"),
-        (b"500,0.9\n400,0.9\n", "do not increase"),
+        (b"500,0.9\n400,0.9\n", "wavelength-unordered"),
         (b"heading\n" * 41 + b"400,0.9\n500,0.9\n", "line 41"),
         (b"400,0.9\noops\n500,0.9\n", "line 2"),
         (b"400,nan\n500,0.9\n", "not finite"),
@@ -66,12 +66,12 @@ def test_pairs(tmp_path: Path, name: str, content: str, expected: dict[str, tupl
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [
-        ("p.csv", b"a\nb,c,d\n", r"line 1: 'a'.*\n.*line 2: 'b,c,d'"),
-        ("p.csv", b"", "names no pair"),
+        ("p.csv", b"a\nb,c,d\n", "line 1.*row-unreadable"),
+        ("p.csv", b"", "empty-input"),
         ("p.csv", b"\xff\xfe", "save it as UTF-8"),
         ("p.csv", b'a,"b\n', "after line"),
-        ("p.json", b"[" * 100_000, "no JSON"),
-        ("p.json", b"[1]", "expected an object"),
+        ("p.json", b"[" * 100_000, "text-unreadable"),
+        ("p.json", b"[1]", "type-wrong"),
         ("p.json", b'{"a": 3, "b": []}', "'a': 3.*\n.*'b'"),
     ],
 )
@@ -99,14 +99,14 @@ def test_all_bad_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.sig").write_text("nothing")
     (tmp_path / "b.asd").write_bytes(b"asd" + b"\0" * 20)
     (tmp_path / "c.txt").write_text("poem")
-    with pytest.raises(FormatError, match="references cannot be opened") as caught:
+    with pytest.raises(FormatError, match="references cannot") as caught:
         open_references([tmp_path / name for name in ("a.sig", "b.asd", "c.txt")])
     for name in ("a.sig", "b.asd", "c.txt"):
         assert name in str(caught.value)
-    with pytest.raises(FormatError, match="no spectra found"):
+    with pytest.raises(FormatError, match="file-not-found"):
         open_references([tmp_path / "none*"])
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FormatError, match="no spectra found"):
+    with pytest.raises(FormatError, match="file-not-found"):
         open_references([tmp_path / "empty"])
 
 
@@ -114,7 +114,7 @@ def test_a_store_without_references(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "s.zarr", "flightlines/raw_0")
-    with pytest.raises(FormatError, match="expected a paint library, or groups references"):
+    with pytest.raises(FormatError, match="library-missing"):
         open_references([tmp_path / "s.zarr"])
 
 
@@ -142,5 +142,5 @@ def test_a_dark_panel_in_percent_is_no_bright_one(tmp_path: Path) -> None:
     path.write_text("nm;R [%]\n400;1.1\n450;1.2\n")
     assert hp.io.read_certificate(path).values.tolist() == pytest.approx([0.011, 0.012])
     path.write_text("nm;R [W m-2]\n400;0.9\n450;0.9\n")
-    with pytest.raises(FormatError, match=r"names 'W m-2', expected a unit such as '1'"):
+    with pytest.raises(FormatError, match="units-unknown"):
         hp.io.read_certificate(path)

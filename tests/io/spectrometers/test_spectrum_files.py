@@ -55,7 +55,7 @@ def test_files_folders_globs_and_lists(tmp_path) -> None:
     assert find(tmp_path) == ["a.sig", "b.sig"]
     assert find([tmp_path / "c.txt", str(tmp_path / "**" / "*.sig")]) == ["c.txt", "a.sig", "b.sig", "d.sig"]
     assert find(tmp_path / "gone.sig") == ["gone.sig"]  # to read it is the error that names it
-    with pytest.raises(FormatError, match=r"(?s)one\*: no spectra found; expected \.sig files.*two\*"):
+    with pytest.raises(FormatError, match="file-not-found"):
         find([str(tmp_path / "one*"), str(tmp_path / "two*")])
     with pytest.raises(FormatError, match="an empty list of files"):
         find([])

@@ -137,7 +137,7 @@ def test_the_default_join_moves_into_a_short_overlap(write) -> None:
     found = open_svc(path, overlap="trim")
     assert np.all(np.diff(found["wavelength"].values) == 10.0)
     assert found.attrs["overlap_trimmed_at_nm"] == [1020.0]
-    with pytest.raises(FormatError, match=r"join at 990 nm is not where detectors overlap, 1030 to 1040 nm"):
+    with pytest.raises(FormatError, match="join-outside-overlap"):
         open_svc(path, overlap="trim", joins=SVC_JOINS)
 
 
@@ -196,9 +196,9 @@ def test_old_firmware_and_bytes_of_windows(write, tmp_path) -> None:
 def test_a_file_without_white_reference(write, blank) -> None:
     path = write(panel=np.full(len(GRID), float(blank)), percent=np.zeros(len(GRID)))
     assert list(open_svc(path)) == ["radiance"]
-    with pytest.raises(FormatError, match=r"no white reference was taken.*quantity='radiance'"):
+    with pytest.raises(FormatError, match="reference-missing"):
         open_svc(path, "reflectance")
-    with pytest.raises(FormatError, match="no white reference was taken"):
+    with pytest.raises(FormatError, match="reference-missing"):
         open_svc(path, "radiance", scan="reference")
 
 
@@ -212,7 +212,7 @@ def test_a_reference_of_zero_is_nan_and_said(tmp_path, word) -> None:
         warnings.simplefilter("ignore", PaintWarning)
         found = open_svc(path)["reflectance"]
     np.testing.assert_array_equal(np.isnan(found.values[0]), GRID == 500.0)
-    with pytest.warns(PaintWarning, match=r"undefined \(not finite\) become NaN. Files: a\.sig"):
+    with pytest.warns(PaintWarning, match="samples-undefined"):
         open_svc(path)
 
 
@@ -220,7 +220,7 @@ def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
     percent = 100 * SURFACE / PANEL
     percent[10:13] += 0.02
     path = write(percent=percent)
-    with pytest.warns(PaintWarning, match=r"contradicts its two scans.*paint\.sig \(3 channels\)"):
+    with pytest.warns(PaintWarning, match="reflectance-conflict"):
         found = open_svc(path)
     np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
     assert found["column_difference"].item() == pytest.approx(2e-4, abs=5.1e-5)
@@ -228,7 +228,7 @@ def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
 
 def test_reflectance_of_counts_needs_equal_integration(write) -> None:
     path = write(units="Counts, Counts")
-    with pytest.raises(FormatError, match="counts, whose integration times differ"):
+    with pytest.raises(FormatError, match="integration-time-conflict"):
         open_svc(path, "reflectance")
     path = write(units="Counts, Counts", integration="70,0, 9,0, 7,0, 70,0, 9,0, 7,0")
     np.testing.assert_array_equal(open_svc(path, "reflectance")["reflectance"].values[0], SURFACE / PANEL)
@@ -237,11 +237,9 @@ def test_reflectance_of_counts_needs_equal_integration(write) -> None:
 def test_scans_in_two_units(write) -> None:
     path = write(units="Radiance, Counts")
     assert list(open_svc(path)) == ["counts"]
-    with pytest.raises(FormatError, match=r"its reference is in radiance and its target in counts"):
+    with pytest.raises(FormatError, match="units-conflict"):
         open_svc(path, "reflectance")
-    with pytest.raises(
-        FormatError, match=r"its target is in counts, not in radiance; pass quantity='counts'"
-    ):
+    with pytest.raises(FormatError, match="quantity-wrong"):
         open_svc(path, "radiance")
 
 
@@ -257,7 +255,7 @@ def test_folders_globs_and_lists(write, tmp_path) -> None:
     assert found["spectrum"].values.tolist() == ["mon/red", "mon/blue", "tue/red", "tue/blue", "mon/red (2)"]
     assert found.sel(spectrum="tue/blue")["source"].item() == "blue.sig"
     for nothing in ([], "none*.sig", tmp_path):
-        with pytest.raises(FormatError, match="spectra cannot be opened"):
+        with pytest.raises(FormatError, match=r"empty-input|file-not-found"):
             open_svc(nothing)
 
 
@@ -286,10 +284,10 @@ def test_all_bad_files_are_named_at_once(write, tmp_path) -> None:
 def test_files_that_differ(write) -> None:
     flat = np.arange(400.0, 990.0, 10.0)
     paths = [write("a.sig"), write("b.sig", wavelength=flat, panel=flat, surface=flat / 2)]
-    with pytest.raises(FormatError, match=r"(?s)open them apart:\n.*overlap kept: a\.sig.*to 980 nm: b\.sig"):
+    with pytest.raises(FormatError, match=r"a\.sig.*grid-mismatch"):
         open_svc(paths)
     paths = [write("a.sig"), write("c.sig", units="Counts, Counts")]
-    with pytest.raises(FormatError, match=r"(?s)pass quantity=.*reflectance: a\.sig.*counts: c\.sig"):
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
         open_svc(paths)
 
 
@@ -300,7 +298,7 @@ def test_what_cannot_be_asked(write) -> None:
         assert name in str(raised.value)
     with pytest.raises(SchemaError, match="joins=990"):
         open_svc(write(), overlap="trim", joins=990.0)
-    with pytest.raises(SchemaError, match="reflectance is of both scans"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         open_svc(write(), "reflectance", scan="reference")
     with pytest.raises(TimeError, match="in hours"):
         open_svc(write(), utc_offset_h=3600)
@@ -313,14 +311,14 @@ def test_what_cannot_be_asked(write) -> None:
     ("fields", "problem"),
     [
         ({"units": None}, "no line 'units='"),
-        ({"units": "Furlongs, Counts"}, "'Furlongs, Counts', expected units= Radiance"),
+        ({"units": "Furlongs, Counts"}, "units-unknown"),
         ({"data": "date="}, "no line 'data='"),
-        ({"data": "comm= other\r\ndata="}, "'comm' stands twice"),
-        ({"wavelength": GRID[:1], "panel": PANEL[:1], "surface": SURFACE[:1]}, "1 rows, expected a spectrum"),
-        ({"wavelength": -GRID}, "positive numbers of nanometres"),
-        ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "step back 3 times, expected at most 2"),
-        ({"separator": "; "}, "expected four numbers"),
-        ({"instrument": "HI: 1152050 (HR-1024i)"}, "rows, expected the 1024 channels of an HR-1024"),
+        ({"data": "comm= other\r\ndata="}, "'comm'.*key-duplicate"),
+        ({"wavelength": GRID[:1], "panel": PANEL[:1], "surface": SURFACE[:1]}, "table-missing"),
+        ({"wavelength": -GRID}, "wavelength-range"),
+        ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "wavelength-unordered"),
+        ({"separator": "; "}, "row-unreadable"),
+        ({"instrument": "HI: 1152050 (HR-1024i)"}, "file-truncated"),
     ],
 )
 def test_damage(write, fields, problem) -> None:
@@ -335,22 +333,22 @@ def test_detectors_in_no_order(write) -> None:
     grid = np.array([3000.0, 3010.0, 965.0, 970.0])
     path = write(wavelength=grid, panel=grid, surface=grid / 2)
     assert open_svc(path).sizes["wavelength"] == 4
-    with pytest.raises(FormatError, match="do not follow one another"):
+    with pytest.raises(FormatError, match="wavelength-unordered"):
         open_svc(path, overlap="trim")
 
 
 def test_declared_or_not_a_huge_table_is_refused_early(tmp_path) -> None:
     path = tmp_path / "big.sig"
     path.write_text(svc_text().partition("data=")[0] + "data=\n" + "1 1 1 1\n" * 70_000)
-    with pytest.raises(FormatError, match="70001 rows, expected at most"):
+    with pytest.raises(FormatError, match="file-too-large"):
         open_svc(path)
     path.write_text(svc_text().replace("data=", "x\n" * 500_000 + "data="))
-    with pytest.raises(FormatError, match="500171 lines, expected an SVC"):
+    with pytest.raises(FormatError, match="500171 lines"):
         open_svc(path)
     path.write_text(svc_text(factors="1.0, " * 200_000, comm="[" * 10**6, error="9" * 10**6))
     assert np.isfinite(open_svc(path)["factor_target"].item())
     path.write_bytes(b"/*** Spectra Vista SIG Data ***/\n" + bytes(5 * 2**20))
-    with pytest.raises(FormatError, match="expected an SVC spectrometer's file of at most"):
+    with pytest.raises(FormatError, match="SVC spectrometer's file"):
         open_svc(path)
 
 
@@ -364,8 +362,8 @@ def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:
     with pytest.warns(PaintWarning) as found:
         opened = open_svc(path, utc_offset_h=2)
     said = " ".join(str(warning.message) for warning in found)
-    assert "positions that cannot be read are NaN" in said
-    assert "GPS times that cannot be read are left out" in said
+    assert "position-unreadable" in said
+    assert "gps-time-unreadable" in said
     assert np.isnan(opened["latitude"].item())
     assert opened["error_target"].item() == -1
     assert opened["time"].values[0] == np.datetime64("2025-05-27T07:42:59", "ns")

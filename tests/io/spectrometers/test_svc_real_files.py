@@ -169,7 +169,7 @@ def test_raw_and_matched_files_do_not_mix_unless_trimmed_alike(folder: Path) -> 
 
 
 def test_files_of_two_instruments_do_not_mix(folder: Path) -> None:
-    with pytest.raises(FormatError, match=r"(?s)open them apart:.*ACPL_D2_P1_B_1_001.sig.*BNL13001_000.sig"):
+    with pytest.raises(FormatError, match="grid-mismatch"):
         opened([folder / "ACPL_D2_P1_B_1_001.sig", folder / "BNL13001_000.sig"])
 
 
@@ -196,7 +196,7 @@ def test_times_and_places(folder: Path) -> None:
     assert found["time"].values[0] == np.datetime64("2015-08-06T14:37:08", "ns")
     assert found["time"].dtype == np.dtype("datetime64[ns]")
     # no fix: day first is plain, the zone is not
-    with pytest.warns(PaintWarning, match=r"pass utc_offset_h=.*241016"):
+    with pytest.warns(PaintWarning, match="zone-missing"):
         found = open_svc(folder / "241016_1051_R009_T014.sig")
     assert np.isnat(found["time"].values[0])
     assert np.isnan(found["latitude"].item())
@@ -205,7 +205,7 @@ def test_times_and_places(folder: Path) -> None:
 
 
 def test_a_date_that_may_be_either_is_no_date(folder: Path) -> None:
-    with pytest.warns(PaintWarning, match=r"pass dayfirst=. Files: HR\.020824\.0000\.sig"):
+    with pytest.warns(PaintWarning, match="date-ambiguous"):
         found = open_svc(folder / "HR.020824.0000.sig")
     assert np.isnat(found["time"].values[0])
     found = open_svc(folder / "HR.020824.0000.sig", dayfirst=True)

@@ -95,7 +95,7 @@ def test_gps_times(text, expected) -> None:
 
 @pytest.mark.parametrize("text", ["noon", "2460", "240000", "106000", "100061", "-10000", "1e5", "9" * 500])
 def test_what_is_no_gps_time(text) -> None:
-    with pytest.raises(ValueError, match="expected a time of day, HHMMSS"):
+    with pytest.raises(ValueError, match="time of day, HHMMSS"):
         read_gps_time(text)
 
 
@@ -122,21 +122,21 @@ def test_times_of_several_files(tmp_path) -> None:
     for name, date in dates.items():
         text = svc_text(time=f"{date} 9:39:32 AM, {date} 9:42:59 AM", **blank)
         (tmp_path / f"{name}.sig").write_text(text)
-    with pytest.warns(PaintWarning, match="pass dayfirst=. Files: a.sig$"):
+    with pytest.warns(PaintWarning, match="a.sig.*date-ambiguous"):
         assert np.isnat(open_svc(tmp_path / "a.sig", utc_offset_h=-5)["time"].values).all()
     found = open_svc(tmp_path, utc_offset_h=-5)["time"].values
     expected = np.array(["2025-05-06T14:42:59", "2025-05-27T14:42:59"], "datetime64[ns]")
     np.testing.assert_array_equal(found, expected)
     found = open_svc(tmp_path, utc_offset_h=-5, dayfirst=True)["time"].values
     assert found[0] == np.datetime64("2025-06-05T14:42:59")
-    with pytest.warns(PaintWarning, match=r"pass utc_offset_h=. Files: a\.sig, b\.sig"):
+    with pytest.warns(PaintWarning, match=r"a\.sig, b\.sig \[zone-"):
         assert np.isnat(open_svc(tmp_path)["time"].values).all()
 
 
 def test_gps_wins_over_a_zone_that_contradicts_it(tmp_path) -> None:
     path = tmp_path / "a.sig"
     path.write_text(svc_text())
-    with pytest.warns(PaintWarning, match=r"utc_offset_h=-7 contradicts GPS time, which is used. .*a\.sig"):
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
         found = open_svc(path, utc_offset_h=-7)
     assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357")
     assert open_svc(path, utc_offset_h=2)["time"].values[0] == found["time"].values[0]
@@ -146,7 +146,7 @@ def test_gps_wins_over_a_zone_that_contradicts_it(tmp_path) -> None:
 def test_times_that_are_missing(tmp_path, time) -> None:
     path = tmp_path / "a.sig"
     path.write_text(svc_text(time=time))
-    with pytest.warns(PaintWarning, match="times that are missing or cannot be read are NaT"):
+    with pytest.warns(PaintWarning, match="time-unreadable"):
         found = open_svc(path)
     assert np.isnat(found["reference_time"].values[0])
     # one stamp alone is the target's
