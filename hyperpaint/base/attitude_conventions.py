@@ -18,62 +18,20 @@ import numpy.typing as npt
 
 from .arrays import Floats
 from .errors import Problems, SchemaError
-from .units import takes_quantities
+from .facts import check_fields, declared, fact, is_number
 
 _PREFIX = "convention_"
-_CHOICES: Mapping[str, tuple[str, ...]] = {
-    "roll_positive": ("right_wing_down", "right_wing_up"),
-    "pitch_positive": ("nose_up", "nose_down"),
-    "heading_positive": ("clockwise", "counterclockwise"),
-    "heading_reference": ("true", "grid", "magnetic"),
-    "angle_unit": ("degree", "radian"),
-    "euler_order": ("ZYX", "ZXY", "XYZ"),
-    "height_reference": ("ellipsoid", "geoid"),
-    "stamp_reference": ("start", "mid", "end"),
-    "column_order": ("left_to_right", "right_to_left"),
-}
-_UNDECLARED = ("stamp_reference", "column_order")
 
 
-@takes_quantities(declination="degree", geoid_undulation="m")
+@declared
 @dataclass(frozen=True, kw_only=True)
 class Convention:
-    """What the numbers of a navigation system, and the columns of a camera, mean.
-
-    Attributes
-    ----------
-    roll_positive
-        ``"right_wing_down"`` or ``"right_wing_up"``.
-    pitch_positive
-        ``"nose_up"`` or ``"nose_down"``.
-    heading_positive
-        ``"clockwise"`` (towards east) or ``"counterclockwise"``.
-    heading_reference
-        North that headings count from: ``"true"``, that of a map ``"grid"``, or ``"magnetic"``.
-    angle_unit
-        ``"degree"`` or ``"radian"``, of roll, pitch and heading.
-    euler_order
-        Axes of the body (x forward, y right, z down) in the order in which it is turned, each about where
-        the turns before have left it: ``"ZYX"`` is heading, pitch, roll; ``"ZXY"`` heading, roll, pitch.
-    height_reference
-        What heights are above: ``"ellipsoid"``, or ``"geoid"`` (mean sea level).
-    stamp_reference
-        What the time stamp of a frame marks of its exposure: ``"start"``, ``"mid"``, ``"end"``; None where it
-        is not known.
-    column_order
-        Column 0 looks to the left of the direction of flight in ``"left_to_right"``, to the right in
-        ``"right_to_left"``; None where it is not known.
-    declination
-        Of magnetic north, east of true north [degree]; added to magnetic headings.
-    geoid_undulation
-        Height of the geoid above the ellipsoid [m]; added to heights above the geoid.
-    grid_crs
-        Reference system of the map whose north ``"grid"`` headings count from, such as ``"EPSG:32617"``.
+    """Meaning of the numbers of a navigation system, and of the columns of a camera.
 
     Raises
     ------
     SchemaError
-        A choice that does not exist; numbers that are not finite; all are listed.
+        An unknown choice, or a number that is not finite; all are listed.
 
     Examples
     --------
@@ -85,32 +43,64 @@ class Convention:
     True
     """
 
-    roll_positive: Literal["right_wing_down", "right_wing_up"] = "right_wing_down"
-    pitch_positive: Literal["nose_up", "nose_down"] = "nose_up"
-    heading_positive: Literal["clockwise", "counterclockwise"] = "clockwise"
-    heading_reference: Literal["true", "grid", "magnetic"] = "true"
-    angle_unit: Literal["degree", "radian"] = "degree"
-    euler_order: Literal["ZYX", "ZXY", "XYZ"] = "ZYX"
-    height_reference: Literal["ellipsoid", "geoid"] = "ellipsoid"
-    stamp_reference: Literal["start", "mid", "end"] | None = None
-    column_order: Literal["left_to_right", "right_to_left"] | None = None
-    declination: float | None = None
-    geoid_undulation: float | None = None
-    grid_crs: str | None = None
+    roll_positive: Literal["right_wing_down", "right_wing_up"] = fact(
+        "right_wing_down", "sign of roll", choices=("right_wing_down", "right_wing_up")
+    )
+    pitch_positive: Literal["nose_up", "nose_down"] = fact(
+        "nose_up", "sign of pitch", choices=("nose_up", "nose_down")
+    )
+    heading_positive: Literal["clockwise", "counterclockwise"] = fact(
+        "clockwise", "sense of heading; clockwise is towards east", choices=("clockwise", "counterclockwise")
+    )
+    heading_reference: Literal["true", "grid", "magnetic"] = fact(
+        "true",
+        "north from which headings count: true, of a map (grid) or magnetic",
+        choices=("true", "grid", "magnetic"),
+    )
+    angle_unit: Literal["degree", "radian"] = fact(
+        "degree", "unit of roll, pitch and heading", choices=("degree", "radian")
+    )
+    euler_order: Literal["ZYX", "ZXY", "XYZ"] = fact(
+        "ZYX",
+        "axes of the body (x forward, y right, z down) in the order of the turns, each about the axis as "
+        "the turns before moved it: ZYX is heading, pitch, roll; ZXY heading, roll, pitch",
+        choices=("ZYX", "ZXY", "XYZ"),
+    )
+    height_reference: Literal["ellipsoid", "geoid"] = fact(
+        "ellipsoid", "zero of heights; the geoid is mean sea level", choices=("ellipsoid", "geoid")
+    )
+    stamp_reference: Literal["start", "mid", "end"] | None = fact(
+        None,
+        "instant of the exposure that the time stamp of a frame marks; None for unknown",
+        choices=("start", "mid", "end"),
+    )
+    column_order: Literal["left_to_right", "right_to_left"] | None = fact(
+        None,
+        "direction of the columns; column 0 looks to the left of the direction of flight in left_to_right; "
+        "None for unknown",
+        choices=("left_to_right", "right_to_left"),
+    )
+    declination: float | None = fact(
+        None,
+        "angle from true north to magnetic north, positive east; added to magnetic headings",
+        kind="number",
+        unit="degree",
+    )
+    geoid_undulation: float | None = fact(
+        None,
+        "height of the geoid above the ellipsoid; added to heights above the geoid",
+        kind="number",
+        unit="m",
+    )
+    grid_crs: str | None = fact(
+        None,
+        'reference system of the map for grid headings, such as "EPSG:32617"',
+        phrase="text such as 'EPSG:32617'",
+    )
 
     def __post_init__(self) -> None:
         problems = Problems("this convention cannot be used", SchemaError)
-        for name, choices in _CHOICES.items():
-            choice = getattr(self, name)
-            if choice not in choices and not (choice is None and name in _UNDECLARED):
-                problems.add(f"{name} {choice!r:.60}, expected {' or '.join(map(repr, choices))}")
-        for name in ("declination", "geoid_undulation"):
-            number = getattr(self, name)
-            if number is not None and not (_is_number(number) and np.isfinite(number)):
-                problems.add(f"{name} {number!r:.60}, expected a finite number")
-        grid: Any = self.grid_crs
-        if grid is not None and not isinstance(grid, str):
-            problems.add(f"grid_crs {grid!r:.60}, expected text such as 'EPSG:32617'")
+        check_fields(self, problems)
         problems.raise_if_any()
 
     def to_attrs(self) -> dict[str, str | float]:
@@ -134,7 +124,7 @@ class Convention:
         names = {f.name for f in fields(cls)}
         declared = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
         for name in ("declination", "geoid_undulation"):
-            if _is_number(declared.get(name)):
+            if is_number(declared.get(name)):
                 declared[name] = float(declared[name])  # numpy's, after a round trip through netCDF
         return cls(**declared) if declared else None
 
@@ -228,10 +218,6 @@ class Convention:
                 "of: Convention(heading_reference='grid', grid_crs='EPSG:...')"
             )
         return np.asarray(convergence, np.float64)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
