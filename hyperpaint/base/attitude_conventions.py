@@ -1,10 +1,9 @@
-"""What the numbers of a navigation system mean: signs, units, references, and the order of the columns.
+"""Conventions of navigation systems: signs, units, references, and the order of the columns.
 
-Makers differ in every one of these, and few publish them. A `Convention` therefore is declared, stored with
-the data it belongs to, and taken out of them in one place. What everything is turned into, the canonical
-form, is: body axes forward, right, down; roll positive with the right wing down, pitch with the nose up,
-heading clockwise from true north [degree]; turned about the body's own axes in the order heading, pitch,
-roll; heights above the ellipsoid [m].
+Makers differ in each of these, and few publish them. A `Convention` therefore is declared, stored with its
+data, and applied in one place. The canonical form is: body axes forward, right, down; roll positive with the
+right wing down, pitch with the nose up, heading clockwise from true north [degree]; rotations about the axes
+of the body in the order heading, pitch, roll; heights above the ellipsoid [m].
 """
 
 from __future__ import annotations
@@ -105,10 +104,10 @@ class Convention:
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""
-        declared = ((f.name, getattr(self, f.name)) for f in fields(self))
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             f"{_PREFIX}{name}": value if isinstance(value, str) else float(value)
-            for name, value in declared
+            for name, value in values.items()
             if value is not None
         }
 
@@ -119,18 +118,18 @@ class Convention:
         Raises
         ------
         SchemaError
-            They declare what does not exist.
+            They declare an unknown choice or a wrong number.
         """
         names = {f.name for f in fields(cls)}
-        declared = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
+        values = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
         for name in ("declination", "geoid_undulation"):
-            if is_number(declared.get(name)):
-                declared[name] = float(declared[name])  # numpy's, after a round trip through netCDF
-        return cls(**declared) if declared else None
+            if is_number(values.get(name)):
+                values[name] = float(values[name])  # numpy's, after a round trip through netCDF
+        return cls(**values) if values else None
 
     @property
     def of_canonical(self) -> Convention:
-        """The canonical form, with this one's ``stamp_reference`` and ``column_order``."""
+        """The canonical form, with the same ``stamp_reference`` and ``column_order``."""
         return Convention(stamp_reference=self.stamp_reference, column_order=self.column_order)
 
     def canonical(
@@ -146,7 +145,7 @@ class Convention:
         Parameters
         ----------
         roll, pitch, heading
-            Angles as this convention means them.
+            Angles in this convention.
         convergence
             Grid north, east of true north [degree]; needed for headings from grid north alone. See
             `hyperpaint.geometry.georeference.meridian_convergence`.
@@ -154,7 +153,7 @@ class Convention:
         Returns
         -------
         roll, pitch, heading
-            Of the broadcast shape, float64; NaN where any of the three is, or is infinite.
+            Broadcast shape, float64; all NaN where one of the three is not finite.
 
         Raises
         ------
@@ -168,13 +167,13 @@ class Convention:
             -1.0 if self.pitch_positive == "nose_down" else 1.0,
             -1.0 if self.heading_positive == "counterclockwise" else 1.0,
         )
-        given = zip(signs, (roll, pitch, heading), strict=True)
-        x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in given))
+        angles = zip(signs, (roll, pitch, heading), strict=True)
+        x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in angles))
         x, y, z = _nan_together(x, y, z)
         if self.euler_order != "ZYX":
             x, y, z = _reordered(x, y, z, self.euler_order)
         x, y, z = _nan_together(x, y, z + self._north(convergence))
-        # twice, as a hair less than 0 comes to 360 itself
+        # twice, since a tiny negative angle becomes 360 itself
         return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
     def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
@@ -190,9 +189,10 @@ class Convention:
             return heights
         if self.geoid_undulation is None:
             raise SchemaError(
-                "heights are above the geoid, and geoid_undulation is not declared; look up the height of "
-                "the geoid above the ellipsoid at the place [m] and declare it: "
-                "Convention(height_reference='geoid', geoid_undulation=...)"
+                "heights are above the geoid, and geoid_undulation is not declared",
+                mend="look up the height of the geoid above the ellipsoid at the place [m] and declare it: "
+                "Convention(height_reference='geoid', geoid_undulation=...)",
+                code="undulation-missing",
             )
         return heights + self.geoid_undulation
 
@@ -207,32 +207,34 @@ class Convention:
         if self.heading_reference == "magnetic":
             if self.declination is None:
                 raise SchemaError(
-                    "headings count from magnetic north, and declination is not declared; look up that of "
-                    "the place and day [degree, east positive]: "
-                    "Convention(heading_reference='magnetic', declination=...)"
+                    "headings count from magnetic north, and declination is not declared",
+                    mend="look up the declination of the place and day [degree, east positive]: "
+                    "Convention(heading_reference='magnetic', declination=...)",
+                    code="declination-missing",
                 )
             return np.asarray(self.declination, np.float64)
         if convergence is None:
             raise SchemaError(
-                "headings count from grid north, whose direction is not known here; declare the map it is "
-                "of: Convention(heading_reference='grid', grid_crs='EPSG:...')"
+                "headings count from grid north, and the map is not declared",
+                mend="declare it: Convention(heading_reference='grid', grid_crs='EPSG:...')",
+                code="grid-crs-missing",
             )
         return np.asarray(convergence, np.float64)
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles that are NaN, all three of them, where any is no finite number."""
+    """Return the angles, all NaN where one of them is not finite."""
     unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
 
 def wrapped(angle: Floats) -> Floats:
-    """Return angles within -180 and 180; those that are there already keep their bits."""
+    """Return angles within -180 and 180; angles in that range keep their bits."""
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
 
 
 def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
-    """Return the angles that, in the order heading, pitch, roll, make the same rotation."""
+    """Return the angles of the same rotation in the order heading, pitch, roll."""
     axes = {"X": roll, "Y": pitch, "Z": heading}
     turned = np.eye(3)
     for axis in order:

@@ -12,6 +12,7 @@ from typing import Any
 
 import xarray as xr
 
+from .errors import Problem
 from .units import same_dimension
 
 ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
@@ -33,22 +34,19 @@ ERROR_SOURCE, LAG = "error_source", "lag"
 """Dims of a paint library."""
 
 
-ADVICE = "; "
-"""What stands in a message between what is wrong and how to mend it."""
-
-
 @dataclass(frozen=True)
 class Variable:
     """One row of the table."""
 
     name: str  #: Name in datasets and stores
-    dims: tuple[str, ...]  #: Dims in storage order; `alternatives` lists the other shapes that are allowed
+    dims: tuple[str, ...]  #: Dims in storage order; `alternatives` lists other accepted dims
     units: str  #: CF spelling, as written to disk; empty for flags, names and time stamps
     dtype: str  #: numpy dtype name, before and after compute
     meaning: str  #: One line; becomes ``long_name``
-    alternatives: tuple[tuple[str, ...], ...] = ()  #: Other dims that are allowed
+    alternatives: tuple[tuple[str, ...], ...] = ()  #: Other accepted dims
     standard_name: str = ""  #: Of the CF conventions, where there is one
     coordinate: bool = False  #: Whether it is a coordinate rather than a data variable
+    gap: int = 0  #: Value of a whole number where it is missing
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -65,16 +63,19 @@ class Variable:
         """Dims in storage order, then the alternatives."""
         return (self.dims, *self.alternatives)
 
-    def dim_problem(self, array: xr.DataArray) -> str | None:
-        """Return what is wrong with an array's dims, in whatever order they are; None where nothing is."""
+    def dim_problem(self, array: xr.DataArray) -> Problem | None:
+        """Return the fault of an array's dims, in any order; None for accepted dims."""
         if any(set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims):
             return None
-        expected = " or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims)
-        found = f"{self.name!r} has dims ({', '.join(map(str, array.dims))})"
-        return f"{found}, expected {expected}{ADVICE}{self._mend_of_dims(array)}"
+        return Problem(
+            f"{self.name!r} has dims ({', '.join(map(str, array.dims))})",
+            expected=" or ".join(f"({', '.join(dims)})" for dims in self.allowed_dims),
+            mend=self._mend_of_dims(array),
+            code="dims-wrong",
+        )
 
     def _mend_of_dims(self, array: xr.DataArray) -> str:
-        """Return how the dims of an array came to be other ones, and the call that mends it."""
+        """Return the likely cause of other dims, and the call that mends it."""
         # compare with the dims that are nearest to those found
         nearest = min(self.allowed_dims, key=lambda dims: len(set(dims) ^ set(array.dims)))
         missing = [dim for dim in nearest if dim not in array.dims]
@@ -96,18 +97,21 @@ class Variable:
             )
         return "rename them, or name them with dims={...}"
 
-    def unit_problem(self, array: xr.DataArray) -> str | None:
-        """Return what is wrong with an array's units; None where they can be converted, or there are none."""
+    def unit_problem(self, array: xr.DataArray) -> Problem | None:
+        """Return the fault of an array's units; None for convertible units, and for a row without units."""
+        units = array.attrs.get("units")
         if not self.units:
             return None
-        units = array.attrs.get("units")
         if units is None:
-            return (
-                f"{self.name!r} has no units; set {self.name}.attrs['units'], for example to {self.units!r}"
-            )
-        if str(units) != self.units and not same_dimension(str(units), self.units):
-            return f"{self.name!r} has units {str(units)!r}, expected something like {self.units!r}"
-        return None
+            mend = f"set {self.name}.attrs['units'], for example to {self.units!r}"
+            return Problem(f"{self.name!r} has no units", mend=mend, code="units-missing")
+        if str(units) == self.units or same_dimension(str(units), self.units):
+            return None
+        return Problem(
+            f"{self.name!r} has units {str(units)!r}",
+            expected=f"units like {self.units!r}",
+            code="units-not-convertible",
+        )
 
 
 _ELEMENT = (BAND, CROSS_TRACK)
@@ -132,7 +136,7 @@ _LINE_TABLE = (
     Variable("reflectance", CUBE, "1", "float32", "Hemispherical-conical reflectance factor", standard_name="surface_bidirectional_reflectance"),
     Variable("reflectance_u_random", CUBE, "1", "float32", "Random uncertainty of reflectance"),
     Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
-    Variable("quality", _PIXEL, "", "uint16", "Quality flags"),
+    Variable("quality", _PIXEL, "", "uint16", "Quality flags", gap=2048),
     Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
     Variable("coarse_reflectance", ("coarse_y", BAND, "coarse_x"), "1", "float32", "Reflectance factor, means of blocks of pixels"),
     # --- calibration of every detector element
@@ -161,7 +165,7 @@ _LINE_TABLE = (
     Variable("timing_sensitivity", _LINE, "1", "float32", "Largest relative change of irradiance within the clocks' uncertainty"),
     Variable("diffuse_fraction", (ALONG_TRACK, BAND), "1", "float32", "Diffuse part of the irradiance on level ground", alternatives=((IRRADIANCE_TIME, BAND), (BAND,))),
     Variable("diffuse_fraction_u", (ALONG_TRACK, BAND), "1", "float32", "Standard uncertainty of diffuse_fraction", alternatives=((IRRADIANCE_TIME, BAND), (BAND,))),
-    Variable("sky_state", _LINE, "", "int8", "What sky the irradiance is of", alternatives=((IRRADIANCE_TIME,), ())),
+    Variable("sky_state", _LINE, "", "int8", "What sky the irradiance is of", alternatives=((IRRADIANCE_TIME,), ()), gap=-1),
     Variable("coat_transmission", (BAND,), "1", "float32", "What a clear coat leaves of its body's light, over what it leaves near the normal", alternatives=((ALONG_TRACK, BAND),)),
     Variable("coat_transmission_u", (BAND,), "1", "float32", "Standard uncertainty of coat_transmission", alternatives=((ALONG_TRACK, BAND),)),
     # --- panels in the scene
@@ -225,13 +229,13 @@ _LINE_TABLE = (
     Variable("second_order", (STEP,), "1", "float64", "Counts at twice the wavelength over those of the line"),
     # --- a traced scene: weights of paths of light, before any spectrum
     Variable("transport_weight", _PATH, "1", "float32", "Weight of a path of light: radiance is the sum of weight x irradiance / pi x its reflectances"),
-    Variable("transport_path", _PATH, "", "int64", "Source and reflectances of a path of light, as a code; -1 where there is none"),
+    Variable("transport_path", _PATH, "", "int64", "Source and reflectances of a path of light, as a code; -1 where there is none", gap=-1),
     Variable("distance", _PIXEL, "m", "float32", "Distance from the camera to what is seen"),
-    Variable("material", _PIXEL, "", "int32", "Material that most of a pixel shows; -1 for the sky"),
-    Variable("instance", _PIXEL, "", "int32", "Thing that most of a pixel shows; -1 for the sky"),
-    Variable("surface_class", _PIXEL, "", "int16", "Semantic class that most of a pixel shows; -1 for the sky"),
-    Variable("paint_id", _PIXEL, "", "int16", "Spectrum of the paint that most of a pixel shows; -1 where it is none"),
-    Variable("car_id", _PIXEL, "", "int32", "Instance number of the car that most of a pixel shows; -1 where it is none"),
+    Variable("material", _PIXEL, "", "int32", "Material that most of a pixel shows; -1 for the sky", gap=-1),
+    Variable("instance", _PIXEL, "", "int32", "Thing that most of a pixel shows; -1 for the sky", gap=-1),
+    Variable("surface_class", _PIXEL, "", "int16", "Semantic class that most of a pixel shows; -1 for the sky", gap=-1),
+    Variable("paint_id", _PIXEL, "", "int16", "Spectrum of the paint that most of a pixel shows; -1 where it is none", gap=-1),
+    Variable("car_id", _PIXEL, "", "int32", "Instance number of the car that most of a pixel shows; -1 where it is none", gap=-1),
     Variable("purity", _PIXEL, "1", "float32", "Share of a pixel that its material and instance fill"),
     Variable("sun_visibility", _SUN_PIXEL, "1", "float32", "Share of a pixel that sees the sun"),
     Variable("sun_incidence", _SUN_PIXEL, "1", "float32", "Cosine of the angle between surface normal and sun, 0 where turned away"),
@@ -251,11 +255,11 @@ _LINE_TABLE = (
     Variable("glint_fraction", _PIXEL, "1", "float32", "Mirror image of the sun, as reflectance under the sun alone"),
     Variable("blocked_direct", _PIXEL, "1", "float32", "Part of the direct light that is missing; negative where a surface leans towards the sun"),
     Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
-    Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none"),
+    Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none", gap=-1),
     Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky beyond that of the rest of the body"),
     # --- paints looked for
     Variable("detection_score", _PIXEL, "1", "float32", "Score of the paint that a pixel shows most likely"),
-    Variable("best_paint", _PIXEL, "", "int16", "Number of the paint that a pixel shows most likely; -1 where it has not all values"),
+    Variable("best_paint", _PIXEL, "", "int16", "Number of the paint that a pixel shows most likely; -1 where it has not all values", gap=-1),
     Variable("paint_distance", _PIXEL, "1", "float32", "What a paint at some level and the mirrored sky leave of a pixel, relative to the paint"),
     Variable("paint_level", _PIXEL, "1", "float32", "Level at which the paint explains a pixel"),
     Variable("detected", _PIXEL, "", "bool", "Whether a pixel shows a paint that was looked for"),
@@ -313,12 +317,12 @@ _LIBRARY_TABLE = (
     Variable(LAG, (LAG,), "1", "int64", "Bands from a band to one after it", coordinate=True),
     Variable("error_form", (ERROR_SOURCE,), "", "str", "How samples share the error, dim by dim, in the words of FIDUCEO and obsarray", coordinate=True),
     Variable("member_reflectance", (SIGNATURE, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
-    Variable("member_along_track", (SIGNATURE, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
-    Variable("member_cross_track", (SIGNATURE, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),
+    Variable("member_along_track", (SIGNATURE, MEMBER), "1", "int64", "Line of a member, -1 beyond the last", gap=-1),
+    Variable("member_cross_track", (SIGNATURE, MEMBER), "1", "int64", "Column of a member, -1 beyond the last", gap=-1),
     Variable("n", (SIGNATURE,), "1", "int64", "Pixels used"),
     Variable("n_eff", (SIGNATURE,), "1", "float64", "Independent pixels among those used"),
     Variable("n_excluded", (SIGNATURE,), "1", "int64", "Pixels of the region that were left out"),
-    Variable("quality", (SIGNATURE,), "", "uint16", "Quality flags of the pixels used"),
+    Variable("quality", (SIGNATURE,), "", "uint16", "Quality flags of the pixels used", gap=2048),
     Variable("quality_share", (SIGNATURE, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
     Variable("sun_zenith", (SIGNATURE,), "degree", "float64", "Zenith angle of the sun", standard_name="solar_zenith_angle"),
     Variable("sun_azimuth", (SIGNATURE,), "degree", "float64", "Azimuth of the sun, clockwise from north", standard_name="solar_azimuth_angle"),
@@ -327,7 +331,7 @@ _LIBRARY_TABLE = (
     Variable("relative_azimuth", (SIGNATURE,), "degree", "float64", "Angle between the azimuths of sun and camera, 0 where the sun is behind the camera"),
     Variable("diffuse_fraction", _SPECTRUM, "1", "float32", "Diffuse part of the irradiance on level ground"),
     Variable("diffuse_fraction_u", _SPECTRUM, "1", "float32", "Standard uncertainty of diffuse_fraction"),
-    Variable("sky_state", (SIGNATURE,), "", "int8", "What sky the irradiance is of"),
+    Variable("sky_state", (SIGNATURE,), "", "int8", "What sky the irradiance is of", gap=-1),
     Variable("coat_transmission", _SPECTRUM, "1", "float32", "What a clear coat leaves of its body's light, over what it leaves near the normal"),
     Variable("coat_transmission_u", _SPECTRUM, "1", "float32", "Standard uncertainty of coat_transmission"),
     Variable("aspecular_angle", (SIGNATURE,), "degree", "float64", "Angle between the view and the direction in which a level panel mirrors the sun"),

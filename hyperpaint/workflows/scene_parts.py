@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,7 +56,7 @@ def build_parts(file: SceneFile) -> Parts:
     problems = Problems(f"{file.path} cannot be rendered", FormatError)
     parts: dict[str, Any] = {}
     # every part is tried, so that all problems are listed
-    builders = {
+    builders: dict[str, tuple[str, Callable[[], Any]]] = {
         "scene": ("[scene]", lambda: _scene(file)),
         "camera": ("[camera]", lambda: _camera(file)),
         "atmospheres": ("[[atmospheres]]", lambda: _atmospheres(file)),

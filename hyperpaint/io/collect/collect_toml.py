@@ -452,7 +452,7 @@ def _geometry(reader: _Reader) -> dict[str, Any]:
     table = reader.one("geometry")
     reader.exclude("[geometry]", table, "ground", "dem")
     reader.exclude("[geometry]", table, "fov_deg", "look_angle")
-    arguments = {
+    arguments: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
     }
     for key in ("dem", "look_angle"):

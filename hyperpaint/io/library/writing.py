@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_whole_numbers
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
 
 from .csv_library import write_csv_library
@@ -149,7 +149,7 @@ def write_library(
     if curves is not None and curves not in kinds:
         raise SchemaError(f"curves={curves!r}, expected {' or '.join(kinds)} for {chosen}")
     path = _named(path, chosen)
-    library = checked_library(with_whole_numbers(library, LIBRARY_VARIABLES))
+    library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
     if (curves or kinds[0]) == "centre":
         library = _centres(library)
     _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
