@@ -1,9 +1,9 @@
-"""Errors that say what was found, what was expected and how to mend it, all problems at once."""
+"""Errors with found, expected, mend and code; all problems of an input at once."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Self
@@ -190,7 +190,7 @@ class SchemaError(PaintError, ValueError):
 
 
 class FormatError(PaintError, ValueError):
-    """A file is not what its format says: truncated, over-long, contradictory or foreign.
+    """A file breaks its format: truncated, over-long, contradictory or foreign.
 
     Examples
     --------
@@ -214,7 +214,7 @@ class TimeError(PaintError, ValueError):
 
 
 class CollectError(PaintError, ValueError):
-    """A ``collect.toml``, or the files it names, cannot be processed as written.
+    """A ``collect.toml``, or a file that it names, cannot be processed.
 
     Examples
     --------
@@ -232,7 +232,7 @@ class CollectError(PaintError, ValueError):
 
 
 class StoreError(PaintError, OSError):
-    """A store cannot be written where asked, or what it holds must not be touched.
+    """A store cannot be written there, or its content must not be changed.
 
     Examples
     --------
@@ -351,6 +351,10 @@ class Problems:
         """Note one fault; see `Problem`."""
         self._problems.append(Problem(found, expected, mend, option, code))
 
+    def extend(self, problems: Iterable[Problem]) -> None:
+        """Note the faults of another input."""
+        self._problems.extend(problems)
+
     def add_error(self, subject: str, error: Exception) -> None:
         """Note an error on a subject, with its parts, mends and codes."""
         if isinstance(error, PaintError):
@@ -384,9 +388,9 @@ class Unavailable(Enum):
 
 
 class Findings:
-    """Errors that independent inputs raise, raised together; `Problems` lists the faults of one input.
+    """Collects the errors of independent inputs, to raise them together; see `Problems` for one input.
 
-    A lone error is raised as it is, more than one are listed.
+    A single error is raised unchanged; several are listed.
 
     Examples
     --------
@@ -407,14 +411,14 @@ class Findings:
 
     @contextlib.contextmanager
     def step(self) -> Iterator[None]:
-        """Note what a step raises on purpose, and go on after it."""
+        """Note the error of a step, unless it is a defect of the program, and continue."""
         try:
             yield
         except (PaintError, OSError) as error:
             self.errors.append(error)
 
     def raise_if_any(self) -> None:
-        """Raise the one error as it is, or one that lists them all."""
+        """Raise the single error unchanged, or one error that lists all."""
         if not self.errors:
             return
         kinds = {type(error) for error in self.errors}

@@ -216,7 +216,7 @@ class Fact:
         if self.kind == "numbers":
             if not isinstance(value, list | tuple):
                 return "type-wrong"
-            if len(value) != self.length and (self.length or not value):
+            if len(value) != self.length if self.length else not value:
                 return "length-mismatch"
             return next(filter(None, map(self._number_fault, value)), None)
         if self.kind == "choice":

@@ -1,4 +1,4 @@
-"""What optics and spectrograph do to a scene before a detector counts it: blur, displace, scatter.
+"""Optics and spectrograph between a scene and its detector: blur, keystone, stray light.
 
 The fore optics blur the scene across and along the track, the same in all bands; behind the slit the
 spectrograph displaces a band's image along the slit (keystone) and scatters light into other bands. Of the
@@ -6,10 +6,10 @@ integrals I = INT L R0 s d lambda that places of the scene give an element witho
 
     I'[b, y, x] = SUM_ij k_ij I[b, y - i, x - j - keystone_b],    I'' = (1 + D) I',
 
-k of unit sum, so that no light is lost. The scene is taken as constant within each column: an image displaced
-by a part f of a column is f of one neighbour and 1 - f of the other, whose centre of mass has moved by f.
-Beyond its outer lines and columns the scene is taken as mirrored in its edge. The smile changes too little
-from column to column for the order of blur and response to matter.
+k of unit sum, so that no light is lost. The scene is constant within each column: an image displaced by a
+fraction f of a column is f of one neighbour and 1 - f of the other, and its centre of mass moves by f. Beyond
+its outer lines and columns the scene is mirrored at its edge. The smile changes too little from column to
+column for the order of blur and response to matter.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class OpticsSettings:
 
 
 def point_spread(fwhm: float) -> Floats:
-    """Return the weights of neighbours in a Gaussian blur, of unit sum, the middle one its own.
+    """Return the weights of a Gaussian blur, of unit sum, odd in number.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def point_spread(fwhm: float) -> Floats:
 
 
 def keystone(bands: int, columns: float) -> Floats:
-    """Return how far every band's image is displaced to the right, shape (band,) [columns].
+    """Return the displacement of the image of every band to the right, shape (band,) [columns].
 
     Examples
     --------
@@ -147,10 +147,10 @@ def keystone(bands: int, columns: float) -> Floats:
 
 
 def stray_light_wings(wavelength: Floats, share: float) -> Floats:
-    """Return counts that a band gains from light of another, per count of that, shape (band, source_band).
+    """Return stray counts of a band per count of a source band, shape (band, source_band).
 
-    Each column sums to ``share``: some of it falls off with the distance in wavelength, the rest covers all
-    bands alike.
+    Each column sums to ``share``: a part falls off with the distance in wavelength, the rest is equal in all
+    bands.
 
     Examples
     --------
@@ -176,18 +176,18 @@ class Optics:
     Parameters
     ----------
     settings
-        What is on.
+        Blur, keystone and stray light.
     wavelength
         Centres of the bands, shape (band,) [nm].
 
     Attributes
     ----------
     reach
-        Lines before and behind one that reach into it.
+        Number of lines before and behind that contribute to a line.
     keystone
         Displacement of the bands' images, shape (band,) [columns].
     has_stray_light, stray_matrix
-        Whether there is any, and `stray_light_wings` of it.
+        Whether there is stray light, and its `stray_light_wings`.
 
     Examples
     --------
@@ -211,13 +211,13 @@ class Optics:
 
     @classmethod
     def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
-        """Return the optics of these settings, or None where nothing of them is on."""
+        """Return the optics of these settings, or None where all effects are off."""
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
         return cls(settings, wavelength) if is_on else None
 
     def image(self, window: Sequence[Floats]) -> Floats:
-        """Return what the elements of a line get, shape (band, column).
+        """Return the signal of the elements of a line, shape (band, column).
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class Optics:
         total = np.zeros(window[0].shape)
         for along, across in self._terms:
             line = np.zeros_like(total)
-            # a scene moves light to where it goes, so the line in front gets the weight behind the middle
+            # convolution: the line in front has the weight behind the middle
             for weight, row in zip(along[::-1].tolist(), window, strict=True):
                 line += weight * row
             total += _convolved(line, across)
@@ -236,7 +236,7 @@ class Optics:
         return total
 
     def displaced(self, profile: Floats) -> Floats:
-        """Return what every band gets of a profile along the slit (column,), shape (band, column)."""
+        """Return a profile along the slit (column,) as every band receives it, shape (band, column)."""
         return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
                           _displaced(np.ones(1), self.keystone))  # fmt: skip
 

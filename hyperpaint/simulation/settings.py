@@ -371,8 +371,7 @@ class SimulationSettings(OpticsSettings):
             try:
                 _ = self.start
             except SchemaError as error:
-                fault = error.problem
-                problems.add(fault.found, mend=fault.mend, code=fault.code)
+                problems.extend([error.problem])
         if len(problems) == before:
             self._note_contradictions(problems, spelled)
 

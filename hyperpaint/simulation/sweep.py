@@ -1,13 +1,14 @@
-"""A monochromator sweep of the simulated camera: what 61 lines do to every detector element.
+"""A monochromator sweep of the simulated camera: the response of every detector element to 61 wavelengths.
 
 At step k an element (band b, column x) counts
 
     n = dark(t) + t phi[k,x] INT m_k(lambda) R_b,x(lambda) d lambda,
 
-m_k the monochromator's line of unit area, phi the power that enters slit width x one column, R the element's
-absolute response (see `hyperpaint.simulation.camera`). The integral is done numerically for every element:
-nothing is taken to vary slowly, nothing to be separable, and no calibration formula appears. Columns differ
-by their smile and their own factor only, so that it is done on a table of shifts and interpolated.
+m_k the spectrum of the monochromator of unit area, phi the power that enters slit width x one column, R the
+absolute response of the element (see `hyperpaint.simulation.camera`). The integral is computed numerically
+for every element, without assumptions of slow variation or separability, and without a calibration formula.
+Columns differ by their smile and their element factor only, so that it is computed on a table of shifts and
+interpolated.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import SimulationSettings
 
 SWEEP_NAME = "simulated monochromator sweep"
-_MOST_BYTES = 64 << 20
+MAX_METADATA_BYTES = 64 << 20
 
 
 PerStep = float | Sequence[float] | Floats
 
-# also known to flights: what the electronics do to a frame, in the lab as in the air
+# effects of the electronics on a frame, in the lab and in flight
 _FRAME_FIELDS = frozenset({"noise", "dark_noise", "quantise", "dark_frames"})
 
 
@@ -173,29 +174,29 @@ class SweepSettings:
         values
             Fields of this class and, of `SimulationSettings`, those of camera and frames.
         camera
-            A camera that is there already, of which ``values`` can only change what is done to frames.
+            An existing camera, of which ``values`` can only change the fields of frames.
 
         Raises
         ------
         SchemaError
             Keywords are unknown, or values out of range.
         """
-        own = {one.name for one in fields(cls)} - {"camera"}
-        theirs = _FRAME_FIELDS if camera is not None else _FRAME_FIELDS | CAMERA_FIELDS
-        unknown = sorted(set(values) - own - theirs)
+        sweep_fields = {field.name for field in fields(cls)} - {"camera"}
+        camera_fields = _FRAME_FIELDS if camera is not None else _FRAME_FIELDS | CAMERA_FIELDS
+        unknown = sorted(set(values) - sweep_fields - camera_fields)
         if unknown:
             raise SchemaError(
                 f"unknown settings {', '.join(unknown)}",
-                expected=f"some of {', '.join(sorted(own | theirs))}",
+                expected=f"some of {', '.join(sorted(sweep_fields | camera_fields))}",
                 code="key-unknown",
             )
-        changes = {name: value for name, value in values.items() if name in theirs}
+        changes = {name: value for name, value in values.items() if name in camera_fields}
         camera = SimulationSettings.of(changes) if camera is None else replace(camera, **changes)
-        return cls(camera=camera, **{name: value for name, value in values.items() if name in own})
+        return cls(camera=camera, **{name: value for name, value in values.items() if name in sweep_fields})
 
     @property
     def dial(self) -> Floats:
-        """What the monochromator says, shape (step,) [nm]."""
+        """Dial of the monochromator, shape (step,) [nm]."""
         return np.linspace(self.first_step_nm, self.last_step_nm, self.steps)
 
     @property
@@ -206,14 +207,13 @@ class SweepSettings:
     @property
     def dark_exposure_time(self) -> Floats:
         """Exposure of every step's dark frames, shape (step,) [s]."""
-        given = self.dark_exposure_ms
-        if given is None:
+        if self.dark_exposure_ms is None:
             return self.exposure_time
-        return np.asarray(np.resize(np.asarray(given, dtype=np.float64), self.steps)) / 1000.0
+        return np.asarray(np.resize(np.asarray(self.dark_exposure_ms, dtype=np.float64), self.steps)) / 1000.0
 
     @property
     def monochromator_fwhm(self) -> Floats:
-        """Width of every step's line, shape (step,) [nm]."""
+        """Spectral width of every step, shape (step,) [nm]."""
         return self._every_step(self.monochromator_fwhm_nm)
 
     def _every_step(self, value: PerStep) -> Floats:
@@ -235,16 +235,18 @@ class Frames(NamedTuple):
 
 
 def is_simulated_sweep(store: Path, truth: str) -> bool:
-    """Tell whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
+    """Return whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
     try:
-        attributes = json.loads(read_limited(store / "zarr.json", _MOST_BYTES, "metadata"))["attributes"]
+        attributes = json.loads(read_limited(store / "zarr.json", MAX_METADATA_BYTES, "metadata"))[
+            "attributes"
+        ]
         return attributes.get("name") == SWEEP_NAME or truth in attributes
     except (FormatError, ValueError, KeyError, TypeError, AttributeError):
         return False
 
 
 class Sweep:
-    """A sweep, step by step."""
+    """A simulated sweep, computed step by step."""
 
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings
@@ -258,7 +260,7 @@ class Sweep:
 
     @cached_property
     def wavelength(self) -> Floats:
-        """True centre of every line, shape (step,) [nm]."""
+        """True centre wavelength of every step, shape (step,) [nm]."""
         settings = self.settings
         jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
@@ -282,7 +284,7 @@ class Sweep:
 
     @cached_property
     def recorded_flux(self) -> Floats:
-        """What the power meter says, shape (step,) or (step, cross_track) [W]."""
+        """Reading of the power meter, shape (step,) or (step, cross_track) [W]."""
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)

@@ -13,7 +13,15 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import CollectError, Findings, PaintWarning, Problems, Unavailable
+from hyperpaint.base.errors import (
+    CollectError,
+    Findings,
+    PaintError,
+    PaintWarning,
+    Problem,
+    Problems,
+    Unavailable,
+)
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import assemble
@@ -126,8 +134,10 @@ def open_with_settings(
         findings.errors += own.errors
     references = dict(_references(collect.references, findings))
     # what several lines share is reported once
-    for text in dict.fromkeys(str(error) for error in findings.errors):
-        problems.add(text)
+    errors = {str(error): error for error in findings.errors}
+    problems.extend(
+        error.problem if isinstance(error, PaintError) else Problem(text) for text, error in errors.items()
+    )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined = dict(_joined(collect, lines, irradiance))
