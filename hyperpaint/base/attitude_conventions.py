@@ -49,11 +49,11 @@ class Convention:
         "nose_up", "sign of pitch", choices=("nose_up", "nose_down")
     )
     heading_positive: Literal["clockwise", "counterclockwise"] = fact(
-        "clockwise", "sense of heading; clockwise is towards east", choices=("clockwise", "counterclockwise")
+        "clockwise", "sense of heading, seen from above", choices=("clockwise", "counterclockwise")
     )
     heading_reference: Literal["true", "grid", "magnetic"] = fact(
         "true",
-        "north from which headings count: true, of a map (grid) or magnetic",
+        "north from which headings count; grid is the north of a map",
         choices=("true", "grid", "magnetic"),
     )
     angle_unit: Literal["degree", "radian"] = fact(
@@ -61,8 +61,8 @@ class Convention:
     )
     euler_order: Literal["ZYX", "ZXY", "XYZ"] = fact(
         "ZYX",
-        "axes of the body (x forward, y right, z down) in the order of the turns, each about the axis as "
-        "the turns before moved it: ZYX is heading, pitch, roll; ZXY heading, roll, pitch",
+        "order of the rotations about body axes that move along (x forward, y right, z down); ZYX is heading, "
+        "pitch, roll",
         choices=("ZYX", "ZXY", "XYZ"),
     )
     height_reference: Literal["ellipsoid", "geoid"] = fact(
@@ -75,8 +75,7 @@ class Convention:
     )
     column_order: Literal["left_to_right", "right_to_left"] | None = fact(
         None,
-        "direction of the columns; column 0 looks to the left of the direction of flight in left_to_right; "
-        "None for unknown",
+        "direction of the columns, seen along the flight; None for unknown",
         choices=("left_to_right", "right_to_left"),
     )
     declination: float | None = fact(

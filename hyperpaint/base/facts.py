@@ -248,9 +248,9 @@ class Fact:
     def mend(self) -> str:
         """Remedy for a wrong value in a file."""
         if self.default is not None:
-            return f"leave the key out for {_toml(self.default)}"
+            return f"leave the key out for {toml_text(self.default)}"
         if self.example is not None:
-            return f"for example {self.key or self.name} = {_toml(self.example)}"
+            return f"for example {self.key or self.name} = {toml_text(self.example)}"
         return "correct it" if self.needed else "correct it, or leave the key out"
 
     def note(self, problems: Problems, found: str, value: Any, mend: str = "") -> bool:
@@ -283,13 +283,14 @@ Facts = Mapping[str, Fact]
 """Declarations by name, or by key of a TOML table."""
 
 
-def _toml(value: Any) -> str:
+def toml_text(value: Any) -> str:
     """Return a value as a TOML file spells it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return f'"{value}"'
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else f"{value!r}"
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    return f"[{', '.join(map(toml_text, value))}]" if isinstance(value, list | tuple) else f"{value!r}"
 
 
 def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
@@ -371,18 +372,30 @@ def described(one: Fact) -> str:
     return f"{one.doc[:1].upper()}{one.doc[1:]}{unit}{accepted}{none}."
 
 
-def comment(one: Fact) -> str:
-    """Return the meaning of a key for a comment in a file."""
+def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
+    """Return the line of a TOML file for a key, with its meaning, or ``note``, as the comment.
+
+    Without a value it is an optional key: commented out, with its default or an example.
+
+    Examples
+    --------
+    >>> facts = {"gap_s": Fact(doc="longest gap", kind="number", unit="s", default=2.0)}
+    >>> key_line(facts, "gap_s", 3.0), key_line(facts, "gap_s")
+    ('gap_s = 3.0  # longest gap [s]', '# gap_s = 2.0  # longest gap [s]')
+    """
+    one = facts[key]
     unit = f" [{one.unit}]" if one.unit else ""
-    words = f": {' | '.join(one.choices)}" if one.choices else ""
-    return f"{one.doc}{unit}{words}"
+    words = f"; one of {', '.join(one.choices)}" if one.choices else ""
+    hint = one.example if one.default is None else one.default
+    text = toml_text(hint if value is None else value)
+    return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{one.doc}{unit}{words}'}"
 
 
 def key_table(facts: Facts) -> str:
     """Return a Markdown table of keys: key, accepted values, default, meaning with unit."""
     rows = ["| key | accepted | default | meaning |", "| --- | --- | --- | --- |"]
     for key, one in facts.items():
-        default = "needed" if one.needed else "" if one.default is None else f"`{_toml(one.default)}`"
+        default = "needed" if one.needed else "" if one.default is None else f"`{toml_text(one.default)}`"
         unit = f" [{one.unit}]" if one.unit else ""
         rows.append(f"| `{key}` | {one.expected} | {default} | {one.doc}{unit} |".replace("|  |", "| |"))
     return "\n".join(rows)
