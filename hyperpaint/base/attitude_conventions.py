@@ -61,8 +61,8 @@ class Convention:
     )
     euler_order: Literal["ZYX", "ZXY", "XYZ"] = fact(
         "ZYX",
-        "order of the rotations about body axes that move along (x forward, y right, z down); ZYX is heading, "
-        "pitch, roll",
+        "order of the rotations about moving body axes (x forward, y right, z down); ZYX is heading, pitch, "
+        "roll",
         choices=("ZYX", "ZXY", "XYZ"),
     )
     height_reference: Literal["ellipsoid", "geoid"] = fact(

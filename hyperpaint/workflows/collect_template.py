@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, StoreError
-from hyperpaint.base.facts import key_line, toml_text
+from hyperpaint.base.facts import documented, key_line, toml_text
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.files.publishing import publish_file
@@ -26,6 +26,7 @@ from .field_folder import FieldFolder, FlightCube
 _RAW_CUBES = "raw_*[0-9].hdr"
 
 
+@documented()
 def write_collect_toml(
     files: FieldFolder, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False
 ) -> Path:
@@ -38,7 +39,6 @@ def write_collect_toml(
     path
         By default ``collect.toml`` in the folder; paths in it are relative to its own folder.
     overwrite
-        Replace an existing file.
 
     Returns
     -------
