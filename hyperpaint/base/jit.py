@@ -98,7 +98,7 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
         except Exception as error:  # of a torn index that could not be removed, too
             reason = getattr(error, "strerror", None) or error
             text = (
-                f"compiled kernels cannot be stored in {self.cache_path} ({reason}), so that every process "
+                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
                 "compiles them again; set NUMBA_CACHE_DIR to a folder with room"
             )
             warnings.warn(PaintWarning(text, code="kernel-cache-unwritable"), stacklevel=2)
