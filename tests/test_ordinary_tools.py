@@ -21,7 +21,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.accessor import METHODS
 from hyperpaint.base.errors import PaintWarning, SchemaError, TimeError
-from hyperpaint.base.schema import BELONGS, Quality
+from hyperpaint.base.schema import CALIBRATION_NAMES, Quality
 from hyperpaint.report.summaries import summary_html
 
 REGIONS = hp.Regions((hp.Region("a", [(2, 2), (20, 2), (20, 14), (2, 14)]),))
@@ -236,7 +236,7 @@ def test_a_stack_is_told(flown: SimpleNamespace) -> None:
 
 
 def test_what_belongs_to_the_calibration_is_missed(flown: SimpleNamespace) -> None:
-    assert "wavelength_shift" in flown.line.radiance_gain.attrs[BELONGS]
+    assert "wavelength_shift" in flown.line.radiance_gain.attrs[CALIBRATION_NAMES]
     without = flown.raw.drop_vars("wavelength_shift")
     with pytest.warns(PaintWarning, match="wavelength_shift"):
         without.paint.reflectance()

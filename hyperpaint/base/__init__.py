@@ -1,4 +1,4 @@
-"""What every room stands on: errors, units, the one table of variables, dims, quality bits, constants.
+"""Shared by every room: errors, facts, units, the one table of variables, dims, quality bits, constants.
 
 Nothing comes in; everything above may use it.
 """

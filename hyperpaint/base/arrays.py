@@ -1,4 +1,4 @@
-"""Types that all rooms share: arrays by the kind of their numbers, and what reports progress."""
+"""Types that all rooms share: arrays by dtype, and the progress callback."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Floats32: TypeAlias = npt.NDArray[np.float32]
 Ints: TypeAlias = npt.NDArray[np.int64]
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with what is done and what is to do."""
+"""Called with the number of steps done and the total."""
 
 
 def round_bits(values: Floats32, kept: int) -> Floats32:
-    """Return values with ``kept`` bits of the mantissa of float32, to nearest-even: the others compress away.
+    """Return values rounded to ``kept`` bits of the float32 mantissa, half to even, to compress well.
 
     Examples
     --------

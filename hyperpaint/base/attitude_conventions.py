@@ -1,10 +1,9 @@
-"""What the numbers of a navigation system mean: signs, units, references, and the order of the columns.
+"""Conventions of navigation systems: signs, units, references, and the order of the columns.
 
-Makers differ in every one of these, and few publish them. A `Convention` therefore is declared, stored with
-the data it belongs to, and taken out of them in one place. What everything is turned into, the canonical
-form, is: body axes forward, right, down; roll positive with the right wing down, pitch with the nose up,
-heading clockwise from true north [degree]; turned about the body's own axes in the order heading, pitch,
-roll; heights above the ellipsoid [m].
+Makers differ in each of these, and few publish them. A `Convention` therefore is declared, stored with its
+data, and applied in one place. The canonical form is: body axes forward, right, down; roll positive with the
+right wing down, pitch with the nose up, heading clockwise from true north [degree]; rotations about the axes
+of the body in the order heading, pitch, roll; heights above the ellipsoid [m].
 """
 
 from __future__ import annotations
@@ -18,62 +17,20 @@ import numpy.typing as npt
 
 from .arrays import Floats
 from .errors import Problems, SchemaError
-from .units import takes_quantities
+from .facts import check_fields, declared, fact, is_number
 
 _PREFIX = "convention_"
-_CHOICES: Mapping[str, tuple[str, ...]] = {
-    "roll_positive": ("right_wing_down", "right_wing_up"),
-    "pitch_positive": ("nose_up", "nose_down"),
-    "heading_positive": ("clockwise", "counterclockwise"),
-    "heading_reference": ("true", "grid", "magnetic"),
-    "angle_unit": ("degree", "radian"),
-    "euler_order": ("ZYX", "ZXY", "XYZ"),
-    "height_reference": ("ellipsoid", "geoid"),
-    "stamp_reference": ("start", "mid", "end"),
-    "column_order": ("left_to_right", "right_to_left"),
-}
-_UNDECLARED = ("stamp_reference", "column_order")
 
 
-@takes_quantities(declination="degree", geoid_undulation="m")
+@declared
 @dataclass(frozen=True, kw_only=True)
 class Convention:
-    """What the numbers of a navigation system, and the columns of a camera, mean.
-
-    Attributes
-    ----------
-    roll_positive
-        ``"right_wing_down"`` or ``"right_wing_up"``.
-    pitch_positive
-        ``"nose_up"`` or ``"nose_down"``.
-    heading_positive
-        ``"clockwise"`` (towards east) or ``"counterclockwise"``.
-    heading_reference
-        North that headings count from: ``"true"``, that of a map ``"grid"``, or ``"magnetic"``.
-    angle_unit
-        ``"degree"`` or ``"radian"``, of roll, pitch and heading.
-    euler_order
-        Axes of the body (x forward, y right, z down) in the order in which it is turned, each about where
-        the turns before have left it: ``"ZYX"`` is heading, pitch, roll; ``"ZXY"`` heading, roll, pitch.
-    height_reference
-        What heights are above: ``"ellipsoid"``, or ``"geoid"`` (mean sea level).
-    stamp_reference
-        What the time stamp of a frame marks of its exposure: ``"start"``, ``"mid"``, ``"end"``; None where it
-        is not known.
-    column_order
-        Column 0 looks to the left of the direction of flight in ``"left_to_right"``, to the right in
-        ``"right_to_left"``; None where it is not known.
-    declination
-        Of magnetic north, east of true north [degree]; added to magnetic headings.
-    geoid_undulation
-        Height of the geoid above the ellipsoid [m]; added to heights above the geoid.
-    grid_crs
-        Reference system of the map whose north ``"grid"`` headings count from, such as ``"EPSG:32617"``.
+    """Meaning of the numbers of a navigation system, and of the columns of a camera.
 
     Raises
     ------
     SchemaError
-        A choice that does not exist; numbers that are not finite; all are listed.
+        An unknown choice, or a number that is not finite; all are listed.
 
     Examples
     --------
@@ -85,40 +42,71 @@ class Convention:
     True
     """
 
-    roll_positive: Literal["right_wing_down", "right_wing_up"] = "right_wing_down"
-    pitch_positive: Literal["nose_up", "nose_down"] = "nose_up"
-    heading_positive: Literal["clockwise", "counterclockwise"] = "clockwise"
-    heading_reference: Literal["true", "grid", "magnetic"] = "true"
-    angle_unit: Literal["degree", "radian"] = "degree"
-    euler_order: Literal["ZYX", "ZXY", "XYZ"] = "ZYX"
-    height_reference: Literal["ellipsoid", "geoid"] = "ellipsoid"
-    stamp_reference: Literal["start", "mid", "end"] | None = None
-    column_order: Literal["left_to_right", "right_to_left"] | None = None
-    declination: float | None = None
-    geoid_undulation: float | None = None
-    grid_crs: str | None = None
+    roll_positive: Literal["right_wing_down", "right_wing_up"] = fact(
+        "right_wing_down", "sign of roll", choices=("right_wing_down", "right_wing_up")
+    )
+    pitch_positive: Literal["nose_up", "nose_down"] = fact(
+        "nose_up", "sign of pitch", choices=("nose_up", "nose_down")
+    )
+    heading_positive: Literal["clockwise", "counterclockwise"] = fact(
+        "clockwise", "sense of heading, seen from above", choices=("clockwise", "counterclockwise")
+    )
+    heading_reference: Literal["true", "grid", "magnetic"] = fact(
+        "true",
+        "north from which headings count; grid is the north of a map",
+        choices=("true", "grid", "magnetic"),
+    )
+    angle_unit: Literal["degree", "radian"] = fact(
+        "degree", "unit of roll, pitch and heading", choices=("degree", "radian")
+    )
+    euler_order: Literal["ZYX", "ZXY", "XYZ"] = fact(
+        "ZYX",
+        "order of the rotations about moving body axes (x forward, y right, z down); ZYX is heading, pitch, "
+        "roll",
+        choices=("ZYX", "ZXY", "XYZ"),
+    )
+    height_reference: Literal["ellipsoid", "geoid"] = fact(
+        "ellipsoid", "zero of heights; the geoid is mean sea level", choices=("ellipsoid", "geoid")
+    )
+    stamp_reference: Literal["start", "mid", "end"] | None = fact(
+        None,
+        "instant of the exposure that the time stamp of a frame marks; None for unknown",
+        choices=("start", "mid", "end"),
+    )
+    column_order: Literal["left_to_right", "right_to_left"] | None = fact(
+        None,
+        "direction of the columns, seen along the flight; None for unknown",
+        choices=("left_to_right", "right_to_left"),
+    )
+    declination: float | None = fact(
+        None,
+        "angle from true north to magnetic north, positive east; added to magnetic headings",
+        kind="number",
+        unit="degree",
+    )
+    geoid_undulation: float | None = fact(
+        None,
+        "height of the geoid above the ellipsoid; added to heights above the geoid",
+        kind="number",
+        unit="m",
+    )
+    grid_crs: str | None = fact(
+        None,
+        'reference system of the map for grid headings, such as "EPSG:32617"',
+        phrase="text such as 'EPSG:32617'",
+    )
 
     def __post_init__(self) -> None:
         problems = Problems("this convention cannot be used", SchemaError)
-        for name, choices in _CHOICES.items():
-            choice = getattr(self, name)
-            if choice not in choices and not (choice is None and name in _UNDECLARED):
-                problems.add(f"{name} {choice!r:.60}, expected {' or '.join(map(repr, choices))}")
-        for name in ("declination", "geoid_undulation"):
-            number = getattr(self, name)
-            if number is not None and not (_is_number(number) and np.isfinite(number)):
-                problems.add(f"{name} {number!r:.60}, expected a finite number")
-        grid: Any = self.grid_crs
-        if grid is not None and not isinstance(grid, str):
-            problems.add(f"grid_crs {grid!r:.60}, expected text such as 'EPSG:32617'")
+        check_fields(self, problems)
         problems.raise_if_any()
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""
-        declared = ((f.name, getattr(self, f.name)) for f in fields(self))
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             f"{_PREFIX}{name}": value if isinstance(value, str) else float(value)
-            for name, value in declared
+            for name, value in values.items()
             if value is not None
         }
 
@@ -129,18 +117,18 @@ class Convention:
         Raises
         ------
         SchemaError
-            They declare what does not exist.
+            They declare an unknown choice or a wrong number.
         """
         names = {f.name for f in fields(cls)}
-        declared = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
+        values = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
         for name in ("declination", "geoid_undulation"):
-            if _is_number(declared.get(name)):
-                declared[name] = float(declared[name])  # numpy's, after a round trip through netCDF
-        return cls(**declared) if declared else None
+            if is_number(values.get(name)):
+                values[name] = float(values[name])  # numpy's, after a round trip through netCDF
+        return cls(**values) if values else None
 
     @property
     def of_canonical(self) -> Convention:
-        """The canonical form, with this one's ``stamp_reference`` and ``column_order``."""
+        """The canonical form, with the same ``stamp_reference`` and ``column_order``."""
         return Convention(stamp_reference=self.stamp_reference, column_order=self.column_order)
 
     def canonical(
@@ -156,7 +144,7 @@ class Convention:
         Parameters
         ----------
         roll, pitch, heading
-            Angles as this convention means them.
+            Angles in this convention.
         convergence
             Grid north, east of true north [degree]; needed for headings from grid north alone. See
             `hyperpaint.geometry.georeference.meridian_convergence`.
@@ -164,7 +152,7 @@ class Convention:
         Returns
         -------
         roll, pitch, heading
-            Of the broadcast shape, float64; NaN where any of the three is, or is infinite.
+            Broadcast shape, float64; all NaN where one of the three is not finite.
 
         Raises
         ------
@@ -178,13 +166,13 @@ class Convention:
             -1.0 if self.pitch_positive == "nose_down" else 1.0,
             -1.0 if self.heading_positive == "counterclockwise" else 1.0,
         )
-        given = zip(signs, (roll, pitch, heading), strict=True)
-        x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in given))
+        angles = zip(signs, (roll, pitch, heading), strict=True)
+        x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in angles))
         x, y, z = _nan_together(x, y, z)
         if self.euler_order != "ZYX":
             x, y, z = _reordered(x, y, z, self.euler_order)
         x, y, z = _nan_together(x, y, z + self._north(convergence))
-        # twice, as a hair less than 0 comes to 360 itself
+        # twice, since a tiny negative angle becomes 360 itself
         return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
     def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
@@ -200,9 +188,10 @@ class Convention:
             return heights
         if self.geoid_undulation is None:
             raise SchemaError(
-                "heights are above the geoid, and geoid_undulation is not declared; look up the height of "
-                "the geoid above the ellipsoid at the place [m] and declare it: "
-                "Convention(height_reference='geoid', geoid_undulation=...)"
+                "heights are above the geoid, and geoid_undulation is not declared",
+                mend="look up the height of the geoid above the ellipsoid at the place [m] and declare it: "
+                "Convention(height_reference='geoid', geoid_undulation=...)",
+                code="undulation-missing",
             )
         return heights + self.geoid_undulation
 
@@ -217,36 +206,34 @@ class Convention:
         if self.heading_reference == "magnetic":
             if self.declination is None:
                 raise SchemaError(
-                    "headings count from magnetic north, and declination is not declared; look up that of "
-                    "the place and day [degree, east positive]: "
-                    "Convention(heading_reference='magnetic', declination=...)"
+                    "headings count from magnetic north, and declination is not declared",
+                    mend="look up the declination of the place and day [degree, east positive]: "
+                    "Convention(heading_reference='magnetic', declination=...)",
+                    code="declination-missing",
                 )
             return np.asarray(self.declination, np.float64)
         if convergence is None:
             raise SchemaError(
-                "headings count from grid north, whose direction is not known here; declare the map it is "
-                "of: Convention(heading_reference='grid', grid_crs='EPSG:...')"
+                "headings count from grid north, and the map is not declared",
+                mend="declare it: Convention(heading_reference='grid', grid_crs='EPSG:...')",
+                code="grid-crs-missing",
             )
         return np.asarray(convergence, np.float64)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return angles that are NaN, all three of them, where any is no finite number."""
+    """Return the angles, all NaN where one of them is not finite."""
     unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
 
 def wrapped(angle: Floats) -> Floats:
-    """Return angles within -180 and 180; those that are there already keep their bits."""
+    """Return angles within -180 and 180; angles in that range keep their bits."""
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
 
 
 def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
-    """Return the angles that, in the order heading, pitch, roll, make the same rotation."""
+    """Return the angles of the same rotation in the order heading, pitch, roll."""
     axes = {"X": roll, "Y": pitch, "Z": heading}
     turned = np.eye(3)
     for axis in order:

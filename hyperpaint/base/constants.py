@@ -1,4 +1,4 @@
-"""Constants that several rooms need: one home for each."""
+"""Constants that several rooms share."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Literal, get_args
 
 SATURATION_MARGIN_COUNTS = 16
-"""Counts below the converter's last from which a sample is taken for saturated (DESIGN.md, `saturated`)."""
+"""Distance from the largest count of the converter within which a sample is saturated (DESIGN.md,
+`saturated`)."""
 
 QUANTISATION_VARIANCE_COUNT2 = 1.0 / 12.0
-"""Variance that conversion to whole counts adds [count2]: that of a uniform error of one count's width."""
+"""Variance that conversion to whole counts adds [count2]: a uniform error of the width of one count."""
 
 KEPT_BITS = 12
 """Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
@@ -19,7 +20,7 @@ WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
 """NIMA TR8350.2, World Geodetic System 1984. The simulator's ellipsoid has its own, to check against."""
 
 STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
-"""From what a frame's time stamp marks to the middle of its exposure, in exposures."""
+"""Time from the stamp of a frame to the middle of its exposure, by the instant that it marks [exposures]."""
 
 NUMERICS_VERSION = 1
 """Version of the numbers that `process` and `render` store. Raise it with every change after which the same
@@ -31,16 +32,16 @@ MAX_TASK_BYTES = 24_000_000
 """Output of one task; a larger block costs the allocator a trip to the kernel each time."""
 
 Alignment = Literal["auto", "never", "always"]
-"""When what separates camera and irradiance record is corrected: see `hyperpaint.alignment.align`."""
+"""When differences between camera and irradiance record are corrected: see `hyperpaint.alignment.align`."""
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 
 MAX_STRAY_LIGHT_U = 0.5
-"""Relative standard uncertainty of stray light from which it is not subtracted: it is no more than two of
-them, and not told from none [1]."""
+"""Relative standard uncertainty of stray light from which it is not subtracted: it is then less than two
+standard uncertainties from zero [1]."""
 
 
 def lines_a_task(bytes_a_line: int, most: int = 32) -> int:
-    """Return how many whole lines make a task: ``most``, or as many as `MAX_TASK_BYTES` hold, one at least.
+    """Return the number of whole lines in a task: ``most``, or as many as fit `MAX_TASK_BYTES`, at least one.
 
     Examples
     --------

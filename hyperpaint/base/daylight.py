@@ -1,4 +1,4 @@
-"""How bright daylight may be, and which unit taken for another explains what is not."""
+"""Range of daylight irradiance, and the unit mistakes that explain values outside it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 from .arrays import Floats
 
 HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
-"""Median irradiance of 400-1000 nm that is believed [W m-2 nm-1]. Above the atmosphere the sun gives 2.2 at
-most and 1.5 in the median, and light off clouds hardly adds more than the air takes; 3e-4 is deep twilight,
-yet more than full sun mistaken for W cm-2 nm-1."""
+"""Range of plausible median irradiance over 400-1000 nm [W m-2 nm-1]. Above the atmosphere the sun has a
+maximum of 2.2 and a median of 1.5, and light from clouds hardly adds more than the air takes; 3e-4 is deep
+twilight, yet more than full sun whose W m-2 nm-1 are read as W cm-2 nm-1."""
 
 DULL_MEDIAN = 0.02
-"""Below it is no light to fly in [W m-2 nm-1]: a dull sky over the lowest sun that is flown in gives 0.04."""
+"""Median irradiance below which the light is too dim to fly [W m-2 nm-1]: a dull sky with the lowest usable
+sun has 0.04."""
 
 _JUDGED_NM = (400.0, 1000.0)
 _IN_W_M2_NM = {
@@ -25,7 +26,7 @@ _FIT = math.log(3.0)
 
 
 def brightest_median(wavelength: Floats, values: Floats) -> float:
-    """Return the median over 400-1000 nm of the brightest sample; NaN where there is none.
+    """Return the median over 400-1000 nm of the brightest sample; NaN without samples.
 
     wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
     """
@@ -35,7 +36,7 @@ def brightest_median(wavelength: Floats, values: Floats) -> float:
 
 
 def unit_slip(ratio: float) -> str:
-    """Return which unit was taken for which where irradiance is this many times what it should be.
+    """Return the unit mistake that explains irradiance ``ratio`` times the expected one; empty for none.
 
     Examples
     --------
@@ -48,12 +49,12 @@ def unit_slip(ratio: float) -> str:
     """
     if not 0.0 < ratio < math.inf:
         return ""
-    words = {
+    texts = {
         f"as of values in W m-2 nm-1 that are said to be in {unit}": factor
         for unit, factor in _IN_W_M2_NM.items()
     } | {
         f"as of values in {unit} that are taken for W m-2 nm-1": 1.0 / factor
         for unit, factor in _IN_W_M2_NM.items()
     }
-    nearest = min(words, key=lambda text: abs(math.log(words[text] / ratio)))
-    return nearest if abs(math.log(words[nearest] / ratio)) <= _FIT else ""
+    nearest = min(texts, key=lambda text: abs(math.log(texts[text] / ratio)))
+    return nearest if abs(math.log(texts[nearest] / ratio)) <= _FIT else ""

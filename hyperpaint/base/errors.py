@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Self
@@ -350,6 +350,10 @@ class Problems:
     ) -> None:
         """Note one fault; see `Problem`."""
         self._problems.append(Problem(found, expected, mend, option, code))
+
+    def extend(self, problems: Iterable[Problem]) -> None:
+        """Note the faults of another input."""
+        self._problems.extend(problems)
 
     def add_error(self, subject: str, error: Exception) -> None:
         """Note an error, with its parts, mends and codes; a subject stands before its message."""

@@ -1,4 +1,4 @@
-"""The one way to open a file from outside: its name is checked, it is a plain file, its size is bounded.
+"""Opening of input files: the name is checked, only plain files are opened, the size is bounded.
 
 A pipe would wait for ever, a device never end, a socket cannot be read, and a URL may reach another machine.
 """
@@ -13,10 +13,10 @@ from pathlib import Path
 
 from .errors import FormatError, PaintError
 
-MOST_NAME_BYTES = 255
+MAX_NAME_BYTES = 255
 """Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows."""
 
-MOST_PATH_BYTES = 4096
+MAX_PATH_BYTES = 4096
 """Bytes of a path: PATH_MAX of Linux."""
 
 #: ``https://...``, ``dask::...``; pathlib makes one slash of two. A drive of Windows has one letter.
@@ -25,55 +25,68 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
 _FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
 )
+_CHECK_PATH = "check the path"
 _KINDS = {
-    stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
-}  # fmt: skip
+}
 
 
 def input_path(
-    path: str | os.PathLike[str], expected: str = "a file", error: type[PaintError] = FormatError,
+    path: str | os.PathLike[str],
+    expected: str = "a file",
+    error: type[PaintError] = FormatError,
     instead: str = "download it, and give the path of the copy",
-) -> Path:  # fmt: skip
-    """Return a path that names a local file or folder, or nothing yet; its name and kind are checked.
+) -> Path:
+    """Return the path of a local file or folder, which need not exist; its name and kind are checked.
 
-    ``expected`` names what is looked for in messages, raised as ``error``: the name holds a NUL, is longer
-    than systems allow, or is a URL, which ``instead`` mends; or a pipe, device or socket is there.
+    ``expected`` names the kind of file in messages. Raises ``error``: the name holds a NUL, is longer than
+    systems allow, or is a URL, with ``instead`` as the mend; or it is a pipe, device or socket.
 
     Examples
     --------
     >>> input_path("https://example.org/sky.csv", "an irradiance series")
     Traceback (most recent call last):
     hyperpaint.base.errors.FormatError: https://example.org/sky.csv: a URL, expected an irradiance series on \
-a local disk; download it, and give the path of the copy
+a local disk; download it, and give the path of the copy [url-not-local]
     """
     text = os.fsdecode(path)
     shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
     if "\0" in text:
         raise error(
-            f"{shown!r}: a name with a NUL character, expected the path of {expected}; check the path"
+            f"{shown!r}: a name with a NUL character",
+            expected=f"the path of {expected}",
+            mend=_CHECK_PATH,
+            code="path-invalid",
         )
     encoded = text.encode(errors="surrogatepass")
-    if len(encoded) > MOST_PATH_BYTES or any(
-        len(part) > MOST_NAME_BYTES for part in encoded.split(os.sep.encode())
+    if len(encoded) > MAX_PATH_BYTES or any(
+        len(part) > MAX_NAME_BYTES for part in encoded.split(os.sep.encode())
     ):
         raise error(
-            f"{shown}: a path of {len(text)} characters, expected {expected} under names of at most"
-            f" {MOST_NAME_BYTES} bytes, {MOST_PATH_BYTES} in all; check the path"
+            f"{shown}: a path of {len(text)} characters",
+            expected=f"{expected} under names of at most {MAX_NAME_BYTES} bytes, {MAX_PATH_BYTES} in all",
+            mend=_CHECK_PATH,
+            code="path-too-long",
         )
     if _URL.match(text) and not ("://" not in text and _is_there(text)):
-        raise error(f"{shown}: a URL, expected {expected} on a local disk; {instead}")
+        raise error(
+            f"{shown}: a URL", expected=f"{expected} on a local disk", mend=instead, code="url-not-local"
+        )
     try:
         mode = os.stat(text).st_mode
     except (OSError, ValueError):
-        return Path(text)  # who opens it says why it cannot be read
+        return Path(text)  # opening it raises the error with the reason
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise error(f"{shown}: {_kind(mode)}, expected {expected}; check the path")
+        raise error(f"{shown}: {_kind(mode)}", expected=expected, mend=_CHECK_PATH, code="file-special")
     return Path(text)
 
 
 def _is_there(text: str) -> bool:
-    """Tell whether a name that may be read as a URL is one of this disk: `field::day1`."""
+    """Return whether a name that looks like a URL exists on this disk, such as `field::day1`."""
     try:
         return os.path.lexists(text)
     except ValueError:
@@ -81,11 +94,11 @@ def _is_there(text: str) -> bool:
 
 
 def _kind(mode: int) -> str:
-    return _KINDS.get(stat.S_IFMT(mode), "no plain file")
+    return _KINDS.get(stat.S_IFMT(mode), "a special file")
 
 
 def is_plain_file(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path names a plain file; no name, however strange, is an error."""
+    """Return whether a path names a plain file; False for any name that cannot exist."""
     try:
         return stat.S_ISREG(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -95,7 +108,7 @@ def is_plain_file(path: str | os.PathLike[str]) -> bool:
 def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BufferedReader:
     """Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
 
-    What is open is what was judged: the file may be exchanged while it is looked at.
+    The opened file itself is checked: its name may be given to another file meanwhile.
 
     Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
     bytes.
@@ -104,8 +117,9 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     try:
         descriptor = os.open(place, _FLAGS)
     except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise FormatError(
-            f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+            f"{place}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
         ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
@@ -113,26 +127,32 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     os.close(descriptor)
     if stat.S_ISREG(status.st_mode):
         raise FormatError(
-            f"{place}: {status.st_size} bytes, expected {expected} of at most {limit} bytes; check the path"
+            f"{place}: {status.st_size} bytes",
+            expected=f"{expected} of at most {limit} bytes",
+            mend=_CHECK_PATH,
+            code="file-too-large",
         )
-    raise FormatError(f"{place}: {_kind(status.st_mode)}, expected {expected}; check the path")
+    raise FormatError(
+        f"{place}: {_kind(status.st_mode)}", expected=expected, mend=_CHECK_PATH, code="file-special"
+    )
 
 
 def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> bytes:
-    """Return the bytes of a file that is read whole; ``expected`` names the kind of file in messages.
+    """Return all bytes of a file; ``expected`` names the kind of file in messages.
 
     Raises `FormatError`: As `open_input`.
     """
     with open_input(path, expected, limit) as file:
-        # read() sets aside all it is allowed to read
+        # read() allocates as much as it may read
         try:
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as error:
-            raise FormatError(f"{path}: cannot be read ({error.strerror or error}); copy it again") from error
+            found = f"{path}: cannot be read ({error.strerror or error})"
+            raise FormatError(found, mend="copy it again", code="file-unreadable") from error
 
 
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:
-    """Return the first bytes of a file; none of what is no plain file, or cannot be read."""
+    """Return the first bytes of a plain file; empty where it cannot be read."""
     try:
         with open_input(path, "a file") as file:
             return file.read(count)

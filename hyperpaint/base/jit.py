@@ -1,4 +1,4 @@
-"""The one place for compiler options."""
+"""Compilation of kernels: the options of numba and the cache on disk."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ def kernel(function: Function) -> Function:
     process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
     must come out whatever the chunking.
 
-    What is compiled is kept on disk, for every later process: in ``NUMBA_CACHE_DIR``, else beside the
-    package, else, where that must not be written, in the user's cache folder. Where none can be written
-    (a container with a read-only disk, a full disk) every process compiles for itself what is in none of them
-    (see ``hyperpaint warm``).
+    Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
+    else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
+    read-only disk, a full disk) every process compiles the kernels that none of them holds (see ``hyperpaint
+    warm``).
     """
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
 
 def borrowing_kernel(function: Function) -> Function:
-    """Compile, as `kernel` does, a function that makes no arrays: neither new ones nor views it returns.
+    """Compile, as `kernel` does, a function that makes no arrays, neither new ones nor returned views.
 
-    Its caller owns all arrays, so none of them is counted. Counting costs a short function that is called
-    for every ray more than its work, and threads that share the arrays wait for one another's counts.
+    Its caller owns all arrays, so references are not counted. In a short function that is called for every
+    ray counting costs more than the work, and threads that share the arrays wait for one another's counts.
     """
     return _compiled(function, _borrowing_options())
 
@@ -59,7 +59,7 @@ def borrowing_kernel(function: Function) -> Function:
 def inlined_kernel(function: Function) -> Function:
     """Compile, as `borrowing_kernel` does, a row of a loop, into each of its callers.
 
-    Handing arrays on to a row of a few hundred samples costs as much as half of its work.
+    For a row of a few hundred samples, passing arrays costs half as much as the work.
     """
     return _compiled(function, {**_borrowing_options(), "forceinline": True})
 
@@ -72,13 +72,13 @@ def _borrowing_options() -> dict[str, Any]:
 
 
 class _OptionalCache(FunctionCache):  # type: ignore[misc]
-    """A cache on disk that may be full, read-only or damaged: then a kernel is compiled, and works."""
+    """A cache on disk that may be full, read-only or damaged; the kernel is then compiled."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a compiled kernel, or None: numba then compiles it.
 
-        numba would first register all that it can compile, which takes longer than the load and which its
-        compiler does anyway, when it is needed.
+        numba would first register everything that it can compile, which takes longer than the load; its
+        compiler does that anyway when it is needed.
         """
         rtsys.initialize(target_context)
         try:
@@ -92,24 +92,23 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled kernel where that can be done."""
+        """Store a compiled kernel, or warn."""
         try:
             super().save_overload(sig, data)
         except Exception as error:  # of a torn index that could not be removed, too
             reason = getattr(error, "strerror", None) or error
-            warnings.warn(
-                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that "
-                "every process compiles them again; set NUMBA_CACHE_DIR to a folder with room",
-                PaintWarning,
-                stacklevel=2,
+            text = (
+                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
+                "compiles them again; set NUMBA_CACHE_DIR to a folder with room"
             )
+            warnings.warn(PaintWarning(text, code="kernel-cache-unwritable"), stacklevel=2)
 
 
 class _Readable(_CacheLocator):  # type: ignore[misc]
     """A folder that holds compiled kernels, whether or not it may be written."""
 
     def ensure_cache_path(self) -> None:
-        """Refuse a folder that is not there; numba refuses one that is read-only, too."""
+        """Raise for a missing folder; numba would raise for a read-only one as well."""
         os.listdir(self.get_cache_path())
 
 
@@ -126,13 +125,13 @@ class _ReadableImplementation(CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _ReadableCache(_OptionalCache):
-    """What `hyperpaint warm` left in a folder that may since be read-only, as in the image of a container."""
+    """Kernels that `hyperpaint warm` stored in a folder that may be read-only, as in a container image."""
 
     _impl_class = _ReadableImplementation
 
 
 class _KernelCaches(NullCache):  # type: ignore[misc]
-    """The caches of a kernel, looked for when it is first called from Python: most never are."""
+    """Caches of a kernel, located on its first call from Python, which most kernels never get."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -148,9 +147,9 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
 
     @property
     def cache_path(self) -> str | None:
-        """The folder that is written to, None without."""
-        own = [cache for cache in self._caches if not isinstance(cache, _ReadableCache)]
-        return own[0].cache_path if own else None
+        """The folder that is written to, or None."""
+        writable = [cache for cache in self._caches if not isinstance(cache, _ReadableCache)]
+        return writable[0].cache_path if writable else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a kernel from the first folder that has it, or None."""
@@ -158,7 +157,7 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
         return next((kernel for kernel in loads if kernel is not None), None)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled kernel where there is a folder for it."""
+        """Store a compiled kernel where there is a folder for it."""
         for cache in self._caches:
             if not isinstance(cache, _ReadableCache):
                 cache.save_overload(sig, data)
@@ -166,7 +165,7 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Let nothing look for unreachable objects meanwhile: a compiler makes millions that are all in use."""
+    """Suspend garbage collection: a compiler makes millions of objects that are all in use."""
     with global_compiler_lock:  # one thread at a time switches
         was_enabled = gc.isenabled()
         gc.disable()
@@ -178,10 +177,10 @@ def _uncollected() -> Iterator[None]:
 
 
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
-    """A kernel, as Python calls it; another kernel that calls it takes a `_Part` in."""
+    """A kernel with an entry point for Python; other kernels that call it include a `_Part`."""
 
     def compile(self, sig: Any) -> Any:
-        """Compile for one signature, or take what is kept on disk."""
+        """Compile for one signature, or load it from disk."""
         with _uncollected():
             return super().compile(sig)
 
@@ -191,23 +190,23 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
         return _Part(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return how another kernel calls this one.
+        """Return the template by which another kernel calls this one.
 
-        Constants in the call are no types of their own: numba would compile a part again for every number.
+        Constants in the call lose their literal type: numba would compile a part again for every number.
         """
         kinds = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
         return self._part.get_call_template(tuple(map(types.unliteral, args)), kinds)
 
     def get_overload(self, sig: Any) -> Any:
-        """Return what another kernel calls."""
+        """Return the overload for calls from another kernel."""
         return self._part.get_overload(sig)
 
 
 class _Part(CPUDispatcher):  # type: ignore[misc]
-    """A kernel inside another: no machine code, no way in from Python, no place in the cache.
+    """A kernel inside another: without machine code, entry point for Python and place in the cache.
 
-    By itself numba assembles each function once alone and again in all that call it, with the code that
-    unpacks its arguments for Python. Here that is done once, of the whole that Python calls.
+    By default numba assembles each function once alone and again in all its callers, with the code that
+    unpacks its arguments for Python. Here only the outer kernel, which Python calls, is assembled.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -215,7 +214,7 @@ class _Part(CPUDispatcher):  # type: ignore[misc]
         self._compiler._customize_flags = _without_machine_code
 
     def add_overload(self, cres: Any) -> None:
-        """Take in what was compiled, under a name that no function of Python has."""
+        """Register the compiled function under a unique name."""
         name = object()
         self.targetctx.insert_user_function(name, cres.fndesc, [cres.library])
         self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=name)
@@ -234,11 +233,10 @@ class _PartCompiler(Compiler):  # type: ignore[misc]
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is assembled in the libraries it is linked into.
+    """Code that is assembled in the libraries that link it.
 
-    It is optimised before that: what calls a part decides by its optimised size whether to take it in, and
-    the renderer, built without, ran a fifth slower. The methods are private to numba: where it has others,
-    all is the same, but compiled more slowly.
+    It is optimised before: callers decide by its optimised size whether to inline it, and without this the
+    renderer ran a fifth slower. The methods are private to numba: without them kernels compile more slowly.
     """
 
     def _finalize_final_module(self) -> None:
@@ -247,7 +245,7 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
-    """Compile, and keep the result on disk where there is a folder for it."""
+    """Compile, and store the result on disk where there is a folder for it."""
     if numba.config.DISABLE_JIT:
         return function
     compiled = _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})

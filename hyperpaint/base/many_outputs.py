@@ -1,7 +1,7 @@
-"""One task, many outputs: each array that a block's task makes, as a lazy array of its own.
+"""Tasks with several outputs: each array that a task computes becomes one lazy array.
 
 A node of dask has one result. The task therefore returns all its arrays, by name or in order, as one block of
-dtype object, and every output picks its own out of it; dask fuses the picking with what follows.
+dtype object, and every output picks its array from it; dask fuses the picking with the next step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether reflectance holds the light that a clear coat mirrors, as those who hand it on say it."""
+"""Declaration whether reflectance contains the light that a clear coat mirrors."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ import xarray as xr
 from .errors import SchemaError
 
 INCLUDED, EXCLUDED = "included", "excluded"
-"""What the attribute ``mirror_reflection`` may say."""
+"""Values of the attribute ``mirror_reflection``."""
 
 BODY = "body reflectance factor under the clear coat"
-"""Attribute ``quantity``: what a panel shows, lit and seen near its normal, without its mirror image."""
+"""Attribute ``quantity``: painted surface lit and seen near its normal, without its mirror image."""
 
 THROUGH_COAT = "reflectance factor of the body through its clear coat"
-"""The same without its mirror image, but lit as it was: less what the coat keeps of a low sun."""
+"""Attribute ``quantity``: without the mirror image, but under the light of the flight: a coat passes less of
+a low sun."""
 
 OUTSIDE = "reflectance factor of the outside of the coat"
-"""All that comes off the panel, its mirror image of the sky among it."""
+"""Attribute ``quantity``: all light from the painted surface, including its mirror image of the sky."""
 
-_SAID = "mirror_reflection"
+_DECLARED = "mirror_reflection"
 _COMPONENT = "specular_component"
 _REMOVED = "mirrored_sky_removed"
 _APART = "specular_reflectance"
 
 
 def mirror_reflection(library: xr.Dataset) -> str | None:
-    """Return whether a library's reflectance holds mirrored light: "included", "excluded", or None.
+    """Return whether a library's reflectance contains mirrored light: "included", "excluded", or None.
 
     The attribute ``mirror_reflection`` of ``reflectance``, or else of the library, decides; or
-    ``specular_component``, as makers of instruments call it. Where none says it, light that is kept apart as
-    ``specular_reflectance``, or was subtracted as ``mirrored_sky_removed`` says, is excluded. What was not
-    subtracted ("none"), of one of several sources even ("F0 0.04; none"), is included.
+    ``specular_component``, the term of instrument makers. Without either, mirrored light is excluded where a
+    variable ``specular_reflectance`` holds it, or where ``mirrored_sky_removed`` states its subtraction; it
+    is included where that states "none", even for one of several sources ("F0 0.04; none").
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     Raises
     ------
     SchemaError
-        The attribute is neither of both words.
+        The attribute is neither "included" nor "excluded".
 
     Examples
     --------
@@ -53,17 +54,19 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     'excluded'
     """
     attrs = {**library.attrs, **library["reflectance"].attrs}
-    said = attrs.get(_SAID, attrs.get(_COMPONENT))
-    if said is not None:
-        if not isinstance(said, str) or said not in (INCLUDED, EXCLUDED):
+    declared = attrs.get(_DECLARED, attrs.get(_COMPONENT))
+    if declared is not None:
+        if not isinstance(declared, str) or declared not in (INCLUDED, EXCLUDED):
             raise SchemaError(
-                f"attribute {_SAID!r} of reflectance is {said!r:.60}, expected {INCLUDED!r} or {EXCLUDED!r}"
+                f"attribute {_DECLARED!r} of reflectance is {declared!r:.60}",
+                expected=f"{INCLUDED!r} or {EXCLUDED!r}",
+                code="choice-unknown",
             )
-        return said
+        return declared
     if _APART in library.variables:
         return EXCLUDED
     if _REMOVED not in attrs:
         return None
-    # a library of several flight lines names what was subtracted from each of them
+    # a library of several flight lines states the subtraction of each of them
     sources = [text.strip() for text in str(attrs[_REMOVED]).split(";")]
     return INCLUDED if any(text in ("", "none") for text in sources) else EXCLUDED

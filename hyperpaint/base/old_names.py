@@ -1,4 +1,4 @@
-"""Names of earlier versions, and today's in their place, so that old files and datasets still open."""
+"""Names of earlier versions and their replacements, so that old files and datasets still open."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import xarray as xr
 from .errors import PaintWarning
 
 NEW_NAMES = {"paint": "signature", "signature": "paint"}
-"""Dimension of a paint library: `paint` until 0.2, which the accessor hides. A property of regions that was
-called `signature` then takes the place that is free."""
+"""Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
+was called `signature` gets the free name `paint`."""
 
 _OLD, _NEW, _BAND = "paint", "signature", "band"
 _FREE = "property_signature"
@@ -57,16 +57,15 @@ def with_new_names(library: _Labelled) -> _Labelled:
 
 def warn_of_old_names(source: str) -> None:
     """Warn that a library was renamed."""
-    warnings.warn(
-        f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before: it is called {_NEW!r} now; write "
-        "the library anew to keep the new name",
-        PaintWarning,
-        stacklevel=3,
+    text = (
+        f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write the "
+        "library again to store the new name"
     )
+    warnings.warn(PaintWarning(text, code="dim-renamed"), stacklevel=3)
 
 
 def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
-    """Return whether spectra, or thresholds of detections, are on the dim `paint`, or are of one paint."""
+    """Return whether spectra, or thresholds of detections, have the dim `paint` or its scalar coordinate."""
     if _NEW in library.dims or not (_OLD in library.dims or _OLD in library.coords):
         return False
     if isinstance(library, xr.DataArray):
@@ -75,5 +74,5 @@ def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
         shapes = [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
     if any(_OLD in dims and set(dims) <= {_OLD, _BAND} for dims in shapes):
         return True
-    one = library.coords.get(_OLD)  # as .isel(paint=0) leaves it
-    return one is not None and one.ndim == 0 and one.dtype.kind in "OUT" and (_BAND,) in shapes
+    name = library.coords.get(_OLD)  # as .isel(paint=0) leaves it
+    return name is not None and name.ndim == 0 and name.dtype.kind in "OUT" and (_BAND,) in shapes

@@ -1,4 +1,4 @@
-"""Progress as it is passed on: to the parts of a task, and to a bar on stderr."""
+"""Progress reports: for the parts of a task, and as a bar on stderr."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def part_of(progress: Progress, number: int, total: int) -> Progress: ...
 @overload
 def part_of(progress: Progress | None, number: int, total: int) -> Progress | None: ...
 def part_of(progress: Progress | None, number: int, total: int) -> Progress | None:
-    """Return a progress that reports one of several parts, in thousandths of each; None where there is none.
+    """Return a progress for one of several parts, which counts thousandths of parts; None for None.
 
     Examples
     --------
@@ -30,7 +30,7 @@ def part_of(progress: Progress | None, number: int, total: int) -> Progress | No
 
 
 def as_progress(progress: Progress | bool | None, label: str) -> Progress | None:
-    """Return what draws a bar on stderr where ``progress`` is True, and ``progress`` itself otherwise."""
+    """Return a bar on stderr for True, None for False, else ``progress`` itself."""
     if progress is None or progress is False:
         return None
     if progress is not True:

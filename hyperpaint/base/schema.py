@@ -1,6 +1,6 @@
-"""What datasets must hold, checked against the one table of variables (`hyperpaint.base.variables`).
+"""Checks of datasets against the one table of variables (`hyperpaint.base.variables`).
 
-A function takes its inputs through `require` and hands its outputs through `label`, which *replaces*
+Functions take their inputs through `require` and label their outputs through `label`, which *replaces*
 attributes, since xarray carries stale ones through arithmetic.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import replace
 from enum import IntFlag
 from typing import Any
 
@@ -16,10 +17,9 @@ import numpy as np
 import xarray as xr
 
 from .arrays import Floats
-from .errors import PaintWarning, Problems, SchemaError
+from .errors import PaintWarning, Problem, SchemaError
 from .units import convert, plain, same_dimension
 from .variables import (
-    ADVICE,
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
@@ -94,7 +94,7 @@ MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
 SRF_SHAPES = ("gaussian", "slit", "tabulated")
 """Line shapes of a band, named by the dataset attribute ``srf_shape``."""
 
-#: What the neighbours call our dims, in lower case.
+#: Names of our dims in other packages, in lower case.
 DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
     ALONG_TRACK: ("line", "lines", "downtrack", "y", "frame"),
     BAND: ("bands", "wavelength", "wavelengths", "channel"),
@@ -131,7 +131,7 @@ class Quality(IntFlag):
 
 
 def flag_names(bits: int = -1) -> list[str]:
-    """Return the names of the flags in some bits, of all by default, as attributes and messages have them.
+    """Return the lower-case names of the flags that are set in ``bits``; by default of all flags.
 
     Examples
     --------
@@ -142,7 +142,7 @@ def flag_names(bits: int = -1) -> list[str]:
 
 
 def flag_shares(quality: np.ndarray[Any, Any]) -> dict[Quality, float]:
-    """Return the share of pixels under every flag that occurs.
+    """Return the share of pixels with every flag that occurs.
 
     Examples
     --------
@@ -165,16 +165,20 @@ def flags_named(names: Iterable[str]) -> list[Quality]:
     by_name = dict(zip(flag_names(), Quality, strict=True))
     names = list(names)
     if unknown := [name for name in names if name.lower() not in by_name]:
-        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(by_name)}")
+        raise SchemaError(
+            f"no flag {', '.join(map(repr, unknown))}",
+            expected=f"some of {', '.join(by_name)}",
+            code="choice-unknown",
+        )
     return [by_name[name.lower()] for name in names]
 
 
 def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
     """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
 
-    Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are in the units
-    of the table from here on. What `where` and `concat` do to other variables is undone: dims that they gave
-    to variables which do not vary along them, and flags that became floats.
+    Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are converted to
+    the units of the table. Side effects of `where` and `concat` are undone: dims that they added to variables
+    which do not vary along them, and flags that became floats.
 
     Parameters
     ----------
@@ -186,19 +190,20 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     Raises
     ------
     SchemaError
-        ``dims`` names a role or a dim that does not exist; nothing is selected of a dim of the cube; or
-        arrays are those of cubed or cupy.
+        ``dims`` names a role or a dim that does not exist; a dim of the cube has size 0; or arrays are of
+        cubed or cupy.
     """
     _refuse_foreign_arrays(dataset)
-    # cells of a map have lines and times of their own
+    # every cell of a map has its own line and time
     is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
         if role not in CUBE or name not in dataset.dims:
             raise SchemaError(
-                f"dims={{{role!r}: {name!r}}}: expected roles {list(CUBE)} "
-                f"and dims of the dataset {list(map(str, dataset.dims))}"
+                f"dims={{{role!r}: {name!r}}}",
+                expected=f"roles {list(CUBE)} and dims of the dataset {list(map(str, dataset.dims))}",
+                code="dim-missing",
             )
         names[name] = role
     for role, aliases in DIM_ALIASES.items():
@@ -225,19 +230,20 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
             raise SchemaError(
                 f"nothing is selected: {dim} has size 0",
                 expected=f"one {thing} or more",
-                mend="the slice, mask or wavelength range kept none",
+                mend="widen the slice, mask or wavelength range",
+                code="selection-empty",
             )
-    return with_whole_numbers(dataset) if is_map else _as_in_table(dataset)
+    return with_integer_dtypes(dataset) if is_map else _with_table_dims(dataset)
 
 
-_OF_ELEMENTS = ("dark_counts", "radiance_gain")
-_PICTURES = ("overview", "coarse_reflectance")
+_ELEMENT_VARIABLES = ("dark_counts", "radiance_gain")
+_WHOLE_LINE_VARIABLES = ("overview", "coarse_reflectance")
 
 
-def _as_in_table(dataset: xr.Dataset) -> xr.Dataset:
-    """Return variables with the dims and whole numbers of the table, where `where` or `concat` changed them.
+def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
+    """Return variables with the dims and integers of the table, where `where` or `concat` changed them.
 
-    Nothing lazy is computed: what is taken for constant along a dim is checked when it is.
+    Lazy arrays stay lazy: that they are constant along a removed dim is checked when they are computed.
     """
     changed: dict[Hashable, xr.Variable] = {}
     dropped = []
@@ -245,26 +251,26 @@ def _as_in_table(dataset: xr.Dataset) -> xr.Dataset:
     is_masked = "counts" in dataset.variables and dataset.variables["counts"].dtype.kind == "f"
     for name, variable in dataset.variables.items():
         row = VARIABLES.get(str(name))
-        if row is None or not set(variable.dims) & set(CUBE) or (is_masked and name in _OF_ELEMENTS):
+        if row is None or not set(variable.dims) & set(CUBE) or (is_masked and name in _ELEMENT_VARIABLES):
             continue
-        if name not in _PICTURES:
-            own = _without_added_dims(variable, row)
-            changed |= {} if own is variable else {name: own}
+        if name not in _WHOLE_LINE_VARIABLES:
+            reduced = _without_added_dims(variable, row)
+            changed |= {} if reduced is variable else {name: reduced}
         elif not set(variable.dims) <= set(row.dims):
-            dropped.append(name)  # of the whole line, of which this is a part
+            dropped.append(name)  # made for the whole line, not for this part
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
         text = (
             "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags before "
-            "they are averaged"
+            "averaging"
         )
-        warnings.warn(text, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(text, code="flags-averaged"), stacklevel=3)
     dataset = dataset.drop_vars(dropped) if dropped else dataset
-    return with_whole_numbers(dataset.assign(changed) if changed else dataset)
+    return with_integer_dtypes(dataset.assign(changed) if changed else dataset)
 
 
 def _is_averaged(dataset: xr.Dataset) -> bool:
-    """Tell whether flags are means of several pixels', as coarsen and interp leave them."""
+    """Return whether flags are means over pixels, as coarsen and interp leave them."""
     quality = dataset.variables["quality"]
     if quality.dtype.kind != "f":
         return False
@@ -276,8 +282,8 @@ def _is_averaged(dataset: xr.Dataset) -> bool:
 def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
     """Return a variable without dims of a cube along which it is constant, missing values left out."""
     dims = set(variable.dims)
-    fitting = [own for own in row.allowed_dims if set(own) < dims and dims - set(own) <= set(CUBE)]
-    if not fitting or any(dims == set(own) for own in row.allowed_dims):
+    fitting = [shape for shape in row.allowed_dims if set(shape) < dims and dims - set(shape) <= set(CUBE)]
+    if not fitting or any(dims == set(shape) for shape in row.allowed_dims):
         return variable
     if variable.dtype == object and row.dtype == "bool":  # with gaps
         variable = variable.astype(np.float32)
@@ -300,20 +306,21 @@ def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
 
 
 def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
-    """Return the least values where they are the highest too."""
+    """Return the minima along dims, which must equal the maxima."""
     if not ((low == high) | (low != low)).all():
         raise SchemaError(
             f"{name_of!r} differs along {' and '.join(dims)}",
             mend="choose by .sel() or .isel() where where(..., drop=True) or xr.concat gave it that dim",
+            code="dims-wrong",
         )
     return low
 
 
-def with_whole_numbers(dataset: xr.Dataset, table: Mapping[str, Variable] = VARIABLES) -> xr.Dataset:
+def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VARIABLES) -> xr.Dataset:
     """Return flags, indices and classes as integers where `where` made them floats; lazy arrays stay lazy.
 
-    Missing flags become `Quality.NO_DATA`, missing indices -1 or 0 as the table says. Counts stay floats, and
-    so do index coordinates: both may be fractions.
+    Missing values become the ``gap`` of the table: `Quality.NO_DATA` in flags, -1 or 0 in indices. Counts and
+    index coordinates stay floats: both may be fractions.
     """
     changed = {}
     for name, row in table.items():
@@ -323,9 +330,7 @@ def with_whole_numbers(dataset: xr.Dataset, table: Mapping[str, Variable] = VARI
         kind = np.dtype(row.dtype).kind
         if kind not in "iub" or name == "counts" or variable.dims == (name,):
             continue
-        gap = -1 if "-1" in row.meaning or name == "sky_state" else 0
-        gap = int(Quality.NO_DATA) if name == "quality" else gap
-        integers = functools.partial(_integers, gap=gap, dtype=row.dtype)
+        integers = functools.partial(_integers, gap=row.gap, dtype=row.dtype)
         if variable.chunks is None:
             changed[name] = variable.copy(data=integers(variable.values))
         else:
@@ -340,56 +345,63 @@ def _integers(values: Any, *, gap: int, dtype: str) -> Any:
 
 _FOREIGN_ARRAYS = {
     "cubed": "map hyperpaint.slab over its blocks (docs/howto/engines.md), or open with dask or chunks=None",
-    "cupy": "take it from the GPU first, by dataset.as_numpy() or array.get(): the kernels run on processors",
+    "cupy": "take it from the GPU first, by dataset.as_numpy() or array.get(): the kernels run on the CPU",
 }
 
 
 def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
-    """Refuse arrays that would be taken for numpy's or dask's; no package is imported to tell them."""
+    """Refuse arrays of other packages that look like numpy's or dask's; none of them is imported for that."""
     for name, variable in dataset.variables.items():
         data = variable._data
-        for each in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
-            package = type(each).__module__.partition(".")[0]
+        for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
+            package = type(array).__module__.partition(".")[0]
             if package in _FOREIGN_ARRAYS:
                 raise SchemaError(
                     f"{name!r} is an array of {package}",
                     expected="numpy or dask",
                     mend=_FOREIGN_ARRAYS[package],
+                    code="array-foreign",
                 )
 
 
-BELONGS = "calibration_variables"
-"""Attribute of ``radiance_gain``: what else the calibration holds that changes values where it is missing."""
+CALIBRATION_NAMES = "calibration_variables"
+"""Attribute of ``radiance_gain``: names of the other variables of the calibration that change values."""
 
-_BELONGING = (
-    "wavelength_shift", "good", "masked", "linear_counts", "stray_light", "band_shift_time", "srf",
-)  # fmt: skip
+_CALIBRATION_VARIABLES = (
+    "wavelength_shift",
+    "good",
+    "masked",
+    "linear_counts",
+    "stray_light",
+    "band_shift_time",
+    "srf",
+)
 
 
-def with_belongings(line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line whose gain names what belongs to it, so that its loss is noticed."""
+def with_calibration_names(line: xr.Dataset) -> xr.Dataset:
+    """Return a flight line whose gain names the other calibration variables, to notice their loss."""
     if "radiance_gain" not in line.variables:
         return line
-    names = " ".join(name for name in _BELONGING if name in line.variables)
-    return line.assign(radiance_gain=line["radiance_gain"].assign_attrs({BELONGS: names}))
+    names = " ".join(name for name in _CALIBRATION_VARIABLES if name in line.variables)
+    return line.assign(radiance_gain=line["radiance_gain"].assign_attrs({CALIBRATION_NAMES: names}))
 
 
-def warn_of_lost_belongings(line: xr.Dataset, purpose: str) -> None:
-    """Warn where variables are missing that belong to the gain of a line, as after ``drop_vars``."""
+def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
+    """Warn of calibration variables that the gain names and the line lacks, as after ``drop_vars``."""
     gain = line.variables.get("radiance_gain")
-    names = str(gain.attrs.get(BELONGS, "")).split() if gain is not None else []
-    lost = [name for name in names if name in _BELONGING and name not in line.variables]
+    names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
+    lost = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
     if lost:
         text = (
             f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this line "
             "has; keep them beside 'radiance_gain'"
         )
         smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
-        warnings.warn(text + smile, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(text + smile, code="calibration-incomplete"), stacklevel=4)
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line whose lines and columns are numbered by index coordinates, where they were not.
+    """Return a flight line with index coordinates that number its lines and columns.
 
     A crop keeps them, and so its place; ``band`` has none, since two cameras would be joined by number.
     """
@@ -402,7 +414,7 @@ def with_numbers(line: xr.Dataset) -> xr.Dataset:
 def numbers_of(line: xr.Dataset, dim: str) -> Floats:
     """Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
 
-    A crop keeps those of the whole line, and so regions of the whole line outline the same things on it.
+    A crop keeps the numbers of the whole line, so that regions of the whole line fit it.
     """
     if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
         return np.asarray(line[dim].values, np.float64)
@@ -429,9 +441,9 @@ def quality_attrs() -> dict[str, Any]:
 
 
 def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
-    """Return ``array`` under the name and attributes of the table, which replace those it had."""
+    """Return ``array`` with the name and attributes of the table, which replace its old ones."""
     attrs = quality_attrs() if name == "quality" else VARIABLES[name].attrs
-    labelled = array.rename(name).copy(deep=False)  # renamed alone, it would share its attributes
+    labelled = array.rename(name).copy(deep=False)  # rename alone would share the attributes
     labelled.attrs = {**attrs, **extra}
     return labelled
 
@@ -450,7 +462,7 @@ def require(
     names
         Rows of the table that are needed.
     purpose
-        Opens the message: what cannot be computed without them.
+        Product that cannot be computed without them; opens the message.
     table
         `VARIABLES`, `SWEEP_VARIABLES` for a lab sweep, or `LIBRARY_VARIABLES` for a paint library.
 
@@ -460,39 +472,34 @@ def require(
         Variables are missing, or have other dims or units than the table allows; all are listed.
     """
     arrays, faults = find(dataset, names, table)
-    problems = Problems(f"cannot compute {purpose}", SchemaError)
-    for fault in faults:
-        problems.add(fault)
-    problems.raise_if_any()
+    if faults:
+        raise SchemaError(f"cannot compute {purpose}", problems=faults)
     return arrays
 
 
 def find(
     dataset: xr.Dataset, names: Iterable[str], table: Mapping[str, Variable] = VARIABLES
-) -> tuple[dict[str, xr.DataArray], list[str]]:
-    """Return what `require` returns of the variables that are as they should be, and the others' problems."""
-    problems: list[str] = []
+) -> tuple[dict[str, xr.DataArray], list[Problem]]:
+    """Return the variables that the table accepts, as `require` does, and the faults of the others."""
+    problems: list[Problem] = []
     arrays: dict[str, xr.DataArray] = {}
-    advice: set[str] = set()
     for name in names:
-        spec = table[name]
+        row = table[name]
         if name not in dataset.variables:
-            shape = ", ".join(spec.dims) or "a scalar"
-            problems.append(
-                f"{name!r} is missing: {spec.meaning.lower()} ({shape}) [{spec.units or spec.dtype}]"
-            )
+            shape = ", ".join(row.dims) or "a scalar"
+            found = f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]"
+            problems.append(Problem(found, code="variable-missing"))
             continue
         array = plain(dataset[name])
-        wrong = spec.dim_problem(array) or spec.unit_problem(array)
-        if wrong:
-            # one call mends all that went wrong in one way: it is named once
-            fault, _, mend = wrong.partition(ADVICE)
-            problems.append(fault if mend in advice else wrong)
-            advice.add(mend)
+        fault = row.dim_problem(array) or row.unit_problem(array)
+        if fault:
+            # one call mends all variables that went wrong in the same way: it is named once
+            known = any(fault.mend == other.mend for other in problems)
+            problems.append(replace(fault, mend="") if known else fault)
             continue
-        order = next(dims for dims in spec.allowed_dims if set(dims) == set(array.dims))
+        order = next(dims for dims in row.allowed_dims if set(dims) == set(array.dims))
         array = array.transpose(*order)
-        arrays[name] = convert(array, spec.units) if spec.units else array
+        arrays[name] = convert(array, row.units) if row.units else array
     return arrays, problems
 
 
@@ -502,17 +509,17 @@ def dtype_of(name: str) -> np.dtype[Any]:
 
 
 _STAMP = "means_of"
-_MOST_HASHED_BYTES = 2**24
+MAX_HASHED_BYTES = 2**24
 _NOT_INPUTS = {"coarse_reflectance", "reflectance", "overview", "quality", ALONG_TRACK, CROSS_TRACK}
 
 
 def stamp_means(means: xr.DataArray | xr.Variable, line: xr.Dataset) -> None:
-    """Note in the encoding of stored means which arrays they are of."""
+    """Note in the encoding of stored means from which arrays they were computed."""
     means.encoding[_STAMP] = {str(name): _identity(line[name].variable) for name in line.variables}
 
 
 def has_own_means(line: xr.Dataset) -> bool:
-    """Tell whether ``coarse_reflectance`` is of the reflectance that is there, or of all it follows from."""
+    """Return whether ``coarse_reflectance`` follows from the arrays of this line."""
     stamp = line["coarse_reflectance"].encoding.get(_STAMP)
     if stamp is None:
         return False
@@ -525,12 +532,12 @@ def has_own_means(line: xr.Dataset) -> bool:
 
 
 def _identity(variable: xr.Variable) -> str | None:
-    """Return a name that follows the values, None where more than a scalar would have to be read."""
+    """Return a hash of the values; None where it would need to read more than a scalar."""
     from dask.base import is_dask_collection, tokenize
 
     if is_dask_collection(variable):
         return str(tokenize(variable.data.name, variable.dims, variable.shape))
     # xarray leaves a scalar of a store lazy without dask
-    if variable.nbytes > _MOST_HASHED_BYTES or (variable.ndim and not variable._in_memory):
+    if variable.nbytes > MAX_HASHED_BYTES or (variable.ndim and not variable._in_memory):
         return None
     return str(tokenize(variable.dims, variable.values))

@@ -81,6 +81,7 @@ _WORDS = {
 }
 #: Of units that headers give, so that they can be read without pint, which takes a tenth of a second.
 _USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}
+_CF_SPELLING = "CF spelling such as 'W m-2 sr-1 nm-1'"
 # a power that may reach pint: of a name or a number, to a literal of one or two digits, never of a power
 _POWER = re.compile(r"(?:\*\*|\^)")
 _SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.]|\s*\*\*|\s*\^)")
@@ -93,7 +94,7 @@ _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for w
 
 
 def _plain_powers(text: str) -> str:
-    """Return ``text`` with raised digits written as powers, which can then be judged, and dots as spaces."""
+    """Return ``text`` with raised digits as powers, so that they can be checked, and dots as spaces."""
     text = _DOT.sub(r"\1 ", text.replace("·", " "))
     return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
@@ -108,8 +109,8 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
     """Return hyperpaint's private unit registry.
 
     It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
-    scale (``1e-10 W cm-2 nm-1 sr-1``). It is never made pint's application registry. Only pint-xarray asks
-    for ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
+    scale (``1e-10 W cm-2 nm-1 sr-1``). It never becomes pint's application registry. Only pint-xarray needs
+    ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
     """
     import pint
 
@@ -125,14 +126,14 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
 
 def _quantity(text: object) -> Any:
     if not isinstance(text, str):
-        raise UnitsError(f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}")
+        raise UnitsError(f"units {text!r:.60}", expected=_CF_SPELLING, code="type-wrong")
     # pint evaluates powers, so that 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
     huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
     unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
     if len(text) > 200 or huge or unsafe or not _READABLE.fullmatch(text):
         raise UnitsError(
-            f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+            f"units {text[:60]!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
         )
     return _parse(text.strip() or "1")
 
@@ -147,7 +148,7 @@ def _parse(text: str) -> Any:
         return quantity
     except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
         raise UnitsError(
-            f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+            f"units {text!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
         ) from error
 
 
@@ -179,15 +180,16 @@ def conversion_factor(found: str, wanted: str) -> float:
     source, target = _quantity(found), _quantity(wanted)
     if source.dimensionality != target.dimensionality:
         raise UnitsError(
-            f"units {found!r} are not convertible to {wanted!r}; "
-            "check the quantity, and whether a solid angle (sr) or an exposure (s) is missing"
+            f"units {found!r} are not convertible to {wanted!r}",
+            mend="check the quantity, and whether a solid angle (sr) or an exposure (s) is missing",
+            code="units-not-convertible",
         )
     # twelve digits: the factor of a decimal unit is then the decimal number itself
     return float(f"{(source / target).to_base_units().magnitude:.12g}")
 
 
 def same_dimension(found: str, wanted: str) -> bool:
-    """Tell whether two unit texts measure the same dimension; False where one cannot be read."""
+    """Return whether two unit texts have the same dimension; False where one cannot be read."""
     try:
         return bool(_quantity(found).dimensionality == _quantity(wanted).dimensionality)
     except UnitsError:
@@ -195,8 +197,8 @@ def same_dimension(found: str, wanted: str) -> bool:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether the brackets of a heading hold a unit, and no label such as ``8/h``, ``2024`` or ``N``."""
-    # a letter alone is rather a column's symbol, and a number in front no unit
+    """Return whether the brackets of a heading hold a unit, not a label such as ``8/h`` or ``N``."""
+    # a single letter is usually a symbol, and a unit does not begin with a number
     plain_text = text if len(text) > 1 else {"s": "s", "K": "K", "m": "m", "°": "degree"}.get(text, "")
     return bool(plain_text) and not plain_text[0].isdigit() and same_dimension(plain_text, plain_text)
 
@@ -217,7 +219,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     wanted
         Units in CF spelling.
     name
-        What messages call the array; its own name by default.
+        Name of the array in messages; by default its own.
 
     Raises
     ------
@@ -235,7 +237,8 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     name = name or str(array.name)
     units = array.attrs.get("units")
     if units is None:
-        raise UnitsError(f"{name!r} has no units; set {name}.attrs['units'], for example to {wanted!r}")
+        mend = f"set {name}.attrs['units'], for example to {wanted!r}"
+        raise UnitsError(f"{name!r} has no units", mend=mend, code="units-missing")
     try:
         factor = conversion_factor(str(units), wanted)
     except UnitsError as error:
@@ -251,7 +254,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
 
 
 def _is_quantity(value: object) -> bool:
-    """Tell whether a value carries its unit: a Quantity of pint, or of astropy or unyt."""
+    """Return whether a value carries its unit: a Quantity of pint, astropy or unyt."""
     if isinstance(value, xr.DataArray):  # has any of these where its attributes do
         return False
     is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
@@ -266,8 +269,8 @@ def _magnitude(quantity: Any) -> Any:
 def _unit_text(quantity: Any) -> str:
     """Return the unit of a Quantity in CF spelling.
 
-    Each part of it is read by its full name, since symbols mean different things to different registries; one
-    that ours does not know is resolved by its own.
+    Each part is read by its full name, since symbols differ between registries; a part that is unknown to our
+    registry is resolved by its own registry.
     """
     if not hasattr(quantity, "unit_items"):  # astropy and unyt
         return str(getattr(quantity, "unit", None) or quantity.units)
@@ -277,10 +280,12 @@ def _unit_text(quantity: Any) -> str:
         if not same_dimension(name, name):
             one, zero = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
             if zero.magnitude:
-                raise UnitsError(f"units {name!r} have a zero of their own", expected="multiples of a unit")
+                raise UnitsError(
+                    f"units {name!r} have an offset zero", expected="multiples of a unit", code="units-offset"
+                )
             scale *= one.magnitude**power
             parts = list(one.unit_items())
-        powers += [(_symbol(part), own * power) for part, own in parts]
+        powers += [(_symbol(part), exponent * power) for part, exponent in parts]
     text = " ".join(symbol if power == 1 else f"{symbol}{power:g}" for symbol, power in powers)
     return f"{scale:.15g} {text}".strip() if scale != 1.0 else text or "1"
 
@@ -295,8 +300,8 @@ def _symbol(name: str) -> str:
 def plain(labelled: Any) -> Any:
     """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
 
-    The unit of a Quantity replaces the attribute. What holds no Quantity is returned as it is; nothing is
-    computed. Paint libraries of hyperpaint 0.2 get today's names (`with_new_names`).
+    The unit of a Quantity replaces the attribute. Objects without a Quantity are returned unchanged; nothing
+    is computed. Paint libraries of hyperpaint 0.2 get today's names (`with_new_names`).
 
     Raises
     ------
@@ -325,6 +330,7 @@ def plain(labelled: Any) -> Any:
             raise UnitsError(
                 f"{name!r} is a dask array of Quantities",
                 mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
+                code="array-foreign",
             )
     if _is_quantity(whole):
         labelled = labelled.copy(data=_magnitude(whole)).assign_attrs(units=_unit_text(whole))
@@ -344,12 +350,12 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
     Parameters
     ----------
     value
-        Plain numbers, which are in these units already and come back as they are; a Quantity of any registry,
-        a DataArray, which needs units unless they are 1, a timedelta; or a sequence of such.
+        Plain numbers, which are in these units already and are returned unchanged; a Quantity of any
+        registry; a DataArray, which needs units unless ``wanted`` is 1; a timedelta; or a sequence of these.
     wanted
         Units in CF spelling.
     name
-        What messages call the argument.
+        Name of the argument in messages.
 
     Raises
     ------
@@ -365,12 +371,14 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
     if isinstance(value, xr.DataArray):
         value = plain(value)
         return value if wanted == "1" and "units" not in value.attrs else convert(value, wanted, name)
-    if isinstance(value, list | tuple):  # of any depth; text in them is for the function to refuse
-        numbers = [each if isinstance(each, str) else in_units(each, wanted, name) for each in value]
-        changed = any(number is not each for number, each in zip(numbers, value, strict=True))
+    if isinstance(value, list | tuple):  # of any depth; the function refuses text in them
+        numbers = [item if isinstance(item, str) else in_units(item, wanted, name) for item in value]
+        changed = any(number is not item for number, item in zip(numbers, value, strict=True))
         return type(value)(numbers) if changed else value
     if isinstance(value, str) or (hasattr(value, "dimensionality") and not _is_quantity(value)):
-        raise UnitsError(f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity")
+        raise UnitsError(
+            f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity", code="type-wrong"
+        )
     if not _carries_unit(value):
         return value
     try:
@@ -389,10 +397,10 @@ def _carries_unit(value: object) -> bool:
 
 
 def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
-    """Return a decorator for public functions and dataclasses: the one door for the units of strangers.
+    """Return a decorator that converts pint quantities in the arguments of a function or dataclass.
 
-    Quantities in datasets become numbers with text beside them (`plain`), arguments numbers in the units that
-    are named (`in_units`); an argument whose units are not named is a pure number.
+    Quantities in datasets become numbers with a ``units`` attribute (`plain`), arguments numbers in ``units``
+    (`in_units`); an argument without an entry in ``units`` is a pure number.
 
     Examples
     --------
@@ -412,14 +420,14 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
         names = list(inspect.signature(function).parameters)
 
         def number(value: Any, name: str) -> Any:
-            # a class lists all that is wrong with its fields, text among it
-            is_own = isinstance(target, type) and isinstance(value, str)
-            return value if is_own else _number(value, units, name)
+            # a class lists all faults of its fields, text among them
+            is_field = isinstance(target, type) and isinstance(value, str)
+            return value if is_field else _number(value, units, name)
 
         @functools.wraps(function)
         def with_numbers(*arguments: Any, **options: Any) -> Any:
             numbers = [number(value, name) for name, value in zip(names, arguments, strict=False)]
-            numbers += arguments[len(names) :]  # too many are for the function to refuse
+            numbers += arguments[len(names) :]  # the function refuses too many
             return function(*numbers, **{name: number(value, name) for name, value in options.items()})
 
         if not isinstance(target, type):
@@ -437,10 +445,10 @@ def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
     if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):
         return plain(value)
     if isinstance(value, Mapping):
-        numbers = {key: _number(each, units, str(key)) for key, each in value.items()}
-        return numbers if any(numbers[key] is not each for key, each in value.items()) else value
+        numbers = {key: _number(item, units, str(key)) for key, item in value.items()}
+        return numbers if any(numbers[key] is not item for key, item in value.items()) else value
     if isinstance(value, list | tuple):
-        members = [_number(each, units, name) for each in value]
+        members = [_number(item, units, name) for item in value]
         return type(value)(members) if any(a is not b for a, b in zip(members, value, strict=True)) else value
     return in_units(value, "1", name) if _is_quantity(value) else value
 
@@ -456,8 +464,8 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
     MissingExtraError
         pint-xarray is not installed.
     UnitsError
-        Units cannot be read, carry a scale, which a Quantity's unit cannot, or are not those of the registry;
-        all are listed.
+        Units cannot be read, carry a scale, which the unit of a Quantity cannot, or are unknown to the
+        registry; all are listed.
     """
     with needs_extra("pint-xarray", "units", "a Quantity view"):
         import pint_xarray  # noqa: F401
@@ -467,6 +475,7 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
         raise UnitsError(
             "the registry turns 0-d arrays into plain numbers",
             mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
+            code="registry-scalars",
         )
     problems = Problems("a Quantity view cannot be made", UnitsError)
     unit_of = {}
@@ -478,7 +487,11 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
         try:
             full_names = f"{registry().Unit(_spell_for_pint(canonical(text))):C}"
         except Exception:  # pint leaks its own classes
-            problems.add(f"{str(name)!r} has units {text!r}", expected="CF spelling without a scale")
+            problems.add(
+                f"{str(name)!r} has units {text!r}",
+                expected="CF spelling without a scale",
+                code="units-unreadable",
+            )
             continue
         try:
             unit_of[name] = units.Unit(full_names)
@@ -486,8 +499,9 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
             problems.add(
                 f"{str(name)!r} has units {text!r}; {error!s:.100}",
                 mend="define it, as by registry.define('electron = [electron_count]'), or drop the variable",
+                code="units-unknown",
             )
     problems.raise_if_any()
-    # coordinates are left alone: an index of Quantities can no longer be selected on
+    # coordinates stay plain: an index of Quantities cannot be selected on
     variables = dataset[list(unit_of)].drop_vars(dataset.coords, errors="ignore")
     return dataset.assign(variables.pint.quantify(unit_of, unit_registry=units).data_vars)

@@ -147,8 +147,7 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
     needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
     others = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
     arrays, wrong = find(sweep, [*needed, *others], SWEEP_VARIABLES)
-    for problem in wrong:
-        problems.add(problem)
+    problems.extend(wrong)
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
     for name, array in kinds.items():
         problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")

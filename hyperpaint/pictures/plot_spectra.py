@@ -368,7 +368,7 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
         if name not in alike
     ]
     usable, wrong = schema.find(paints, alike, table)
-    return paints.drop_vars([name for name in names if name not in usable]), [*problems, *wrong]
+    return paints.drop_vars([name for name in names if name not in usable]), [*problems, *map(str, wrong)]
 
 
 def _draw_paint(

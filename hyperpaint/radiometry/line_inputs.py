@@ -78,7 +78,7 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
 
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """Return the cube to start from and the small variables that calibrate it."""
-    schema.warn_of_lost_belongings(dataset, purpose)
+    schema.warn_of_lost_calibration(dataset, purpose)
     from_counts = "counts" in dataset.variables
     needed = [*COUNTED] if from_counts else ["radiance"]
     if purpose == "reflectance":

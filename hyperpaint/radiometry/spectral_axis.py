@@ -130,7 +130,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
             "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"
         )
     if "wavelength_shift" not in dataset.variables:
-        schema.warn_of_lost_belongings(dataset, "the spectrum at nominal wavelengths")
+        schema.warn_of_lost_calibration(dataset, "the spectrum at nominal wavelengths")
         return dataset[[*products, *_without_bands(dataset)]]
     arrays = schema.require(dataset, products, "nominal wavelengths")
     first, weights = nominal_axis(dataset)

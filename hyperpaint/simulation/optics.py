@@ -1,4 +1,4 @@
-"""What optics and spectrograph do to a scene before a detector counts it: blur, displace, scatter.
+"""Optics and spectrograph between a scene and its detector: blur, keystone, stray light.
 
 The fore optics blur the scene across and along the track, the same in all bands; behind the slit the
 spectrograph displaces a band's image along the slit (keystone) and scatters light into other bands. Of the
@@ -6,10 +6,10 @@ integrals I = INT L R0 s d lambda that places of the scene give an element witho
 
     I'[b, y, x] = SUM_ij k_ij I[b, y - i, x - j - keystone_b],    I'' = (1 + D) I',
 
-k of unit sum, so that no light is lost. The scene is taken as constant within each column: an image displaced
-by a part f of a column is f of one neighbour and 1 - f of the other, whose centre of mass has moved by f.
-Beyond its outer lines and columns the scene is taken as mirrored in its edge. The smile changes too little
-from column to column for the order of blur and response to matter.
+k of unit sum, so that no light is lost. The scene is constant within each column: an image displaced by a
+fraction f of a column is f of one neighbour and 1 - f of the other, and its centre of mass moves by f. Beyond
+its outer lines and columns the scene is mirrored at its edge. The smile changes too little from column to
+column for the order of blur and response to matter.
 """
 
 from __future__ import annotations
@@ -21,77 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems
-
-from .setting_checks import check_number, check_whole, is_number
+from hyperpaint.base.facts import declared, fact, is_number
 
 _SIGMAS = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))  # standard deviations in a full width at half maximum
 _TAIL = 1e-9  # weight below which neighbours are left out of a point spread
 _RANK = 1e-12  # of the largest singular value of a kernel, below which a term is rounding
 #: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
 _WINGS = (60.0, 0.6)
-_WIDEST = 50.0  # full width of a point spread [pixels]
-
-
-@dataclass(frozen=True, kw_only=True)
-class OpticsSettings:
-    """Imperfections of a camera's optics and electronics, all off by default.
-
-    Attributes
-    ----------
-    psf_across_columns, psf_along_lines
-        Full width at half maximum of a Gaussian point spread, across the track [columns] and along it
-        [lines]; its variance is kept however narrow it is. 0 for none.
-    psf_kernel
-        A point spread of your own, odd numbers of lines and columns, weights from 0 on, which are divided by
-        their sum; None for the Gaussian. What lies right and behind in it moves light right and behind.
-    keystone_columns
-        Columns by which the image of the last band is displaced to the right, and that of the first to the
-        left; the bands between in proportion.
-    stray_light
-        Light scattered into broad wings over all bands, relative to what a band sees itself.
-    pedestal
-        Counts that every frame of the scene and of the lab has on top of its dark [count].
-    masked_columns
-        Columns at either edge of the detector that see no light; their gain is NaN. What they count beyond
-        their dark is the pedestal.
-
-    Examples
-    --------
-    >>> OpticsSettings(psf_across_columns=1.5, keystone_columns=0.3).stray_light
-    0.0
-    """
-
-    psf_across_columns: float = 0.0
-    psf_along_lines: float = 0.0
-    psf_kernel: Sequence[Sequence[float]] | None = None
-    keystone_columns: float = 0.0
-    stray_light: float = 0.0
-    pedestal: float = 0.0
-    masked_columns: int = 0
-
-    def check_optics(self, problems: Problems) -> None:
-        """Note what no camera can have."""
-        for name, (low, high) in _RANGES.items():
-            check_number(problems, name, getattr(self, name), low, high)
-        check_whole(problems, "masked_columns", self.masked_columns, 0, 10_000)
-        if self.psf_kernel is None:
-            return
-        if not _is_kernel(self.psf_kernel):
-            shown = f"{self.psf_kernel!r:.60}"
-            problems.add(
-                f"psf_kernel={shown}, expected rows of equally many numbers from 0 on, rows and columns odd "
-                f"and at most {_MOST_TAPS}, with a sum above 0"
-            )
-        elif self.psf_across_columns or self.psf_along_lines:
-            problems.add("psf_kernel and a Gaussian point spread are both given, expected one of them")
-
-
-_MOST_TAPS = 101
-_RANGES = {
-    "psf_across_columns": (0.0, _WIDEST), "psf_along_lines": (0.0, _WIDEST),
-    "keystone_columns": (-20.0, 20.0), "stray_light": (0.0, 0.5), "pedestal": (-1000.0, 30_000.0),
-}  # fmt: skip
+_MAX_FWHM_PIXELS = 50.0  # of a point spread
+_MAX_TAPS = 101  # rows or columns of a kernel
 
 
 def _is_kernel(value: Any) -> bool:
@@ -100,13 +38,70 @@ def _is_kernel(value: Any) -> bool:
     except TypeError:
         return False
     width = len(rows[0]) if rows else 0
-    odd = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MOST_TAPS
+    odd = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MAX_TAPS
     good = odd and all(len(row) == width and all(is_number(x) and x >= 0 for x in row) for row in rows)
     return good and sum(map(sum, rows)) > 0
 
 
+@declared
+@dataclass(frozen=True, kw_only=True)
+class OpticsSettings:
+    """Imperfections of a camera's optics and electronics, all off by default.
+
+    Examples
+    --------
+    >>> OpticsSettings(psf_across_columns=1.5, keystone_columns=0.3).stray_light
+    0.0
+    """
+
+    psf_across_columns: float = fact(
+        0.0,
+        "full width at half maximum of a Gaussian point spread across the track [columns]; the variance is "
+        "kept for widths below a pixel; 0 switches it off",
+        least=0.0,
+        most=_MAX_FWHM_PIXELS,
+    )
+    psf_along_lines: float = fact(0.0, "the same along the track [lines]", least=0.0, most=_MAX_FWHM_PIXELS)
+    psf_kernel: Sequence[Sequence[float]] | None = fact(
+        None,
+        "weights of a point spread in place of the Gaussian, divided by their sum; weights to the right of "
+        "and behind the middle move light right and behind",
+        kind="own",
+        accepts=_is_kernel,
+        phrase="rows of equally many numbers from 0 on, rows and columns odd and at most "
+        f"{_MAX_TAPS}, with a sum above 0",
+    )
+    keystone_columns: float = fact(
+        0.0,
+        "displacement of the image of the last band to the right, of the first to the left [columns]; bands "
+        "between in proportion",
+        least=-20.0,
+        most=20.0,
+    )
+    stray_light: float = fact(
+        0.0,
+        "light scattered into broad wings over all bands, relative to the light of a band",
+        least=0.0,
+        most=0.5,
+    )
+    pedestal: float = fact(
+        0.0,
+        "counts of every frame of the scene and of the lab on top of its dark",
+        unit="count",
+        least=-1000.0,
+        most=30_000.0,
+    )
+    masked_columns: int = fact(
+        0,
+        "columns at either edge of the detector that see no light; their gain is NaN, and their counts above "
+        "the dark are the pedestal",
+        least=0,
+        most=10_000,
+    )
+
+
 def point_spread(fwhm: float) -> Floats:
-    """Return the weights of neighbours in a Gaussian blur, of unit sum, the middle one its own.
+    """Return the weights of a Gaussian blur, of unit sum, odd in number.
 
     Parameters
     ----------
@@ -141,7 +136,7 @@ def point_spread(fwhm: float) -> Floats:
 
 
 def keystone(bands: int, columns: float) -> Floats:
-    """Return how far every band's image is displaced to the right, shape (band,) [columns].
+    """Return the displacement of the image of every band to the right, shape (band,) [columns].
 
     Examples
     --------
@@ -152,10 +147,10 @@ def keystone(bands: int, columns: float) -> Floats:
 
 
 def stray_light_wings(wavelength: Floats, share: float) -> Floats:
-    """Return counts that a band gains from light of another, per count of that, shape (band, source_band).
+    """Return stray counts of a band per count of a source band, shape (band, source_band).
 
-    Each column sums to ``share``: some of it falls off with the distance in wavelength, the rest covers all
-    bands alike.
+    Each column sums to ``share``: a part falls off with the distance in wavelength, the rest is equal in all
+    bands.
 
     Examples
     --------
@@ -181,18 +176,18 @@ class Optics:
     Parameters
     ----------
     settings
-        What is on.
+        Blur, keystone and stray light.
     wavelength
         Centres of the bands, shape (band,) [nm].
 
     Attributes
     ----------
     reach
-        Lines before and behind one that reach into it.
+        Number of lines before and behind that contribute to a line.
     keystone
         Displacement of the bands' images, shape (band,) [columns].
     has_stray_light, stray_matrix
-        Whether there is any, and `stray_light_wings` of it.
+        Whether there is stray light, and its `stray_light_wings`.
 
     Examples
     --------
@@ -216,13 +211,13 @@ class Optics:
 
     @classmethod
     def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
-        """Return the optics of these settings, or None where nothing of them is on."""
+        """Return the optics of these settings, or None where all effects are off."""
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
         return cls(settings, wavelength) if is_on else None
 
     def image(self, window: Sequence[Floats]) -> Floats:
-        """Return what the elements of a line get, shape (band, column).
+        """Return the signal of the elements of a line, shape (band, column).
 
         Parameters
         ----------
@@ -232,7 +227,7 @@ class Optics:
         total = np.zeros(window[0].shape)
         for along, across in self._terms:
             line = np.zeros_like(total)
-            # a scene moves light to where it goes, so the line in front gets the weight behind the middle
+            # convolution: the line in front has the weight behind the middle
             for weight, row in zip(along[::-1].tolist(), window, strict=True):
                 line += weight * row
             total += _convolved(line, across)
@@ -241,7 +236,7 @@ class Optics:
         return total
 
     def displaced(self, profile: Floats) -> Floats:
-        """Return what every band gets of a profile along the slit (column,), shape (band, column)."""
+        """Return a profile along the slit (column,) as every band receives it, shape (band, column)."""
         return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
                           _displaced(np.ones(1), self.keystone))  # fmt: skip
 

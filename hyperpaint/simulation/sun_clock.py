@@ -1,6 +1,6 @@
-"""A clock that agrees with the sun of a simulated flight: when it stands where the scene is lit from.
+"""Clock of a simulated flight: the time at which the sun stands where the scene is lit from.
 
-Shares no code with the chain, whose ephemeris is another one.
+The chain has another ephemeris.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 
 USUAL_START = np.datetime64("2021-07-20T17:10:00", "ns")
-"""When a flight starts unless its sun says otherwise."""
+"""Default start of a flight."""
 
 MAX_APART_DEG = 3.0
-"""Angle between the usual clock's sun and that of the scene, up to which the usual clock is kept [degree]."""
+"""Largest angle between the sun of the default start and the sun of the scene that keeps that start
+[degree]."""
 
 MAX_OFF_DEG = 1.0
-"""Angle between the sun of another moment and that of the scene, up to which both are the same [degree]."""
+"""Largest angle between the sun of another time and the sun of the scene for a match [degree]."""
 
 
 def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Floats]:
-    """Return zenith angle and azimuth of the sun [degree] at UTC moments, to some hundredths of a degree.
+    """Return zenith angle and azimuth of the sun [degree] at UTC times, to some hundredths of a degree.
 
     The low-precision ephemeris of the Astronomical Almanac, without refraction.
 
@@ -50,13 +51,13 @@ def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Fl
 
 @lru_cache(maxsize=64)
 def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: float) -> np.datetime64:
-    """Return when the sun stands in a direction [degree], on the usual day or else on another of its year.
+    """Return the time at which the sun stands in a direction [degree], on the default day or in its year.
 
-    The usual start is kept where its sun is within `MAX_APART_DEG` of the direction; else it is the moment
-    nearest in direction, of the usual day before all others.
+    The default start is kept where its sun is within `MAX_APART_DEG` of the direction; else the time with the
+    nearest direction is taken, first on the default day, then in its year.
 
-    Where the sun never stands in that direction (in the north, or high in the east), it is a time at which
-    the zenith angle alone is right: light is then as bright as the clock says, but comes from another side.
+    Where the sun never stands in that direction (in the north, or high in the east), only the zenith angle of
+    the time fits: the brightness agrees with the clock, the side from which the light comes does not.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: f
     if _apart(*sun_at(np.asarray(USUAL_START), latitude, longitude), zenith, azimuth) <= MAX_APART_DEG:
         return USUAL_START
     minute = np.timedelta64(1, "m")
-    # of a place in the west, the day is that of its noon
+    # the day around the local noon of a place in the west
     usual_day = USUAL_START.astype("datetime64[m]") + np.arange(-12 * 60, 12 * 60) * minute
     year = USUAL_START.astype("datetime64[Y]").astype("datetime64[m]") + np.arange(365 * 24 * 60) * minute
     suns = []
@@ -84,20 +85,21 @@ def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: f
         suns.append((moments, seen, at))
     for moments, seen, at in suns:
         turned = np.abs((at - azimuth + 180.0) % 360.0 - 180.0)
-        # of morning and afternoon, the one on the better side
+        # morning or afternoon, whichever azimuth is nearer
         nearest = int(np.argmin(np.abs(seen - zenith) + 1e-3 * turned))
         if abs(seen[nearest] - zenith) <= MAX_OFF_DEG:
             return np.datetime64(moments[nearest], "ns")
     least = sun_at(year, latitude, longitude)[0].min()
     raise SchemaError(
         f"sun_zenith={zenith:g}: at {latitude:.1f} degrees north the sun stands {least:.1f} degrees or more "
-        "from the zenith, and a clock with another sun makes the light look like that of a cloudy sky",
-        mend="give start_time= for a clock that is wrong on purpose, or another sun_zenith",
+        "from the zenith",
+        mend="give start_time= for a clock that disagrees with the sun, or another sun_zenith",
+        code="sun-unreachable",
     )
 
 
 def _apart(zenith: Floats, azimuth: Floats, other_zenith: float, other_azimuth: float) -> Floats:
-    """Return the angle between directions and another one [degree]."""
+    """Return the angles between directions and another direction [degree]."""
     one, other = np.radians(zenith), np.radians(other_zenith)
     turn = np.cos(np.radians(azimuth - other_azimuth))
     cosine = np.cos(one) * np.cos(other) + np.sin(one) * np.sin(other) * turn

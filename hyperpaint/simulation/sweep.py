@@ -1,13 +1,14 @@
-"""A monochromator sweep of the simulated camera: what 61 lines do to every detector element.
+"""A monochromator sweep of the simulated camera: the response of every detector element to 61 wavelengths.
 
 At step k an element (band b, column x) counts
 
     n = dark(t) + t phi[k,x] INT m_k(lambda) R_b,x(lambda) d lambda,
 
-m_k the monochromator's line of unit area, phi the power that enters slit width x one column, R the element's
-absolute response (see `hyperpaint.simulation.camera`). The integral is done numerically for every element:
-nothing is taken to vary slowly, nothing to be separable, and no calibration formula appears. Columns differ
-by their smile and their own factor only, so that it is done on a table of shifts and interpolated.
+m_k the spectrum of the monochromator of unit area, phi the power that enters slit width x one column, R the
+absolute response of the element (see `hyperpaint.simulation.camera`). The integral is computed numerically
+for every element, without assumptions of slow variation or separability, and without a calibration formula.
+Columns differ by their smile and their element factor only, so that it is computed on a table of shifts and
+interpolated.
 """
 
 from __future__ import annotations
@@ -23,28 +24,24 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
-from hyperpaint.base.units import takes_quantities
 
 from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
-from .setting_checks import check_choice, check_flag, check_number, check_whole, is_number
 from .settings import SimulationSettings
 
 SWEEP_NAME = "simulated monochromator sweep"
-_MOST_BYTES = 64 << 20
+MAX_METADATA_BYTES = 64 << 20
 
 
 PerStep = float | Sequence[float] | Floats
 
-# also known to flights: what the electronics do to a frame, in the lab as in the air
+# effects of the electronics on a frame, in the lab and in flight
 _FRAME_FIELDS = frozenset({"noise", "dark_noise", "quantise", "dark_frames"})
 
 
-@takes_quantities(
-    first_step_nm="nm", last_step_nm="nm", monochromator_fwhm_nm="nm", monochromator_offset_nm="nm",
-    monochromator_jitter_nm="nm", beam_power_w="W", step_exposure_ms="ms", dark_exposure_ms="ms",
-)  # fmt: skip
+@declared
 @dataclass(frozen=True, kw_only=True)
 class SweepSettings:
     """Effects of a simulated monochromator sweep; every effect can be switched off.
@@ -53,41 +50,6 @@ class SweepSettings:
     ----------
     camera
         Settings of the camera, with ``noise``, ``dark_noise``, ``quantise`` and ``dark_frames`` as in flight.
-    steps
-        Wavelengths of the sweep, evenly spaced.
-    first_step_nm, last_step_nm
-        What the monochromator's dial says at the outer steps [nm].
-    monochromator_fwhm_nm
-        Full width at half maximum of the monochromator's line [nm]; one, or one a step.
-    monochromator_shape
-        "gaussian", or "triangle" (equal slits).
-    monochromator_offset_nm, monochromator_jitter_nm
-        True wavelength minus what the dial says, and its spread from step to step [nm].
-    beam_power_w
-        Radiant flux of the whole beam where the lamp is brightest [W].
-    capture_fraction
-        Share of it that enters slit width x one column, all bands together [1].
-    beam_fwhm_columns
-        Full width at half maximum of a Gaussian beam along the slit [columns]; None lights all columns alike.
-    beam_wander_columns
-        How far the centre of that beam wanders to either side during the sweep [columns].
-    beam_recorded
-        Whether ``flux`` says what every column received; otherwise it says what the brightest one did.
-    flux_bias, flux_noise
-        Relative error of the power meter, common to the sweep, and its spread from step to step.
-    step_exposure_ms
-        Exposure [ms]; one, or one a step.
-    dark_exposure_ms
-        Exposure of the dark frames [ms]: one, several that steps take in turn, or None for the steps' own.
-    frames
-        Frames averaged in a step.
-    variance
-        Whether the variance of the frames is kept.
-    second_order
-        Light of the grating's second order, which falls where twice its wavelength belongs, relative to the
-        first.
-    nonlinearity
-        Relative loss of a signal that would fill the converter; proportional to the signal.
 
     Raises
     ------
@@ -101,59 +63,107 @@ class SweepSettings:
     >>> SweepSettings(monochromator_shape="box", frames=0)
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: the sweep cannot be simulated:
-      monochromator_shape='box', expected one of gaussian, triangle
-      frames=0, expected a whole number from 1 to 100000
+      monochromator_shape='box', expected one of gaussian, triangle [choice-unknown]
+      frames=0, expected a whole number from 1 to 100000 [value-out-of-range]
     """
 
     camera: SimulationSettings = field(default_factory=SimulationSettings)
-    steps: int = 61
-    first_step_nm: float = 400.0
-    last_step_nm: float = 1000.0
-    monochromator_fwhm_nm: PerStep = 2.0
-    monochromator_shape: str = "gaussian"
-    monochromator_offset_nm: float = 0.0
-    monochromator_jitter_nm: float = 0.0
-    beam_power_w: float = 3e-6
-    capture_fraction: float = 1e-6
-    beam_fwhm_columns: float | None = None
-    beam_wander_columns: float = 0.0
-    beam_recorded: bool = True
-    flux_bias: float = 0.0
-    flux_noise: float = 0.0
-    step_exposure_ms: PerStep = 50.0
-    dark_exposure_ms: PerStep | None = None
-    frames: int = 50
-    variance: bool = True
-    second_order: float = 0.0
-    nonlinearity: float = 0.0
+    steps: int = fact(61, "wavelengths of the sweep, evenly spaced", least=1, most=100_000)
+    first_step_nm: float = fact(
+        400.0, "dial of the monochromator at the first step", unit="nm", least=300.0, most=1200.0
+    )
+    last_step_nm: float = fact(
+        1000.0, "dial of the monochromator at the last step", unit="nm", least=300.0, most=1200.0
+    )
+    monochromator_fwhm_nm: PerStep = fact(
+        2.0,
+        "full width at half maximum of the light of the monochromator; one, or one for each step",
+        kind="numbers",
+        single=True,
+        unit="nm",
+        least=0.02,
+        most=100.0,
+    )
+    monochromator_shape: str = fact(
+        "gaussian", 'spectral shape of that light; "triangle" for equal slits', choices=MONOCHROMATOR_SHAPES
+    )
+    monochromator_offset_nm: float = fact(
+        0.0, "true wavelength minus the dial", unit="nm", least=-50.0, most=50.0
+    )
+    monochromator_jitter_nm: float = fact(
+        0.0, "spread of that offset from step to step", unit="nm", least=0.0, most=50.0
+    )
+    beam_power_w: float = fact(
+        3e-6, "radiant flux of the whole beam where the lamp is brightest", unit="W", least=1e-15, most=1e3
+    )
+    capture_fraction: float = fact(
+        1e-6, "share of it that enters slit width x one column, all bands together", least=1e-15, most=1.0
+    )
+    beam_fwhm_columns: float | None = fact(
+        None,
+        "full width at half maximum of a Gaussian beam along the slit [columns]; None lights all alike",
+        kind="number",
+        least=0.1,
+        most=1e6,
+    )
+    beam_wander_columns: float = fact(
+        0.0,
+        "amplitude of the motion of the centre of that beam during the sweep [columns]",
+        least=0.0,
+        most=1e6,
+    )
+    beam_recorded: bool = fact(
+        True, "``flux`` is the power of every column; otherwise the power of the brightest one"
+    )
+    flux_bias: float = fact(
+        0.0, "relative error of the power meter, common to the sweep", least=-0.9, most=10.0
+    )
+    flux_noise: float = fact(0.0, "spread of that error from step to step", least=0.0, most=0.3)
+    step_exposure_ms: PerStep = fact(
+        50.0,
+        "exposure; one, or one for each step",
+        kind="numbers",
+        single=True,
+        unit="ms",
+        least=1e-3,
+        most=1e6,
+    )
+    dark_exposure_ms: PerStep | None = fact(
+        None,
+        "exposure of the dark frames; steps take several in turn; None for the exposures of the steps",
+        kind="numbers",
+        single=True,
+        unit="ms",
+        least=1e-3,
+        most=1e6,
+    )
+    frames: int = fact(50, "frames averaged in a step", least=1, most=100_000)
+    variance: bool = fact(True, "the variance of the frames is kept")
+    second_order: float = fact(
+        0.0,
+        "light of the second order of the grating, at twice its wavelength, relative to the first",
+        least=0.0,
+        most=1.0,
+    )
+    nonlinearity: float = fact(
+        0.0,
+        "relative loss of a signal that would fill the converter; proportional to the signal",
+        least=-0.5,
+        most=0.5,
+    )
 
     def __post_init__(self) -> None:
         problems = Problems("the sweep cannot be simulated", SchemaError)
-        check_choice(problems, "monochromator_shape", self.monochromator_shape, MONOCHROMATOR_SHAPES)
-        for name in ("steps", "frames"):
-            check_whole(problems, name, getattr(self, name), 1, 100_000)
-        for name, (low, high) in _RANGES.items():
-            check_number(problems, name, getattr(self, name), low, high)
-        for name in ("variance", "beam_recorded"):
-            check_flag(problems, name, getattr(self, name))
-        if self.beam_fwhm_columns is not None:
-            check_number(problems, "beam_fwhm_columns", self.beam_fwhm_columns, 0.1, 1e6)
-        for name, (low, high) in _PER_STEP.items():
-            self._check_per_step(problems, name, low, high)
+        check_fields(self, problems)
+        for name in ("monochromator_fwhm_nm", "step_exposure_ms"):
+            number = np.size(getattr(self, name))
+            if np.ndim(getattr(self, name)) == 1 and number != self.steps:
+                problems.add(
+                    f"{name} has {number} values",
+                    expected=f"one, or one for each of {self.steps} steps",
+                    code="length-mismatch",
+                )
         problems.raise_if_any()
-
-    def _check_per_step(self, problems: Problems, name: str, low: float, high: float) -> None:
-        value = getattr(self, name)
-        if name == "dark_exposure_ms" and value is None:
-            return
-        values = np.atleast_1d(np.asarray(value, dtype=object))
-        within = (is_number(one) and low <= one <= high for one in values.tolist())
-        if values.ndim != 1 or not len(values) or not all(within):
-            problems.add(f"{name}={value!r}, expected one number from {low:g} to {high:g}, or one a step")
-        elif name != "dark_exposure_ms" and np.ndim(value) and len(values) != self.steps:
-            problems.add(
-                f"{name} has {len(values)} values, expected one, or one for each of {self.steps} steps"
-            )
 
     @classmethod
     def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> SweepSettings:
@@ -164,26 +174,29 @@ class SweepSettings:
         values
             Fields of this class and, of `SimulationSettings`, those of camera and frames.
         camera
-            A camera that is there already, of which ``values`` can only change what is done to frames.
+            An existing camera, of which ``values`` can only change the fields of frames.
 
         Raises
         ------
         SchemaError
             Keywords are unknown, or values out of range.
         """
-        own = {one.name for one in fields(cls)} - {"camera"}
-        theirs = _FRAME_FIELDS if camera is not None else _FRAME_FIELDS | CAMERA_FIELDS
-        unknown = sorted(set(values) - own - theirs)
+        sweep_fields = {field.name for field in fields(cls)} - {"camera"}
+        camera_fields = _FRAME_FIELDS if camera is not None else _FRAME_FIELDS | CAMERA_FIELDS
+        unknown = sorted(set(values) - sweep_fields - camera_fields)
         if unknown:
-            allowed = ", ".join(sorted(own | theirs))
-            raise SchemaError(f"unknown settings {', '.join(unknown)}; expected some of {allowed}")
-        changes = {name: value for name, value in values.items() if name in theirs}
+            raise SchemaError(
+                f"unknown settings {', '.join(unknown)}",
+                expected=f"some of {', '.join(sorted(sweep_fields | camera_fields))}",
+                code="key-unknown",
+            )
+        changes = {name: value for name, value in values.items() if name in camera_fields}
         camera = SimulationSettings.of(changes) if camera is None else replace(camera, **changes)
-        return cls(camera=camera, **{name: value for name, value in values.items() if name in own})
+        return cls(camera=camera, **{name: value for name, value in values.items() if name in sweep_fields})
 
     @property
     def dial(self) -> Floats:
-        """What the monochromator says, shape (step,) [nm]."""
+        """Dial of the monochromator, shape (step,) [nm]."""
         return np.linspace(self.first_step_nm, self.last_step_nm, self.steps)
 
     @property
@@ -194,33 +207,17 @@ class SweepSettings:
     @property
     def dark_exposure_time(self) -> Floats:
         """Exposure of every step's dark frames, shape (step,) [s]."""
-        given = self.dark_exposure_ms
-        if given is None:
+        if self.dark_exposure_ms is None:
             return self.exposure_time
-        return np.asarray(np.resize(np.asarray(given, dtype=np.float64), self.steps)) / 1000.0
+        return np.asarray(np.resize(np.asarray(self.dark_exposure_ms, dtype=np.float64), self.steps)) / 1000.0
 
     @property
     def monochromator_fwhm(self) -> Floats:
-        """Width of every step's line, shape (step,) [nm]."""
+        """Spectral width of every step, shape (step,) [nm]."""
         return self._every_step(self.monochromator_fwhm_nm)
 
     def _every_step(self, value: PerStep) -> Floats:
         return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), self.steps))
-
-
-_RANGES = {
-    "first_step_nm": (300.0, 1200.0), "last_step_nm": (300.0, 1200.0),
-    "monochromator_offset_nm": (-50.0, 50.0), "monochromator_jitter_nm": (0.0, 50.0),
-    "beam_power_w": (1e-15, 1e3), "capture_fraction": (1e-15, 1.0), "beam_wander_columns": (0.0, 1e6),
-    "flux_bias": (-0.9, 10.0), "flux_noise": (0.0, 0.3), "second_order": (0.0, 1.0),
-    "nonlinearity": (-0.5, 0.5),
-}  # fmt: skip
-
-_PER_STEP = {
-    "monochromator_fwhm_nm": (0.02, 100.0),
-    "step_exposure_ms": (1e-3, 1e6),
-    "dark_exposure_ms": (1e-3, 1e6),
-}
 
 
 # keys of the random streams: [seed, stream, step], so that nothing depends on which steps are made
@@ -238,16 +235,18 @@ class Frames(NamedTuple):
 
 
 def is_simulated_sweep(store: Path, truth: str) -> bool:
-    """Tell whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
+    """Return whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
     try:
-        attributes = json.loads(read_limited(store / "zarr.json", _MOST_BYTES, "metadata"))["attributes"]
+        attributes = json.loads(read_limited(store / "zarr.json", MAX_METADATA_BYTES, "metadata"))[
+            "attributes"
+        ]
         return attributes.get("name") == SWEEP_NAME or truth in attributes
     except (FormatError, ValueError, KeyError, TypeError, AttributeError):
         return False
 
 
 class Sweep:
-    """A sweep, step by step."""
+    """A simulated sweep, computed step by step."""
 
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings
@@ -261,7 +260,7 @@ class Sweep:
 
     @cached_property
     def wavelength(self) -> Floats:
-        """True centre of every line, shape (step,) [nm]."""
+        """True centre wavelength of every step, shape (step,) [nm]."""
         settings = self.settings
         jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
@@ -285,7 +284,7 @@ class Sweep:
 
     @cached_property
     def recorded_flux(self) -> Floats:
-        """What the power meter says, shape (step,) or (step, cross_track) [W]."""
+        """Reading of the power meter, shape (step,) or (step, cross_track) [W]."""
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)

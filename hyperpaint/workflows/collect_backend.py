@@ -1,6 +1,6 @@
-"""xarray's entry point to whole collects; here, since opening one may calibrate a lab sweep on the way.
+"""Entry point of xarray for collects; in this room because opening one may calibrate a lab sweep.
 
-xarray loads this module at any user's first `open_dataset`: it imports nothing but xarray.
+xarray loads this module at a user's first `open_dataset`: it imports nothing but xarray.
 """
 
 from __future__ import annotations
@@ -16,19 +16,22 @@ if TYPE_CHECKING:
 
 
 class CollectBackendEntrypoint(BackendEntrypoint):
-    """Opens what a ``collect.toml`` names: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.
+    """Opens a ``collect.toml``: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.
 
-    See `hyperpaint.open_collect` for what is returned.
+    See `hyperpaint.open_collect` for the returned tree.
     """
 
     description: ClassVar[str] = "Collects (collect.toml) through hyperpaint"
     supports_groups: ClassVar[bool] = True
     open_dataset_parameters: ClassVar[tuple[str, ...]] = (
-        "filename_or_obj", "drop_variables", "group", "need_irradiance",
-    )  # fmt: skip
+        "filename_or_obj",
+        "drop_variables",
+        "group",
+        "need_irradiance",
+    )
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Tell whether this is a TOML file with a table of flight lines."""
+        """Return whether this is a TOML file with a table of flight lines."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -43,7 +46,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
     def open_datatree(
         self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True
     ) -> xr.DataTree:
-        """Open all that the file names; see `hyperpaint.open_collect` for the options and the errors."""
+        """Open all files of the collect; see `hyperpaint.open_collect` for the options and the errors."""
         from .laboratory import open_collect
 
         tree = open_collect(filename_or_obj, need_irradiance=need_irradiance)
@@ -53,7 +56,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         )
 
     def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> dict[str, xr.Dataset]:
-        """Open all that the file names, as datasets by group."""
+        """Open all files of the collect, as datasets by group."""
         tree = self.open_datatree(filename_or_obj, **options)
         return {path: node.to_dataset() for path, node in tree.to_dict().items()}
 
@@ -80,7 +83,9 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         groups = {node.path.lstrip("/"): node for node in tree.subtree if node.has_data}
         if (name := (group or "").strip("/")) not in groups:
             raise SchemaError(
-                f"group {group!r} of a collect", expected=f"one of {', '.join(sorted(groups))}",
-                mend="or open all of it by xarray.open_datatree",
-            )  # fmt: skip
+                f"group {group!r} of a collect",
+                expected=f"one of {', '.join(sorted(groups))}",
+                mend="name one of them, or open all by xarray.open_datatree",
+                code="group-missing",
+            )
         return groups[name].to_dataset()

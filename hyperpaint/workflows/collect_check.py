@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from hyperpaint.plausibility import Finding
 
 MANY_FLAGGED = 0.2
-"""Share of the pixels of a line that a flag is said of [1]: what is rare is looked at where it is."""
+"""Share of flagged pixels of a line from which `process` warns [1]."""
 
 _LINES_A_READ = 4096
 
 
 def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
-    """Return all that can hardly be true of the inputs of a collect; samples of its cubes are read.
+    """Return implausible findings on the inputs of a collect; samples of its cubes are read.
 
-    Raises `CollectError`: the file, or anything it names, cannot be opened; all problems are listed.
+    Raises `CollectError`: the file, or a file it names, cannot be opened; all problems are listed.
 
     Examples
     --------
@@ -49,11 +49,11 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 def refuse_findings(
     opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
 ) -> dict[str, dict[str, Any]]:
-    """Judge lines of an opened collect, by the names of their groups, but for what is accepted.
+    """Check lines of an opened collect, by the names of their groups, for findings that are not accepted.
 
-    ``lit``: whether reflectance is made, so that the record of irradiance counts.
+    ``lit``: whether reflectance is computed, so that the record of irradiance matters.
 
-    Returns attributes by group: what was accepted of a line, for the store to say.
+    Returns attributes by group for the store: the accepted findings of a line.
 
     Raises `CollectError`: Findings that make results wrong; all are listed. Warns `PaintWarning`: The others.
     """
@@ -69,23 +69,27 @@ def refuse_findings(
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
             else:
-                warnings.warn(str(finding), PaintWarning, stacklevel=3)
+                warnings.warn(PaintWarning(str(finding), code=finding.kind.name), stacklevel=3)
     if refused:
-        raise CollectError(f"{opened.settings.path} cannot be true, and is not processed", problems=refused)
+        raise CollectError(
+            f"{opened.settings.path} is implausible, and is not processed",
+            problems=refused,
+        )
     return accepted
 
 
 def check_accepted(accept: Collection[str], problems: Problems) -> None:
-    """Note names that are those of no finding."""
+    """Note names that no finding has."""
     from hyperpaint.plausibility import KINDS
 
     for name in [accept] if isinstance(accept, str) else accept:
         if name not in KINDS or isinstance(accept, str):
-            problems.add(f"accept={name!r}, expected a list of some of {', '.join(KINDS)}")
+            expected = f"a list of some of {', '.join(KINDS)}"
+            problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    """Return the findings of lines by their groups; those of a dark are with the first line that has it."""
+    """Return the findings of lines by group; findings on a dark cube count for the first line with it."""
     from hyperpaint.plausibility import judge_dark_cube, judge_line
 
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
@@ -103,7 +107,7 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
 
 
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
-    """Warn of every flag that many pixels of a line have that was just stored, by its name and share."""
+    """Warn of every flag that many pixels of a stored line have, with its share."""
     import zarr
 
     from hyperpaint.base.schema import flag_shares
@@ -122,4 +126,4 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
         ]
         if texts:
             message = f"{name}: many pixels are flagged: {', '.join(texts)}; look at them before their values"
-            warnings.warn(message, PaintWarning, stacklevel=3)
+            warnings.warn(PaintWarning(message, code="pixels-flagged"), stacklevel=3)

@@ -1,7 +1,7 @@
-"""The commented ``collect.toml`` of what lies in the folder of a field day.
+"""Writing of a commented ``collect.toml`` for the files in the folder of a field day.
 
-What no file says, and reflectance depends on, is written as ``"?"``, which `process` refuses by name until it
-is filled in.
+A value that no file states, and that reflectance depends on, is written as ``"?"``; `process` refuses it by
+name until it is filled in.
 """
 
 from __future__ import annotations
@@ -10,36 +10,35 @@ import itertools
 import os
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, StoreError
+from hyperpaint.base.facts import documented, key_line, toml_text
 from hyperpaint.base.input_files import read_limited
+from hyperpaint.io.collect.collect_toml import SCHEMA
+from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.files.toml_tables import UNKNOWN
 
 from .field_folder import FieldFolder, FlightCube
 
 _RAW_CUBES = "raw_*[0-9].hdr"
-_DECLARED = (
-    "roll_positive", "pitch_positive", "heading_positive", "heading_reference", "euler_order",
-    "height_reference", "column_order",
-)  # fmt: skip
 
 
+@documented()
 def write_collect_toml(
-    found: FieldFolder, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False
+    files: FieldFolder, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False
 ) -> Path:
-    """Write a commented ``collect.toml`` that names what was found.
+    """Write a commented ``collect.toml`` that names the files of a folder.
 
     Parameters
     ----------
-    found
+    files
         See `find_field_files`.
     path
         By default ``collect.toml`` in the folder; paths in it are relative to its own folder.
     overwrite
-        Replace a file that is there.
 
     Returns
     -------
@@ -48,14 +47,14 @@ def write_collect_toml(
     Raises
     ------
     StoreError
-        The file is there already, is another than a ``.toml``, or cannot be written.
+        The file exists, is not a ``.toml``, or cannot be written.
     """
-    from hyperpaint.io.files.publishing import publish_file
-
-    path = found.folder / "collect.toml" if path is None else Path(path)
+    path = files.folder / "collect.toml" if path is None else Path(path)
     if path.exists() and path.suffix.lower() != ".toml":
-        raise StoreError(f"{path} is no collect.toml, and stays as it is; choose another path")
-    text = "\n".join(_text(found, path.parent))
+        raise StoreError(
+            f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
+        )
+    text = "\n".join(_text(files, path.parent))
     publish_file(path, text.encode(), overwrite=overwrite)
     return path
 
@@ -66,132 +65,124 @@ def unknown_keys(path: Path) -> list[str]:
     return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
 
 
-def _text(found: FieldFolder, base: Path) -> Iterator[str]:
+def _text(files: FieldFolder, base: Path) -> Iterator[str]:
     """Yield the file, line by line."""
 
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
-    yield f"# Written by hyperpaint init from what lies in {found.folder.resolve().name}."
-    yield f'# Replace every "{UNKNOWN}"; a key behind # is optional, and says what holds without it.'
-    yield ""
-    yield "[collect]"
-    yield f"name = {_quoted(found.folder.resolve().name)}"
-    yield from _camera(found)
-    yield ""
-    yield "[calibration]"
-    if found.sweep is not None:
-        yield f"sweep = {_quoted(relative(found.sweep))}  # a lab sweep, calibrated at opening"
-    elif found.calibration is not None:
-        yield f"path = {_quoted(relative(found.calibration))}"
+    def key(name: str, value: Any = None, note: str = "") -> str:
+        # the table is the one that was begun last
+        return key_line(SCHEMA[table], name, value, note)
+
+    name = files.folder.resolve().name
+    yield f"# Written by hyperpaint init from the files in {name}."
+    yield f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.'
+    table = "collect"
+    yield from ("", "[collect]", f"name = {_quoted(name)}")
+
+    table = "camera"
+    yield from ("", "[camera]", key("bit_depth", 12), key("stamp", "end"))
+    if not all(cube.has_exposure for cube in files.cubes):
+        yield key("exposure_time_ms", UNKNOWN, "exposure [ms]: no settings.txt and no header states it")
+    if not all(cube.frame_index for cube in files.cubes):
+        yield key("frame_period_ms", UNKNOWN, "time from line to line [ms]: a cube has no frame index")
+
+    table = "calibration"
+    yield from ("", "[calibration]")
+    if files.sweep is not None:
+        yield key("sweep", _checked(relative(files.sweep)))
     else:
-        yield f'path = "{UNKNOWN}"  # counts to radiance: made from a lab sweep by hyperpaint calibrate'
-    yield ""
-    yield "[dark]"
-    if found.darks:
-        yield f"cubes = [{', '.join(_quoted(relative(path)) for path in found.darks)}]"
+        calibration = files.calibration
+        yield key("path", UNKNOWN if calibration is None else _checked(relative(calibration)))
+
+    table = "dark"
+    darks = [_checked(relative(path)) for path in files.darks]
+    yield from ("", "[dark]", key("cubes", darks or UNKNOWN))
+
+    table = "navigation"
+    yield from ("", "[navigation]  # for maps only")
+    yield "# Makers differ in their conventions, and no file states them. These are assumed of a Headwall"
+    yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture."
+    for choice, fact in SCHEMA["navigation"].items():
+        if fact.choices:
+            yield key(choice, fact.default or "left_to_right")
+
+    table = "geometry"
+    yield from ("", "[geometry]  # for maps only")
+    if files.survey is None:
+        yield from (key("ground"), key("dem"))
     else:
-        yield f'cubes = "{UNKNOWN}"  # dark cubes, or "none", or "calibration"'
-    yield from _declared()
-    yield from _geometry(found, relative)
-    yield from _irradiance(found, relative)
-    ids = _folder_ids(found.cubes, relative)
-    for cube, text in _tables(found.cubes, relative):
-        yield from _line(cube, text, ids.get(cube.header.parent), relative)
-    yield ""
-    yield "# [[panels]]  # of known reflectance in the scene: they scale their line, and are judged"
-    yield '# line = "raw_0"  # with along_track = [first, stop], cross_track = [first, stop] and'
-    yield '# reflectance = 0.5  # or certificate = "panel.csv"; uncertainty = 0.02; tilt = [angle, azimuth]'
-    for instrument, folder, suffix in found.references:
-        yield ""
-        yield "[[references]]"
-        yield f"instrument = {_quoted(instrument)}"
-        yield f"files = {_quoted(f'{relative(folder)}/*{suffix}')}"
-    if found.notes:
-        yield ""
-        yield "# Seen, and not used:"
-        yield from _comment(found.notes)
-    yield ""
-
-
-def _camera(found: FieldFolder) -> Iterator[str]:
-    yield ""
-    yield "[camera]"
-    yield "bit_depth = 12  # of the converter: 12 in a Nano-Hyperspec"
-    yield 'stamp = "end"  # what the stamp of a frame marks of its exposure: start, mid or end'
-    if not all(cube.has_exposure for cube in found.cubes):
-        yield f'exposure_time_ms = "{UNKNOWN}"  # no settings.txt and no header states it'
-    if not all(cube.frame_index for cube in found.cubes):
-        yield f'frame_period_ms = "{UNKNOWN}"  # from line to line: there is no frame index for every cube'
-
-
-def _declared() -> Iterator[str]:
-    convention = Convention()
-    yield ""
-    yield "[navigation]  # only maps depend on it"
-    yield "# Makers differ in what their angles mean, and no file says it. This is assumed of a Headwall"
-    yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares it with the picture."
-    for name in _DECLARED:
-        yield f"{name} = {_quoted(str(getattr(convention, name) or 'left_to_right'))}"
-
-
-def _geometry(found: FieldFolder, relative: Callable[[Path], str]) -> Iterator[str]:
-    yield ""
-    yield "[geometry]  # only maps depend on it"
-    if found.survey is None:
-        yield "# ground = 152.4  # height of the ground above the ellipsoid [m]; no map is made without, or"
-        yield '# dem = "dsm.tif"  # heights as a raster, with dem_heights = "ellipsoid" or "geoid" and geoid'
-    else:
-        yield (
-            f"ground = {found.survey.height:.3f}  # m above the ellipsoid: {relative(found.survey.path)}, "
-            f"median of {found.survey.points} points within {found.survey.spread:.2f} m"
-        )
-    lens = found.cubes[0].lens
+        survey = files.survey
+        source = f"{relative(survey.path)}, median of {survey.points} points within {survey.spread:.2f} m"
+        yield key("ground", round(survey.height, 3), f"m above the ellipsoid: {source}")
+    lens = files.cubes[0].lens
     if lens is None:
-        yield "# fov_deg = 18.9  # between the outer edges of the columns; no map is made without"
+        yield key("fov_deg")
     else:
-        yield (
-            f"fov_deg = {lens.field_of_view:.6g}  # the header's lens of {lens.focal_length_mm:g} mm, "
-            f"{lens.columns} pixels of {lens.pixel_pitch_um:g} um"
-        )
-    yield "# boresight_deg = [0.0, 0.0, 0.0]  # roll, pitch and heading of the camera in the platform"
-    yield "# lever_arm_m = [0.0, 0.0, 0.0]  # forward, right and down from the antenna to the camera"
+        optics = f"{lens.focal_length_mm:g} mm, {lens.columns} pixels of {lens.pixel_pitch_um:g} um"
+        yield key("fov_deg", float(f"{lens.field_of_view:.6g}"), f"lens of the header: {optics}")
+    yield from (key("boresight_deg"), key("lever_arm_m"))
 
+    table = "irradiance"
+    yield from ("", "[irradiance]")
+    if not files.irradiance:
+        yield key("files", UNKNOWN, "files of the spectrometer that saw the sky (not needed for radiance)")
+    else:
+        patterns = [_checked(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
+        yield key("files", patterns[0] if len(patterns) == 1 else patterns)
+        yield key("quantity", "irradiance")
+        if files.utc_offset_h is None:
+            yield key("utc_offset_h", UNKNOWN, "logging PC minus UTC [h], such as -5: no file states it")
+        yield key("clock_offset_s", *_clock_offset(files.clock_offsets_s))
+        yield from (key("fwhm_nm"), key("mount"))
+        table = "alignment"
+        yield from ("", "[alignment]", key("apply", "auto"))
 
-def _irradiance(found: FieldFolder, relative: Callable[[Path], str]) -> Iterator[str]:
+    table = "flightlines"
+    ids = _folder_ids(files.cubes, relative)
+    for cube, cubes in _tables(files.cubes, relative):
+        yield from ("", "[[flightlines]]")
+        folder_id = ids.get(cube.header.parent)
+        is_pattern = cubes.endswith(_RAW_CUBES)
+        if folder_id is not None:
+            yield f"id = {_quoted(folder_id if is_pattern else f'{folder_id}_{_stem(cube)}')}"
+        yield f"cube = {_quoted(cubes)}"
+        if is_pattern:
+            yield "# each with its own frame index; cubes of one recording become one line"
+        elif cube.frame_index is not None:
+            yield f"frame_index = {_quoted(relative(cube.frame_index))}"
+        if cube.navigation is not None:
+            yield f"nav = {_quoted(relative(cube.navigation))}"
+        if cube.frame_index is None or cube.navigation is None:
+            yield key("start_time", UNKNOWN, "UTC of the first line, such as 2021-07-20T17:00:00Z")
+
+    table = "panels"
+    yield from ("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line")
+    yield '# line = "raw_0"'
+    yield from map(key, ("along_track", "cross_track", "reflectance", "uncertainty"))
+    for instrument, folder, suffix in files.references:
+        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}")
+        yield f"files = {_quoted(f'{relative(folder)}/*{suffix}')}"
+    if files.notes:
+        yield from ("", "# Files without a use:")
+        for note in files.notes:
+            yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
     yield ""
-    if not found.irradiance:
-        yield "[irradiance]"
-        yield f'files = "{UNKNOWN}"  # the spectrometer that looked at the sky (not needed for radiance)'
-        return
-    yield "[irradiance]"
-    patterns = [_quoted(f"{relative(folder)}/*{suffix}") for folder, suffix in found.irradiance]
-    yield f"files = {patterns[0] if len(patterns) == 1 else '[' + ', '.join(patterns) + ']'}"
-    yield 'quantity = "irradiance"'
-    if found.utc_offset_h is None:
-        yield f'utc_offset_h = "{UNKNOWN}"  # logging PC minus UTC [h], such as -5: no file says it'
-    yield _clock_offset(found.clock_offsets_s)
-    yield "# fwhm_nm = 3.0  # width of the spectrometer's channels, or [[400, 3.2], [1000, 3.0]]"
-    yield '# mount = "ground"  # or "aircraft", where it leans with the camera and is corrected to level'
-    yield ""
-    yield "[alignment]  # camera and spectrometer compared in flight by the daylight's lines"
-    yield 'apply = "auto"  # correct the record where it is significant; or never, or always'
 
 
-def _clock_offset(offsets: tuple[float, float] | None) -> str:
-    """Return the clock's offset: 0 where the record covers the flight with it, else what would be needed."""
+def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:
+    """Return the offset of the clock and its comment: 0 where the record then covers the flight."""
     if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
-        return "clock_offset_s = 0.0  # added to the clock of the logging PC: no file says it, 0 is assumed"
+        return 0.0, "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
     if offsets[0] > offsets[1]:
-        return f'clock_offset_s = "{UNKNOWN}"  # the record is shorter than the flight: files are missing'
+        return UNKNOWN, "the record is shorter than the flight: files are missing"
     span = f"{offsets[0]:.0f} to {offsets[1]:.0f} s"
-    return (
-        f'clock_offset_s = "{UNKNOWN}"  # added to the logging PC: the record covers the flight with {span}'
-    )
+    return UNKNOWN, f"added to the clock of the logging PC: the record covers the flight with {span}"
 
 
 def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Iterator[tuple[FlightCube, str]]:
-    """Yield a cube of each table, with the cube or the pattern of cubes that it names."""
+    """Yield one cube for each table, with the cube or the pattern of cubes that the table names."""
     for folder, inside in itertools.groupby(cubes, key=lambda cube: cube.header.parent):
         several = list(inside)
         shared = {(cube.navigation, cube.frame_index is None) for cube in several}
@@ -203,19 +194,17 @@ def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Ite
 
 
 def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> dict[Path, str]:
-    """Return what the lines of each folder are called by; nothing where no two cubes have the same name."""
+    """Return an id for each folder; empty where all cubes have different names."""
     stems = [_stem(cube).lower() for cube in cubes]
     if len(set(stems)) == len(stems):
         return {}
     ids: dict[Path, str] = {}
     for folder in dict.fromkeys(cube.header.parent for cube in cubes):
-        own = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
-        taken = {each.lower() for each in ids.values()}
-        # two letters at the least, and a name of no other folder
-        endings = ("", *(f"_{number}" for number in range(2, len(cubes) + 2)))
-        ids[folder] = next(
-            own + end for end in endings if len(own + end) > 1 and (own + end).lower() not in taken
-        )
+        stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
+        taken = {name.lower() for name in ids.values()}
+        # at least two letters, and different from the other folders
+        candidates = (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
+        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in taken)
     return ids
 
 
@@ -223,32 +212,13 @@ def _stem(cube: FlightCube) -> str:
     return cube.header.name.split(".")[0]
 
 
-def _line(
-    cube: FlightCube, text: str, folder_id: str | None, relative: Callable[[Path], str]
-) -> Iterator[str]:
-    yield ""
-    yield "[[flightlines]]"
-    if folder_id is not None:
-        yield f"id = {_quoted(folder_id if text.endswith(_RAW_CUBES) else f'{folder_id}_{_stem(cube)}')}"
-    yield f"cube = {_quoted(text)}"
-    if text.endswith(_RAW_CUBES):
-        yield "# each with its own frame index; cubes that go on where the one before ended are one line"
-    elif cube.frame_index is not None:
-        yield f"frame_index = {_quoted(relative(cube.frame_index))}"
-    if cube.navigation is not None:
-        yield f"nav = {_quoted(relative(cube.navigation))}"
-    if cube.frame_index is None or cube.navigation is None:
-        yield f'start_time = "{UNKNOWN}"  # UTC of the first line, such as 2021-07-20T17:00:00Z'
-
-
-def _comment(notes: Iterable[str]) -> Iterator[str]:
-    for note in notes:
-        yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
+def _checked(text: str) -> str:
+    """Return a name that a TOML file can hold."""
+    if any(ord(letter) < 32 for letter in text):
+        raise FormatError(f"{text!r}: a name with control characters", mend="rename it", code="name-invalid")
+    return text
 
 
 def _quoted(text: str) -> str:
     """Return a TOML basic string."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    if any(ord(letter) < 32 for letter in escaped):
-        raise FormatError(f"{text!r}: a name with control characters; rename it")
-    return f'"{escaped}"'
+    return toml_text(_checked(text))

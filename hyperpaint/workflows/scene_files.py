@@ -1,187 +1,39 @@
-"""What a ``scene.toml`` says: read, checked, and its files found, before anything is built."""
+"""Scene files: a ``scene.toml`` read and checked, and its files located, before anything is built."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.toml_tables import (
-    Check,
-    TableReader,
-    flag,
-    load_tables,
-    number,
-    one_of,
-    positive,
-    shown,
-    text,
-    texts,
-    time,
-    whole,
-)
+from hyperpaint.base.facts import Fact, Facts, Spelling, as_argument, by_key, fact, facts_of, shown
+from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
+from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES
+from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS
+from hyperpaint.simulation.rendering.four_curves import PRESETS
 from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.settings import FLEETS, MOST_SAMPLES
+from hyperpaint.simulation.settings import FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
 
 SCENE_KINDS = ("car_park", "plane", "empty")
-"""Scenes that are made; any of them may hold meshes as well."""
+"""Kinds of generated scenes; any of them may hold meshes as well."""
 
+PRODUCTS = ("radiance", "counts")
+"""Quantities of a rendered cube."""
 
-def _between(lowest: float, highest: float) -> Check:
-    def check(value: Any) -> str | None:
-        good = number(value) is None and lowest <= value <= highest
-        return None if good else f"a number from {lowest:g} to {highest:g}"
-
-    return check
-
-
-def _numbers(length: int) -> Check:
-    def check(value: Any) -> str | None:
-        good = isinstance(value, list) and len(value) == length and all(number(one) is None for one in value)
-        return None if good else f"a list of {length} numbers"
-
-    return check
-
-
-def _kernel(value: Any) -> str | None:
-    good = isinstance(value, list) and all(isinstance(row, list) for row in value)
-    return None if good else "a list of rows, each a list of numbers"
-
-
-def _number_or(length: int) -> Check:
-    several = _numbers(length)
-
-    def check(value: Any) -> str | None:
-        good = number(value) is None or several(value) is None
-        return None if good else f"a number or {several(value)}"
-
-    return check
-
-
-def _words(value: Any) -> str | None:
-    """Expect a list of texts, which may be empty."""
-    good = isinstance(value, list) and all(text(one) is None for one in value)
-    return None if good else "a list of texts"
-
-
-_share = _between(0.0, 1.0)
-
-MATERIAL: Mapping[str, Check] = {
-    "spectrum": text, "class": one_of(*KINDS), "coat_index": _between(1.0, 3.0), "coat_roughness": _share,
-    "coat_gloss": _between(1.0, 100.0), "coat_waviness_deg": _between(0.0, 5.0), "flakes": _share,
-}  # fmt: skip
-"""What a material of a mesh may say of itself."""
-
-
-def _materials(value: Any) -> str | None:
-    """Expect a table of spectra, or of tables of `MATERIAL`."""
-    if not isinstance(value, dict):
-        return "a table: name of a part = spectrum"
-    for name, one in value.items():
-        table = {"spectrum": one} if isinstance(one, str) else one
-        if not isinstance(table, dict) or "spectrum" not in table:
-            return f"for {name!r:.40} a spectrum, or a table with spectrum"
-        for key, entry in table.items():
-            unknown = f"none of that name; known are {', '.join(MATERIAL)}"
-            wrong = MATERIAL[key](entry) if key in MATERIAL else unknown
-            if wrong is not None:
-                return f"for {name!r:.40}.{key:.40} {wrong}"
-    return None
-
-
-_seed = whole(0, 2**63 - 1)
-
-SCHEMA: Mapping[str, Mapping[str, Check]] = {
-    "scene": {
-        "name": text,
-        "kind": one_of(*SCENE_KINDS),
-        "seed": _seed,
-        # of a plane
-        "size_m": _number_or(2),
-        "spectrum": text,
-        # of a car park
-        "length_m": _between(1.0, 2000.0),
-        "width_m": _between(1.0, 500.0),
-        "rows": whole(1, 100),
-        "occupancy": _share,
-        "paints": _words,
-        "fleet": one_of(*FLEETS),
-        "types": _words,
-        "neighbours": _words,
-        "panels": flag,
-        "islands": flag,
-        "coat": flag,
-        "coat_index": _between(1.0, 3.0),
-        "coat_roughness": _share,
-        "coat_gloss": _between(1.0, 100.0),
-        "coat_waviness_deg": _between(0.0, 5.0),
-        "line_width_m": _between(0.02, 1.0),
-        "leaves": whole(0, 100_000),
-        "margin_m": _between(0.0, 10_000.0),
-    },
-    "meshes": {
-        "path": text, "name": text, "kind": one_of(*INSTANCE_KINDS), **MATERIAL, "materials": _materials,
-        "offset_m": _numbers(3), "heading_deg": _between(-360.0, 360.0), "unit_m": positive,
-        "up": one_of("x", "y", "z"),
-    },
-    "platform": {
-        "lines": whole(1, 1_000_000), "columns": whole(1, 20_000), "altitude_m": positive,
-        "ground_sample_m": positive, "ifov_mrad": positive, "speed_m_s": positive, "line_spacing_m": positive,
-        "centre_m": _numbers(2), "start_m": _numbers(2), "heading_deg": _between(-360.0, 360.0),
-        "exposure_time_ms": _between(0.0, 3.6e6), "frame_period_ms": positive, "wobble_deg": _number_or(3),
-        "sway_m": _between(0.0, 100.0), "start_time": time, "seed": _seed,
-    },
-    "camera": {
-        "bands": whole(2, 10_000), "first_wavelength_nm": positive, "last_wavelength_nm": positive,
-        "dispersion_bow_nm": number, "fwhm_nm": positive, "fwhm_slope": number,
-        "srf_shape": one_of("gaussian", "slit"), "smile_nm": number, "bit_depth": whole(1, 16),
-        "electrons_per_count": positive, "read_noise": number, "dark_level": number, "dark_pattern": number,
-        "dark_rate": number, "dark_frames": whole(1, 100_000), "nonuniformity": number,
-        "column_nonuniformity": number, "bad_elements": whole(0, 2**40), "noise": flag, "seed": _seed,
-        "psf_across_columns": number, "psf_along_lines": number, "psf_kernel": _kernel,
-        "keystone_columns": number, "stray_light": number, "pedestal": number,
-        "masked_columns": whole(0, 10_000),
-    },
-    "atmospheres": {
-        "name": text, "preset": text, "table": text, "irradiance": texts, "time": time,
-        "direct_fraction": _share, "sun_zenith_deg": _between(0.0, 89.0),
-        "sun_azimuth_deg": _between(-360.0, 360.0), "aerosol": _between(0.0, 10.0),
-        "water": _between(0.0, 100.0), "oktas": _between(0.0, 8.0), "overcast_share": _share,
-    },
-    "sampling": {
-        "samples": whole(1, MOST_SAMPLES), "depth": whole(1, 16), "slots": whole(1, 1024), "seed": _seed,
-        "sun_radius_deg": _between(0.0, 5.0),
-    },
-    "spectra": {},
-    "paints": {},
-    "output": {"product": one_of("radiance", "counts"), "true_reflectance": flag, "hold_edges": flag},
-}  # fmt: skip
-"""Check of every key of every table; the keys of `NAMED` are names."""
-
-NAMED = ("spectra", "paints")
-"""Tables whose keys are names of the user's, each with a text."""
-
-LISTS = ("meshes", "atmospheres")
-"""Tables that may be there several times."""
-
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_RESERVED = {"zarr.json", "c"}
-#: Where the light of an atmosphere comes from: one of these keys.
-_SOURCES = ("preset", "table", "irradiance")
-_MOST_TRIANGLES = 5_000_000  # of a car park: some 2000 cars and their trees
-_MOST_VALUES = 10**11  # of a cube; a day's flying has a hundredth
+_MAX_TRIANGLES = 5_000_000  # of a car park: some 2000 cars and their trees
+_MAX_VALUES = 10**11  # of a cube; a day's flying has a hundredth
 
 
 @dataclass(frozen=True)
 class MeshEntry:
-    """One ``[[meshes]]``: a file, and how it is put into the scene."""
+    """One ``[[meshes]]``: a file, and its place in the scene."""
 
     path: Path
     name: str
@@ -190,7 +42,7 @@ class MeshEntry:
 
 @dataclass(frozen=True)
 class AtmosphereEntry:
-    """One ``[[atmospheres]]``: its name, where its light comes from, and what is changed of it."""
+    """One ``[[atmospheres]]``: its name, the source of its light, and changes to it."""
 
     name: str
     preset: str | None = None
@@ -201,32 +53,163 @@ class AtmosphereEntry:
 
 @dataclass(frozen=True)
 class Sampling:
-    """``[sampling]``: rays of a pixel, scatterings of a ray, paths kept of a pixel, the seed of it all."""
+    """``[sampling]``: rays of a pixel, scatterings of a ray, stored paths of a pixel, and the seed."""
 
-    samples: int = 64
-    depth: int = 4
-    slots: int | None = None
-    seed: int = 0
-    sun_radius_deg: float = 0.267
+    samples: int = fact(
+        64, "rays of a pixel: noise falls with the root of their number", least=1, most=MOST_SAMPLES
+    )
+    depth: int = fact(4, "scatterings of a ray", least=1, most=16)
+    slots: int | None = fact(
+        None, "stored paths of a pixel; by default enough for the lights", kind="whole", least=1, most=1024
+    )
+    seed: int = fact(0, "chooses the rays", least=0, most=MAX_SEED)
+    sun_radius_deg: float = fact(0.267, "angular radius of the sun", unit="degree", least=0.0, most=5.0)
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a ``scene.toml`` says, its paths absolute and found."""
+    """Content of a ``scene.toml``; its paths are absolute and exist."""
 
     path: Path
     name: str
-    scene: Mapping[str, Any]  #: ``[scene]``: its ``kind`` and what that kind takes.
+    scene: Mapping[str, Any]  #: ``[scene]``: its ``kind`` and the keys of that kind.
     meshes: tuple[MeshEntry, ...]
     platform: Mapping[str, Any]  #: Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
     camera: Mapping[str, Any]  #: Fields of `hyperpaint.simulation.SimulationSettings`.
     atmospheres: tuple[AtmosphereEntry, ...]  #: At least one.
     sampling: Sampling
     spectra: Mapping[str, Path]
-    paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
-    product: str = "radiance"
-    true_reflectance: bool = True  #: Whether the reflectance without noise is stored as well.
-    hold_edges: bool = False  #: Whether spectra go on where they end, and over bands without values.
+    paints: Mapping[str, str]  #: Name of a spectrum, material or instance: name of its new spectrum.
+    product: str = fact("radiance", "quantity of the cube", choices=PRODUCTS)
+    #: Whether the reflectance without noise is stored as well.
+    true_reflectance: bool = fact(True, "store the reflectance without noise beside the cube")
+    #: Whether spectra are held beyond their ends, and over bands without values.
+    hold_edges: bool = fact(
+        False, "hold spectra beyond their last band with values, and bridge bands without"
+    )
+
+
+def _number(name: str, doc: str, least: float | None, most: float | None, **options: Any) -> Fact:
+    return Fact(name=name, kind="number", doc=doc, least=least, most=most, **options)
+
+
+def _whole(name: str, doc: str, least: int, most: int, **options: Any) -> Fact:
+    return Fact(name=name, kind="whole", doc=doc, least=least, most=most, **options)
+
+
+MATERIAL = by_key([
+    Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
+    Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
+    _number("coat_index", "refractive index of the clear coat", 1.0, 3.0),
+    _number("coat_roughness", "roughness of the clear coat, in place of its gloss", 0.0, 1.0),
+    _number("coat_gloss", "gloss of the clear coat at 20 degrees, in gloss units", 1.0, 100.0),
+    _number("coat_waviness_deg", "waviness of the clear coat", 0.0, 5.0, unit="degree"),
+    _number("flakes", "share of the surface below the coat that metal flakes cover", 0.0, 1.0),
+])  # fmt: skip
+"""Keys of a material of a mesh."""
+
+_SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
+
+_CAMERA_FIELDS = (
+    "bands", "first_wavelength", "last_wavelength", "dispersion_bow_nm", "fwhm_nm", "fwhm_slope", "srf_shape",
+    "smile_nm", "bit_depth", "electrons_per_count", "read_noise", "dark_level", "dark_pattern", "dark_rate",
+    "dark_frames", "nonuniformity", "column_nonuniformity", "bad_elements", "noise", "seed",
+    "psf_across_columns", "psf_along_lines", "psf_kernel", "keystone_columns", "stray_light", "pedestal",
+    "masked_columns",
+)  # fmt: skip
+
+SCHEMA: Mapping[str, Facts] = {
+    "scene": by_key([
+        Fact(name="name", doc="name of the scene; by default the name of the file"),
+        Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park", doc="kind of scene"),
+        _SEED,
+        # of a plane
+        Fact(
+            name="size_m", kind="numbers", length=2, single=True, unit="m", least=0.0, above=True,
+            default=1000.0, doc="side of a plane, or both of its sides",
+        ),
+        Fact(name="spectrum", default="asphalt", doc="spectrum of a plane"),
+        # of a car park
+        _number("length_m", "length northwards from y = 0", 1.0, 2000.0, unit="m", default=50.0),
+        _number(
+            "width_m", "width; 16 m hold two rows of cars and an aisle, 32 m four rows", 1.0, 500.0, unit="m",
+            default=32.0,
+        ),
+        _whole("rows", "rows of bays; by default as many as fit", 1, 100),
+        _number("occupancy", "share of the bays that are taken", 0.0, 1.0, default=0.85),
+        Fact(name="paints", kind="words", doc="spectra of the cars, in place of those of the fleet"),
+        Fact(
+            name="fleet", kind="choice", choices=FLEETS, default="real",
+            doc="real: colours, finishes, age and dust of real car parks; solid: fourteen paints",
+        ),
+        Fact(name="types", kind="words", choices=tuple(CAR_TYPES), doc="types of cars; by default all"),
+        Fact(
+            name="neighbours", kind="words", choices=NEIGHBOURS, default=["trees", "walls", "lamps"],
+            doc="things around the car park; [] for an open place",
+        ),
+        Fact(name="panels", kind="flag", default=True, doc="grey panels of known reflectance in the aisle"),
+        Fact(name="islands", kind="flag", default=True, doc="kerbed islands with grass between bays"),
+        Fact(name="coat", kind="flag", default=True, doc="clear coats; false leaves Lambert paints"),
+        *(MATERIAL[f"coat_{name}"]
+          for name in ("index", "roughness", "gloss", "waviness_deg")),
+        _number("line_width_m", "width of the lines between bays", 0.02, 1.0, unit="m", default=0.12),
+        _whole("leaves", "leaves of a tree", 0, 100_000, default=2000),
+        _number("margin_m", "width of the ground around the car park", 0.0, 10_000.0, unit="m", default=30.0),
+    ]),
+    "meshes": by_key([
+        Fact(name="path", needed=True, doc="file of triangles: .obj, or .glb and .ply with hyperpaint[mesh]"),
+        Fact(name="name", doc="name of the mesh; by default mesh_1, mesh_2 ..."),
+        Fact(name="kind", kind="choice", choices=INSTANCE_KINDS, default="other", doc="kind of thing"),
+        *MATERIAL.values(),
+        Fact(
+            name="materials", kind="own", accepts=lambda value: isinstance(value, dict),
+            phrase="a table: name of a part = spectrum",
+            doc="materials by part: a spectrum, or a table with the keys of a material",
+        ),
+        Fact(name="offset_m", kind="numbers", length=3, unit="m", doc="shift east, north and up",
+             default=[0.0, 0.0, 0.0]),
+        _number("heading_deg", "turn clockwise", -360.0, 360.0, unit="degree", default=0.0),
+        _number("unit_m", "length unit of the file", 0.0, None, above=True, unit="m", default=1.0),
+        Fact(name="up", kind="choice", choices=("x", "y", "z"), doc="axis that points up in the file"),
+    ]),
+    "platform": by_key([
+        dataclasses.replace(one, kind="time", accepts=None, phrase="", example="2021-07-20T17:10:00")
+        if one.name == "start_time" else one
+        for one in PUSHBROOM.values()
+    ]),
+    "camera": by_key(facts_of(SimulationSettings)[name] for name in _CAMERA_FIELDS),
+    "atmospheres": by_key([
+        Fact(name="name", doc="name of the group in the store; by default the preset"),
+        Fact(name="preset", kind="choice", choices=PRESETS, doc="light of a kind of sky"),
+        Fact(name="table", doc="file of wavelength, direct and diffuse irradiance, in place of a preset"),
+        Fact(name="irradiance", kind="texts", doc="files of a spectrometer, in place of a preset"),
+        Fact(name="time", kind="time", doc="time in that record; by default all of it"),
+        _number("direct_fraction", "direct share of that irradiance", 0.0, 1.0),
+        _number("sun_zenith_deg", "zenith angle of the sun", 0.0, 89.0, unit="degree"),
+        _number("sun_azimuth_deg", "azimuth of the sun, clockwise from north", -360.0, 360.0, unit="degree"),
+        _number("aerosol", "optical depth of the aerosol, with a preset", 0.0, 10.0),
+        _number("water", "precipitable water, with a preset", 0.0, 100.0),
+        _number("oktas", "eighths of the sky that clouds cover", 0.0, 8.0),
+        _number("overcast_share", "share of the diffuse light that is brighter overhead", 0.0, 1.0),
+    ]),
+    "sampling": by_key(facts_of(Sampling).values()),
+    "spectra": {},
+    "paints": {},
+    "output": by_key(facts_of(SceneFile).values()),
+}  # fmt: skip
+"""Facts of every key of every table; the keys of `NAMED` are names."""
+
+NAMED = {
+    "spectra": "your own spectrum: lines of wavelength [nm] and reflectance, or a paint library",
+    "paints": "spectrum that repaints a car, a material or all that has a spectrum, without tracing again",
+}
+"""Tables whose keys are the user's names, each with a text."""
+
+LISTS = ("meshes", "atmospheres")
+"""Tables that may occur several times."""
+
+#: Sources of the light of an atmosphere: one of these keys.
+_SOURCES = ("preset", "table", "irradiance")
 
 
 def example_scene() -> str:
@@ -235,36 +218,40 @@ def example_scene() -> str:
 
 
 def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
-    """Read and check a ``scene.toml``; what it names is looked for from its folder, not opened.
+    """Read and check a ``scene.toml``; the files that it names are located from its folder, not opened.
 
-    Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, what is missing or
-    not found; all problems are listed.
+    Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, missing keys or
+    files; all problems are listed.
     """
     path = Path(path)
     raw = load_tables(path, "a scene.toml")
     problems = Problems(f"{path} cannot be rendered", FormatError)
-    named = {name: dict.fromkeys(raw[name], text) for name in NAMED if isinstance(raw.get(name), dict)}
+    named = {
+        table: {name: Fact(doc=doc) for name in raw[table]}
+        for table, doc in NAMED.items()
+        if isinstance(raw.get(table), dict)
+    }
     reader = TableReader(path, raw, {**SCHEMA, **named}, LISTS, problems)
-    meshes = _meshes(reader)
+    spectra = {
+        name: reader.path("[spectra]", name, file) for name, file in values(reader.one("spectra")).items()
+    }
+    platform, camera = _flight(reader)
     scene_file = SceneFile(
-        path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader), meshes=meshes,
-        platform=_platform(reader), camera=_camera(reader), atmospheres=_atmospheres(reader),
-        sampling=Sampling(**_given(reader.one("sampling"))), spectra=_spectra(reader),
-        paints=_given(reader.one("paints")), **_given(reader.one("output")),
+        path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
+        meshes=_meshes(reader), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
+        sampling=Sampling(**values(reader.one("sampling"))),
+        spectra={name: file for name, file in spectra.items() if file is not None},
+        paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
     _check_size(scene_file, problems)
     problems.raise_if_any()
     return scene_file
 
 
-def _given(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if key != "?"}
-
-
-#: Keys of [scene] that one kind of scene alone takes.
-_OF_KIND = {
+#: Keys of [scene] for one kind of scene only.
+_KEYS_OF_KIND = {
     "plane": {"size_m", "spectrum"},
-    "car_park": set(SCHEMA["scene"]) - {"name", "kind", "size_m", "spectrum"},
+    "car_park": set(SCHEMA["scene"]) - {"name", "kind", "seed", "size_m", "spectrum"},
     "empty": set(),
 }
 
@@ -273,16 +260,24 @@ def _scene(reader: TableReader) -> dict[str, Any]:
     table = reader.one("scene")
     kind = table.get("kind", "car_park")
     if "scene" not in reader.given and "meshes" not in reader.given:
-        reader.problems.add("no [scene] and no [[meshes]]: there is nothing to be seen")
+        reader.problems.add("no [scene] and no [[meshes]]", mend="add one of them", code="scene-empty")
     elif kind == "empty" and not reader.tables["meshes"]:
-        reader.problems.add('[scene] kind = "empty" without [[meshes]]: there is nothing to be seen')
-    allowed = _OF_KIND[kind] | {"name", "kind", "seed"}
-    for key in sorted(table["?"] & set(SCHEMA["scene"]) - allowed):
-        where = ", ".join(each for each, keys in _OF_KIND.items() if key in keys)
-        reader.problems.add(f"[scene] {key} is for kind {where}, found kind = {kind!r}")
+        reader.problems.add(
+            '[scene] kind = "empty"', expected="[[meshes]] beside it", mend="add a mesh", code="scene-empty"
+        )
+    allowed = _KEYS_OF_KIND[kind] | {"name", "kind", "seed"}
+    kind_is_known = "kind" in table or "kind" not in table["?"]
+    for key in sorted(table["?"] & set(SCHEMA["scene"]) - allowed) if kind_is_known else ():
+        where = ", ".join(other for other, keys in _KEYS_OF_KIND.items() if key in keys)
+        reader.problems.add(
+            f"[scene] {key} with kind = {kind!r}",
+            expected=f"kind = {where}",
+            mend="remove the key, or change the kind",
+            code="key-misplaced",
+        )
     if "scene" not in reader.given:
         kind = "empty"
-    return {**{key: value for key, value in _given(table).items() if key != "name"}, "kind": kind}
+    return {**{key: value for key, value in values(table).items() if key != "name"}, "kind": kind}
 
 
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
@@ -290,56 +285,95 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
     for row, table in enumerate(reader.tables["meshes"]):
         place = reader.place("meshes", row)
         if "path" not in table["?"]:
-            reader.problems.add(f"{place} path is missing: the file with its triangles")
+            reader.problems.add(
+                f"{place} path is missing", mend="name the file of its triangles", code="key-missing"
+            )
         if not table["?"] & {"spectrum", "materials"}:
             reader.problems.add(
-                f"{place} spectrum is missing: what it is made of (or materials, part by part)"
+                f"{place} spectrum is missing",
+                mend="name a spectrum, or materials, part by part",
+                code="key-missing",
             )
+        for part, material in table.get("materials", {}).items():
+            _check_material(reader.problems, f"{place} materials.{part:.40}", material)
         path = reader.path(place, "path", table.get("path"))
         name = table.get("name", f"mesh_{row + 1}")
         if name in names:
-            reader.problems.add(f"{place} name = {name!r} is given to another mesh; each needs its own")
+            reader.problems.add(
+                f"{place} name = {name!r} is the name of another mesh",
+                mend="give each its own name",
+                code="name-duplicate",
+            )
         names.append(name)
         if path is not None:
-            options = {key: value for key, value in _given(table).items() if key not in ("path", "name")}
+            options = {key: value for key, value in values(table).items() if key not in ("path", "name")}
             entries.append(MeshEntry(path, name, options))
     return tuple(entries)
 
 
-#: Keys of [platform] with a unit, to arguments of `pushbroom` and what they are multiplied by.
-_PLATFORM = {
-    "altitude_m": ("altitude", 1.0), "ground_sample_m": ("ground_sample", 1.0), "ifov_mrad": ("ifov", 1e-3),
-    "speed_m_s": ("speed", 1.0), "line_spacing_m": ("line_spacing", 1.0), "heading_deg": ("heading", 1.0),
-    "exposure_time_ms": ("exposure_time", 1e-3), "frame_period_ms": ("frame_period", 1e-3),
-    "sway_m": ("sway", 1.0),
-}  # fmt: skip
-
-
-def _platform(reader: TableReader) -> dict[str, Any]:
-    table = reader.one("platform")
-    for key in ("lines", "columns"):
-        if key not in table["?"]:
-            reader.problems.add(f"[platform] {key} is missing: the size of the cube")
-    arguments: dict[str, Any] = {}
-    for key, value in _given(table).items():
-        if key in _PLATFORM:
-            name, factor = _PLATFORM[key]
-            arguments[name] = float(f"{value * factor:.12g}")
-        elif key in ("centre_m", "start_m"):
-            arguments[key.removesuffix("_m")] = tuple(map(float, value))
-        elif key == "wobble_deg":
-            arguments["wobble"] = tuple(map(float, value)) if isinstance(value, list) else float(value)
+def _check_material(problems: Problems, place: str, material: Any) -> None:
+    """Note wrong keys and values of a part's material: a spectrum, or a table of `MATERIAL`."""
+    table = {"spectrum": material} if isinstance(material, str) else material
+    if not isinstance(table, dict) or "spectrum" not in table:
+        problems.add(
+            f"{place} = {shown(material)}",
+            expected="a spectrum, or a table with spectrum",
+            mend="name its spectrum",
+            code="type-wrong",
+        )
+        return
+    for key, value in table.items():
+        if key in MATERIAL:
+            MATERIAL[key].note(problems, f"{place}.{key} = {shown(value)}", value, MATERIAL[key].mend)
         else:
-            arguments[key] = value
-    if "start_time" in arguments:
-        # TOML's own times become text that numpy reads; a zone is not taken
-        arguments["start_time"] = str(arguments["start_time"]).replace(" ", "T")
-    return arguments
+            known = f"known are {', '.join(MATERIAL)}"
+            problems.add(f"{place} unknown key {key[:40]!r}", mend=known, code="key-unknown")
 
 
-def _camera(reader: TableReader) -> dict[str, Any]:
-    same = {"first_wavelength_nm": "first_wavelength", "last_wavelength_nm": "last_wavelength"}
-    return {same.get(key, key): value for key, value in _given(reader.one("camera")).items()}
+def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of the platform and of the camera, checked together once each is in its range."""
+    tables = {name: reader.one(name) for name in ("platform", "camera")}
+    for key in ("lines", "columns"):
+        if key not in tables["platform"]["?"]:
+            reader.problems.add(
+                f"[platform] {key} is missing", mend="state the size of the cube", code="key-missing"
+            )
+    facts = {name: SCHEMA[name] for name in tables}
+    platform, camera = (
+        {facts[name][key].name: facts[name][key].argument(value) for key, value in values(table).items()}
+        for name, table in tables.items()
+    )
+    problems, before = reader.problems, len(reader.problems)
+    # the tables are compared where each of them is right
+    wrong = any(set(values(table)) != table["?"] for table in tables.values())
+    if wrong or not {"lines", "columns"} <= set(platform):
+        return platform, camera
+    note_pushbroom_faults(platform, problems, _spelled(tables, ["platform"]))
+    if len(problems) == before:
+        fields = camera_fields(platform, camera)
+        SimulationSettings.note_faults(fields, problems, _spelled(tables, ["camera", "platform"]))
+    return platform, camera
+
+
+def camera_fields(platform: Mapping[str, Any], camera: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of `SimulationSettings` that the tables of a scene give."""
+    fields = {name: value for name, value in camera.items() if name != "noise"}
+    times = [name for name in ("exposure_time", "frame_period") if name in platform]
+    fields |= {f"{name}_ms": platform[name] * 1e3 for name in times}
+    return {**fields, "columns": platform["columns"], "lines": max(2, platform["lines"])}
+
+
+def _spelled(tables: Mapping[str, Mapping[str, Any]], places: Iterable[str]) -> Spelling:
+    """Return the spelling of arguments as keys of the first of these tables that has them."""
+
+    def spelled(name: str, value: Any) -> str:
+        for place in places:
+            for key, one in SCHEMA[place].items():
+                if name in (one.name, key):
+                    return f"[{place}] {key} = {shown(tables[place].get(key, one.default))}"
+        return as_argument(name, value)
+
+    return spelled
 
 
 def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
@@ -353,28 +387,49 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
     names = [entry.name.lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
-            f"[[atmospheres]] name {name!r} is given to {names.count(name)}; each needs its own"
+            f"[[atmospheres]] name {name!r} is given to {names.count(name)}",
+            mend="give each its own name",
+            code="name-duplicate",
         )
     return tuple(entries)
 
 
 def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> AtmosphereEntry | None:
-    sources = [key for key in _SOURCES if key in table["?"]]
-    if len(sources) > 1:
-        reader.problems.add(f"{place} has {' and '.join(sources)}; keep the one that is to be used")
+    problems, present = reader.problems, table["?"]
+    sources = [key for key in _SOURCES if key in present]
+    reader.exclude(place, table, *_SOURCES)
     name = table.get("name", table.get("preset"))
     if name is None:
-        if "name" not in table["?"]:
-            reader.problems.add(f"{place} name is missing: it names a group of the store")
+        if not present & {"name", "preset"}:
+            problems.add(f"{place} name is missing", mend="name its group in the store", code="key-missing")
         return None
-    if not _NAME.fullmatch(name) or name in _RESERVED:
-        expected = "letters, digits, '.', '_' and '-': it names a group of the store"
-        reader.problems.add(f"{place} name = {shown(name)}, expected {expected}")
-    if sources and sources[0] != "preset" and "sun_zenith_deg" not in table["?"]:
-        reader.problems.add(f"{place} sun_zenith_deg is missing: {sources[0]} does not say where the sun is")
+    reader.is_name(place, "name", name)
+    if not sources and name not in PRESETS:
+        problems.add(
+            f"{place} name = {shown(name)} without a source of light",
+            expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
+            mend="name one of them",
+            code="choice-unknown",
+        )
+    if sources and sources[0] != "preset" and "sun_zenith_deg" not in present:
+        problems.add(
+            f"{place} sun_zenith_deg is missing",
+            mend=f"state where the sun stands: {sources[0]} does not contain it",
+            code="key-missing",
+        )
     for key in ("direct_fraction", "time"):
-        if key in table["?"] and sources != ["irradiance"]:
-            reader.problems.add(f"{place} {key} needs irradiance, the files of a spectrometer")
+        if key in present and sources != ["irradiance"]:
+            problems.add(
+                f"{place} {key} without irradiance", mend="name files of a spectrometer", code="key-misplaced"
+            )
+    for key in ("aerosol", "water"):
+        if key in present and set(sources) & {"table", "irradiance"}:
+            problems.add(
+                f"{place} {key} with {sources[-1]}",
+                expected="a preset",
+                mend="remove the key",
+                code="key-misplaced",
+            )
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
     skipped = {"?", "name", *_SOURCES}
     options = {key: value for key, value in table.items() if key not in skipped}
@@ -382,32 +437,29 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 
 
-def _spectra(reader: TableReader) -> dict[str, Path]:
-    paths = {
-        name: reader.path("[spectra]", name, value) for name, value in _given(reader.one("spectra")).items()
-    }
-    return {name: path for name, path in paths.items() if path is not None}
-
-
 def _check_size(scene_file: SceneFile, problems: Problems) -> None:
     if scene_file.scene["kind"] == "car_park":
         triangles = _triangles(scene_file.scene)
-        if triangles > _MOST_TRIANGLES:
+        if triangles > _MAX_TRIANGLES:
             problems.add(
-                f"[scene] would have some {triangles:.1e} triangles, expected at most {_MOST_TRIANGLES:.0e}; "
-                "make it shorter or narrower, or give its trees fewer leaves"
+                f"[scene] would have some {triangles:.1e} triangles",
+                expected=f"at most {_MAX_TRIANGLES:.0e}",
+                mend="make it shorter or narrower, or give its trees fewer leaves",
+                code="scene-too-large",
             )
     lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
     bands = scene_file.camera.get("bands", 272)
-    if lines * columns * bands > _MOST_VALUES:
+    if lines * columns * bands > _MAX_VALUES:
         problems.add(
-            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples, "
-            f"expected at most {_MOST_VALUES:.0e}; cut the flight into several"
+            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
+            expected=f"at most {_MAX_VALUES:.0e}",
+            mend="cut the flight into several",
+            code="cube-too-large",
         )
 
 
 def _triangles(scene: Mapping[str, Any]) -> float:
-    """Return about how many triangles a car park has: 1300 a car, two a leaf."""
+    """Return the approximate number of triangles of a car park: 1300 a car, two a leaf."""
     length, width = scene.get("length_m", 50.0), scene.get("width_m", 32.0)
     bays = length / 2.5 * scene.get("rows", width / 8.0)
     trees = length / 7.5 + bays / 10.0 if "trees" in scene.get("neighbours", ["trees"]) else 0.0

@@ -73,7 +73,7 @@ def test_usual_factors_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> Non
 )
 def test_dimensions_that_pint_alone_lets_pass(found: str, wanted: str) -> None:
     assert not same_dimension(found, wanted)
-    with pytest.raises(UnitsError, match="not convertible"):
+    with pytest.raises(UnitsError, match="units-not-convertible"):
         conversion_factor(found, wanted)
 
 
@@ -153,7 +153,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize("found", [None, 5, 1.0, b"nm", ["nm"]])
 def test_units_are_text(found: object) -> None:
-    with pytest.raises(UnitsError, match="must be text"):
+    with pytest.raises(UnitsError, match="type-wrong"):
         canonical(found)  # type: ignore[arg-type]
 
 
@@ -188,7 +188,7 @@ def test_convert_is_lazy(no_compute: Any) -> None:
 
 
 def test_a_missing_unit_is_named() -> None:
-    with pytest.raises(UnitsError, match=r"'fwhm' has no units; set fwhm.attrs"):
+    with pytest.raises(UnitsError, match=r"'fwhm' .*units-missing"):
         convert(xr.DataArray(1.0, name="fwhm"), "nm")
     with pytest.raises(UnitsError, match="'fwhm': units"):
         convert(xr.DataArray(1.0, name="fwhm", attrs={"units": "s"}), "nm")

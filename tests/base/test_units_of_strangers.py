@@ -191,7 +191,7 @@ def test_quantities_inside_of_dask_blocks_are_refused() -> None:
     line = worked_example()
     blocks = line.irradiance.chunk().data.map_blocks(lambda block: FIRST.Quantity(block, "mW/m^2/nm"))
     wrapped = line.assign(irradiance=line.irradiance.copy(data=blocks))
-    with pytest.raises(UnitsError, match="'irradiance' is a dask array of Quantities"):
+    with pytest.raises(UnitsError, match=r"'irradiance'.*array-foreign"):
         wrapped.paint.reflectance()
 
 
@@ -401,7 +401,7 @@ def test_quantify_with_a_registry_of_ones_own() -> None:
     assert (view.irradiance * 2).data.to("mW/m**2/nm").magnitude.max() == pytest.approx(
         2e3 * float(line.irradiance.max()), rel=1e-6
     )
-    with pytest.raises(UnitsError, match="force_ndarray_like=True"):
+    with pytest.raises(UnitsError, match="registry-scalars"):
         line.paint.quantify(registry=pint.UnitRegistry())
     xr.testing.assert_identical(quantify(view, own).irradiance, view.irradiance)
 

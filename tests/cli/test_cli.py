@@ -203,7 +203,7 @@ def _light_from_csv(folder: Path, factor: float) -> None:
 
 def _negative_exposure(folder: Path) -> str:
     edit(folder / "collect.toml", "exposure_time_ms = 5.0", "exposure_time_ms = -5.0")
-    return r"exposure_time_ms = -5\.0, expected a positive number"
+    return r"exposure_time_ms = -5\.0, expected a number above 0"
 
 
 @pytest.mark.parametrize(

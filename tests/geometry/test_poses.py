@@ -227,13 +227,13 @@ def test_units_references_and_heights() -> None:
     magnetic = Convention(heading_reference="magnetic", declination=-7.5)
     turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9
-    with pytest.raises(SchemaError, match="declination is not declared"):
+    with pytest.raises(SchemaError, match="declination-missing"):
         hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="magnetic"))
     high = Convention(height_reference="geoid", geoid_undulation=-33.2)
     np.testing.assert_allclose(
         hp.geometry.canonical_navigation(data, convention=high).altitude, data.altitude - 33.2
     )
-    with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
+    with pytest.raises(SchemaError, match="undulation-missing"):
         hp.geometry.canonical_navigation(data, convention=Convention(height_reference="geoid"))
 
 
@@ -245,7 +245,7 @@ def test_headings_from_grid_north() -> None:
                             (Convention(heading_reference="grid", grid_crs="EPSG:32617"), None)):  # fmt: skip
         made = hp.geometry.canonical_navigation(data, convention=convention, crs=crs)["heading"]
         assert np.abs((made - data["heading"] - gamma + 180) % 360 - 180).max() < 1e-5
-    with pytest.raises(SchemaError, match="grid north, whose direction is not known"):
+    with pytest.raises(SchemaError, match="grid-crs-missing"):
         hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="grid"))
 
 
@@ -261,7 +261,7 @@ def test_conventions_are_stored_with_the_data(tmp_path: Path) -> None:
     data.to_zarr(tmp_path / "nav.zarr", zarr_format=3, consolidated=False)
     assert Convention.from_attrs(xr.open_zarr(tmp_path / "nav.zarr", consolidated=False).attrs) == convention
     assert Convention.from_attrs({"title": "x"}) is None
-    with pytest.raises(SchemaError, match=r"roll_positive 'up'(.|\n)*column_order 3(.|\n)*declination nan"):
+    with pytest.raises(SchemaError, match=r"roll_positive='up'(.|\n)*column_order=3(.|\n)*declination=nan"):
         Convention(roll_positive="up", column_order=3, declination=np.nan)  # type: ignore[arg-type]
 
 

@@ -211,7 +211,7 @@ def test_rasters_that_cannot_be_used() -> None:
     line, heights = flown(3, COLUMNS), np.zeros((9, 9))
     with pytest.raises(SchemaError, match=r"no crs(.|\n)*most DEMs above the geoid"):
         hp.geometry.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
-    with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
+    with pytest.raises(SchemaError, match="undulation-missing"):
         hp.geometry.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
     uneven = dem(heights)
     uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))

@@ -131,4 +131,4 @@ def test_from_a_terminal(tmp_path: Path) -> None:
     assert np.ptp(truth["north"].values) > np.ptp(truth["east"].values)  # eight lines, flown east
     done = CliRunner().invoke(main, ["simulate", str(tmp_path / "two"), "--scene", "plan", "--swath", "3"])
     assert done.exit_code == 2
-    assert "swath=3.0, expected 16 of any scene but a checkerboard" in done.output
+    assert "swath=3.0, expected 16 for all scenes but a checkerboard" in done.output

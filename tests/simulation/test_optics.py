@@ -273,7 +273,7 @@ def test_the_example_shows_the_optics(tmp_path: Path) -> None:
     settings = SimulationSettings.of({key: given[key] for key in names if key != "psf_kernel"})
     assert (settings.psf_across_columns, settings.masked_columns) == (1.2, 4)
     path.write_text(text.replace("psf_across_columns", "psf_kernel").replace("= 1.2 ", "= [1.0] "))
-    with pytest.raises(FormatError, match="expected a list of rows, each a list of numbers"):
+    with pytest.raises(FormatError, match=r"psf_kernel.*type-wrong"):
         read_scene_file(path)
 
 
@@ -313,7 +313,7 @@ def test_a_sweep_has_the_stray_light_and_the_pedestal_of_the_camera() -> None:
 
 
 def test_a_sweep_cannot_have_other_optics_than_the_flight(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="unknown settings stray_light"):
+    with pytest.raises(SchemaError, match=r"stray_light.*key-unknown"):
         simulate_collect(tmp_path / "sim", lines=8, bands=4, columns=6, sweep={"stray_light": 0.01})
 
 

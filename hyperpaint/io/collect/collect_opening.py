@@ -7,26 +7,36 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import CollectError, Findings, PaintWarning, Problems, Unavailable
+from hyperpaint.base.errors import (
+    CollectError,
+    Findings,
+    PaintError,
+    PaintWarning,
+    Problem,
+    Problems,
+    Unavailable,
+)
+from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import assemble
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
+from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 
-from .collect_toml import Collect, IrradianceEntry, ReferenceEntry, parse_collect
+from .collect_toml import Collect, ReferenceEntry, parse_collect
 from .joining import JoinedLine, join_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @dataclass(frozen=True)
 class OpenedCollect:
-    """A collect that has been opened, with what its ``collect.toml`` says."""
+    """An opened collect, with the settings of its ``collect.toml``."""
 
     tree: xr.DataTree
     settings: Collect
@@ -35,8 +45,6 @@ class OpenedCollect:
     @property
     def cubes(self) -> dict[str, tuple[Path, ...]]:
         """Data files of every flight line, by the line's group (``flightlines/<id>``)."""
-        from hyperpaint.io.envi.envi_cubes import find_pair
-
         files = {str(entry.name): find_pair(entry.path)[1] for entry in self.settings.flightlines}
         return {group: tuple(files[name] for name in names) for group, names in self.members.items()}
 
@@ -62,18 +70,15 @@ def open_with_settings(
     mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None = None,
 ) -> OpenedCollect:
-    """Open everything a ``collect.toml`` names, without reading a cube, and keep what it says.
+    """Open everything a ``collect.toml`` names, without reading a cube, together with its settings.
 
     ``source``: the file, or its settings where it has been read and checked before; ``calibrate``: turns the
-    path of a lab sweep into a calibration; ``mount``: adds to a line what the table ``[geometry]`` says;
-    ``level``: makes the record of a light sensor on the aircraft, and its attitude, that of level ground; the
-    others: see `hyperpaint.open_collect`.
+    path of a lab sweep into a calibration; ``mount``: adds the table ``[geometry]`` to a line; ``level``:
+    converts the record of a light sensor on the aircraft, with its attitude, to level ground; the others: see
+    `hyperpaint.open_collect`.
 
-    Raises `CollectError`: The file, or anything it names, cannot be used; all problems of all files are
-    listed.
+    Raises `CollectError`: The file, or a file it names, cannot be used; all problems of all files are listed.
     """
-    import xarray as xr
-
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
     if isinstance(source, Collect):
@@ -90,10 +95,19 @@ def open_with_settings(
     if collect.sweep is not None:
         calibration = Unavailable.REPORTED
         with findings.step():
-            calibration = _calibrated(collect.sweep, calibrate)
+            if calibrate is None:
+                raise CollectError(
+                    f"{collect.sweep} is a lab sweep",
+                    mend="open it by hyperpaint.open_collect, or pass calibrate=",
+                    code="calibrate-missing",
+                )
+            calibration = open_calibration(calibrate(collect.sweep))
     irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
     with findings.step():
-        irradiance = _open_irradiance(collect.irradiance)
+        irradiance = None
+        if collect.irradiance is not None and collect.irradiance.files:
+            files: Any = list(collect.irradiance.files)
+            irradiance = open_irradiance(files if len(files) > 1 else files[0], **collect.irradiance.options)
     navigation: dict[Path, Navigation] = {}
     for file in collect.nav:
         with findings.step():
@@ -120,8 +134,10 @@ def open_with_settings(
         findings.errors += own.errors
     references = dict(_references(collect.references, findings))
     # what several lines share is reported once
-    for text in dict.fromkeys(str(error) for error in findings.errors):
-        problems.add(text)
+    errors = {str(error): error for error in findings.errors}
+    problems.extend(
+        error.problem if isinstance(error, PaintError) else Problem(text) for text, error in errors.items()
+    )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined = dict(_joined(collect, lines, irradiance))
@@ -139,8 +155,6 @@ def _joined(
     collect: Collect, lines: Mapping[str, xr.Dataset], irradiance: Any
 ) -> Iterator[tuple[str, JoinedLine]]:
     """Yield the lines by their names; cubes of one table become one line where the recording goes on."""
-    import xarray as xr
-
     record = irradiance if isinstance(irradiance, xr.Dataset) else None
     flights = {names[0]: (names, wanted) for names, wanted in collect.flights if names}
     inside = {name for names, _ in flights.values() for name in names[1:]}
@@ -149,30 +163,13 @@ def _joined(
             yield name, JoinedLine(line, (name,))
         if name in flights:
             names, wanted = flights[name]
-            parts = list(join_lines({each: lines[each] for each in names}, record))
+            parts = list(join_lines({member: lines[member] for member in names}, record))
             for part in parts:
                 if part.interruption:
-                    message = f"{part.members[0]} is a flight line of its own: {part.interruption}"
-                    warnings.warn(message, PaintWarning, stacklevel=4)
-                own = wanted if wanted and len(parts) == 1 else part.members[0]
-                yield own, replace(part, line=part.line.assign_attrs(name=own))
-
-
-def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:
-    if calibrate is None:
-        raise CollectError(
-            f"{sweep}: a lab sweep, for which open_collect needs calibrate=; hyperpaint.open_collect has it"
-        )
-    return open_calibration(calibrate(sweep))
-
-
-def _open_irradiance(entry: IrradianceEntry | None) -> xr.Dataset | None:
-    if entry is None or not entry.files:
-        return None
-    from hyperpaint.io.spectrometers.irradiance import open_irradiance
-
-    files: Any = list(entry.files) if len(entry.files) > 1 else entry.files[0]
-    return open_irradiance(files, **entry.options)
+                    message = f"{part.members[0]} is a separate flight line: {part.interruption}"
+                    warnings.warn(PaintWarning(message, code="recording-interrupted"), stacklevel=4)
+                name_of_part = wanted if wanted and len(parts) == 1 else part.members[0]
+                yield name_of_part, replace(part, line=part.line.assign_attrs(name=name_of_part))
 
 
 def _levelled(
@@ -181,21 +178,19 @@ def _levelled(
     collect: Collect,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None,
 ) -> xr.Dataset:
-    """Return the record of a light sensor on the aircraft as that of level ground."""
-    import numpy as np
-    import xarray as xr
-
-    dated = [each for each in navigation if each.utc is not None]
+    """Return the record of a light sensor on the aircraft, converted to level ground."""
+    dated = [poses for poses in navigation if poses.utc is not None]
     if level is None or not dated:
         raise CollectError(
-            '[irradiance] mount = "aircraft" needs the attitude of the aircraft in UTC',
+            '[irradiance] mount = "aircraft" without the attitude of the aircraft in UTC',
             mend="name nav files that hold a date, or level the record by hyperpaint.light.level_irradiance",
+            code="attitude-missing",
         )
     columns = {
-        name: ("time", np.concatenate([each.values[name] for each in dated]))
+        name: ("time", np.concatenate([poses.values[name] for poses in dated]))
         for name in ("roll", "pitch", "heading", "latitude", "longitude")
     }
-    time = np.concatenate([np.asarray(each.utc) for each in dated]).astype("datetime64[ns]")
+    time = np.concatenate([np.asarray(poses.utc) for poses in dated]).astype("datetime64[ns]")
     declared = dict(collect.flightlines[0].convention) if collect.flightlines else {}
     attitude = xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs())
     return level(record, attitude)
@@ -204,14 +199,15 @@ def _levelled(
 def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:
     """Open the files of each field spectrometer: one instrument has one set of wavelengths."""
     for entry in entries:
-        if not entry.files:  # which has been reported
+        if not entry.files:  # reported before
             continue
         with findings.step():
             opened = open_spectra(entry.files)
             if len(opened) > 1:
                 raise CollectError(
-                    f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments; give "
-                    "each its own [[references]]"
+                    f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments",
+                    mend="give each its own [[references]]",
+                    code="instrument-mixed",
                 )
             label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
             yield entry.group, opened[0].assign_attrs(label)

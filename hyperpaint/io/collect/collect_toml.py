@@ -1,111 +1,171 @@
-"""What a ``collect.toml`` says: read, checked, and its files found, before anything is opened."""
+"""Collect files: a ``collect.toml`` read and checked, and its files located, before anything is opened."""
 
 from __future__ import annotations
 
 import itertools
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError, Unavailable
-from hyperpaint.io.files import toml_tables as check
+from hyperpaint.base.facts import Fact, Facts, by_key, facts_of, is_number
 from hyperpaint.io.files.reading import is_pattern
-from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
+from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
 from hyperpaint.io.flightline.timing import Timing, utc_of
 
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-#: Names that mean something to Zarr.
-_RESERVED = {"zarr.json", "c"}
 _SIDE_FILES = ("frame_index", "nav", "gps_time")
 _CLOCK = ("stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
-_STAMP = check.one_of("start", "mid", "end")
-_SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
-    "collect": {"name": check.text, "description": check.text},
-    "camera": {
-        "bit_depth": check.whole(1, 16),
-        "saturation_count": check.positive,
-        "exposure_time_ms": check.positive,
-        "frame_period_ms": check.positive,
-        "stamp": _STAMP,
-        "clock_offset_s": check.number,
-        "time_scale": check.one_of("utc", "gps"),
-        "gps_leap_seconds": check.whole(-100, 100),
-        "fwhm_nm": check.positive,
-        "radiance_units": check.text,
-        "quantity": check.one_of("counts", "radiance"),
-    },
-    "navigation": {
-        "roll_positive": check.one_of("right_wing_down", "right_wing_up"),
-        "pitch_positive": check.one_of("nose_up", "nose_down"),
-        "heading_positive": check.one_of("clockwise", "counterclockwise"),
-        "heading_reference": check.one_of("true", "grid", "magnetic"),
-        "euler_order": check.one_of("ZYX", "ZXY", "XYZ"),
-        "height_reference": check.one_of("ellipsoid", "geoid"),
-        "column_order": check.one_of("left_to_right", "right_to_left"),
-        "declination": check.number,
-        "geoid_undulation": check.number,
-        "grid_crs": check.text,
-    },
-    "geometry": {
-        "ground": check.number,
-        "dem": check.text,
-        "dem_heights": check.one_of("ellipsoid", "geoid"),
-        "geoid": check.number,
-        "fov_deg": check.positive,
-        "look_angle": check.text,
-        "boresight_deg": check.three_numbers,
-        "lever_arm_m": check.three_numbers,
-    },
-    "calibration": {"path": check.text, "sweep": check.text},
-    "dark": {"cubes": check.texts},
-    "irradiance": {
-        "files": check.texts,
-        "quantity": check.text,
-        "utc_offset_h": check.number,
-        "clock_offset_s": check.number,
-        "stamp": _STAMP,
-        "fwhm_nm": check.number_or_pairs,
-        "max_gap_s": check.positive,
-        "clock_uncertainty_s": check.not_negative,
-        "units": check.text,
-        "averaging_s": check.number,
-        "calibration": check.table,
-        "mount": check.one_of("ground", "aircraft"),
-    },
-    "alignment": {"apply": check.one_of(*ALIGNMENTS)},
-    "flightlines": {
-        "id": check.text,
-        "cube": check.text,
-        "frame_index": check.text,
-        "nav": check.text,
-        "gps_time": check.text,
-        "date": check.time,
-        "start_time": check.time,
-        "exposure_time_ms": check.positive,
-        "frame_period_ms": check.positive,
-        "keep_whole_lines": check.flag,
-    },
-    "references": {"instrument": check.text, "files": check.texts},
-    "panels": {
-        "line": check.text,
-        "along_track": check.first_and_stop,
-        "cross_track": check.first_and_stop,
-        "reflectance": check.reflectance,
-        "certificate": check.text,
-        "uncertainty": check.fraction,
-        "tilt": check.two_numbers,
-    },
-}
-"""Check of every key of every table."""
+_CONVENTION = (
+    "roll_positive", "pitch_positive", "heading_positive", "heading_reference", "euler_order",
+    "height_reference", "column_order", "declination", "geoid_undulation", "grid_crs",
+)  # fmt: skip
+
+
+def _is_width(value: Any) -> bool:
+    """Return whether a value is a positive number, or pairs of wavelength and value."""
+    if not isinstance(value, list):
+        return is_number(value) and value > 0
+    pairs = (isinstance(pair, list) and len(pair) == 2 and all(map(is_number, pair)) for pair in value)
+    return bool(value) and all(pairs)
+
+
+def _is_span(value: Any) -> bool:
+    """Return whether a value is the first index and the index after the last."""
+    is_whole = isinstance(value, list) and [type(index) for index in value] == [int, int]
+    return is_whole and 0 <= value[0] < value[1] < 2**31
+
+
+def _text(name: str, doc: str, **options: Any) -> Fact:
+    return Fact(name=name, doc=doc, **options)
+
+
+def _number(name: str, doc: str, **options: Any) -> Fact:
+    return Fact(name=name, kind="number", doc=doc, **options)
+
+
+def _choice(name: str, doc: str, *choices: str, **options: Any) -> Fact:
+    return Fact(name=name, kind="choice", doc=doc, choices=choices, **options)
+
+
+_STAMPS = ("start", "mid", "end")
+_HEIGHTS = ("ellipsoid", "geoid")
+_SPAN: Any = {
+    "kind": "own", "accepts": _is_span, "phrase": "two whole numbers, the first and the one after the last",
+    "needed": True, "example": [70, 84],
+}  # fmt: skip
+_EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
+
+SCHEMA: Mapping[str, Facts] = {
+    "collect": by_key([
+        _text("name", "name of the collect; by default the name of its folder"),
+        _text("description", "free text"),
+    ]),
+    "camera": by_key([
+        Fact(name="bit_depth", kind="whole", doc="bits of the converter", least=1, most=16, example=12),
+        _number("saturation_count", "count of a full element; by default from bit_depth", unit="count",
+                least=0, above=True),
+        _number("exposure_time_ms", "exposure; by default from settings.txt or the header", **_EXPOSURE),
+        _number("frame_period_ms", "time from line to line, for lines without a frame index", **_EXPOSURE),
+        _choice("stamp", "instant of the exposure that the time stamp of a frame marks", *_STAMPS,
+                default="end"),
+        _number("clock_offset_s", "lag of the navigation clock: UTC = stamp + clock_offset_s", unit="s"),
+        _choice("time_scale", "scale of the time stamps", "utc", "gps", default="utc"),
+        Fact(name="gps_leap_seconds", kind="whole", doc="GPS time minus UTC", unit="s", least=-100, most=100,
+             example=18),
+        _number("fwhm_nm", "full width at half maximum of the bands, where no file states it", unit="nm",
+                least=0, above=True),
+        _text("radiance_units", "units of a cube of radiance, where its header does not state them"),
+        _choice("quantity", "quantity of a cube, where its header does not state it", "counts", "radiance"),
+    ]),
+    "navigation": by_key(facts_of(Convention)[name] for name in _CONVENTION),
+    "geometry": by_key([
+        _number("ground", "height of level ground above the ellipsoid; or dem", unit="m", example=160.0),
+        _text("dem", "raster of heights of the ground", example="dsm.tif"),
+        _choice("dem_heights", "zero of the heights in that raster", *_HEIGHTS),
+        _number("geoid", "height of the geoid above the ellipsoid, for a raster above the geoid", unit="m"),
+        _number("fov_deg", "angle between the outer edges of the columns; or look_angle", unit="degree",
+                least=0, above=True, example=22.3),
+        _text("look_angle", "file of the look angle of every column", example="angles.txt"),
+        Fact(name="boresight_deg", kind="numbers", length=3, unit="degree", default=[0.0, 0.0, 0.0],
+             doc="roll, pitch and heading of the camera in the platform"),
+        Fact(name="lever_arm_m", kind="numbers", length=3, unit="m", default=[0.0, 0.0, 0.0],
+             doc="vector from the antenna to the camera: forward, right, down"),
+    ]),
+    "calibration": by_key([
+        _text("path", "calibration, as hyperpaint calibrate makes it", example="calibration.zarr"),
+        _text("sweep", "lab sweep, calibrated at opening, in place of path", example="lab/sweep.zarr"),
+    ]),
+    "dark": by_key([
+        Fact(name="cubes", kind="texts", doc='dark cubes, or "none", or "calibration"', needed=True,
+             example=["dark/raw_0.hdr"]),
+    ]),
+    "irradiance": by_key([
+        Fact(name="files", kind="texts", doc="files of the sky spectrometer: .asd, text or csv", needed=True,
+             example="asd/*.asd"),
+        _text("quantity", "quantity of the record, where its files do not state it", example="irradiance"),
+        _number("utc_offset_h", "clock of the logging PC minus UTC; by default from the files", unit="h",
+                example=-5.0),
+        _number("clock_offset_s", "lag of that clock: UTC = stamp - utc_offset_h + clock_offset_s", unit="s",
+                example=37.25),
+        _choice("stamp", "instant of an average that its time stamp marks", *_STAMPS, example="end"),
+        Fact(name="fwhm_nm", kind="own", accepts=_is_width, unit="nm", example=3.0,
+             phrase="a positive number, or a list of pairs [wavelength, value]",
+             doc="width of the channels; by default the usual width of an ASD"),
+        _number("max_gap_s", "longest gap of the record that is interpolated", unit="s", least=0, above=True),
+        _number("clock_uncertainty_s", "uncertainty of clock_offset_s", unit="s", least=0,
+                example=0.5),
+        _text("units", "units of the record, where its files do not state them"),
+        _number("averaging_s", "length of an average", unit="s"),
+        Fact(name="calibration", kind="table", doc="calibration files of the instrument"),
+        _choice("mount", "aircraft for a sensor that leans with the camera; the navigation levels its record",
+                "ground", "aircraft", default="ground"),
+    ]),
+    "alignment": by_key([
+        _choice("apply", "correction of camera and record by solar lines in flight; auto: where significant",
+                *ALIGNMENTS, default="auto"),
+    ]),
+    "flightlines": by_key([
+        _text("id", "name of the line; by default the name of its cube", example="raw_0"),
+        _text("cube", "header of the cube, a pattern of cubes, or their folder", needed=True,
+              example="flight/raw_0.hdr"),
+        _text("frame_index", "time stamps of the frames; by default beside the cube",
+              example="flight/frameIndex_0.txt"),
+        _text("nav", "navigation; by default beside the cube", example="flight/imu_gps.txt"),
+        _text("gps_time", "file of GPS times of the frames"),
+        Fact(name="date", kind="time", doc="date of the flight, for a frame index with the time of day"),
+        Fact(name="start_time", kind="time", doc="UTC of the first line, for cubes without a frame index",
+             example="2021-07-20T17:00:00Z"),
+        _number("exposure_time_ms", "exposure of this line", **_EXPOSURE),
+        _number("frame_period_ms", "time from line to line of this line", **_EXPOSURE),
+        Fact(name="keep_whole_lines", kind="flag", default=False, doc="open the whole lines of a cut file"),
+    ]),
+    "references": by_key([
+        _text("instrument", "name of the field spectrometer", needed=True),
+        Fact(name="files", kind="texts", doc="its files", needed=True, example="svc/*.sig"),
+    ]),
+    "panels": by_key([
+        _text("line", "flight line that sees the panel", needed=True),
+        Fact(name="along_track", doc="lines of the panel", **_SPAN),
+        Fact(name="cross_track", doc="columns of the panel", **_SPAN),
+        _number("reflectance", "reflectance of the panel, such as 0.5 for 50 %; or certificate", least=0,
+                above=True, most=1.2, example=0.5),
+        _text("certificate", "file of its measured reflectance", example="panel.csv"),
+        _number("uncertainty", "relative standard uncertainty of that, such as 0.02 for 2 %", least=0, most=1,
+                below=True, default=0.0),
+        Fact(name="tilt", kind="numbers", length=2, unit="degree", example=[2.0, 180.0],
+             doc="angle and azimuth of its normal, where it is not level"),
+    ]),
+}  # fmt: skip
+"""Facts of every key of every table."""
 
 _LISTS = ("flightlines", "references", "panels")
-"""Tables that may be there several times."""
+"""Tables that may occur several times."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +174,7 @@ class IrradianceEntry:
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
-    on_aircraft: bool = False  # Whether it leans as the camera does
+    on_aircraft: bool = False  # Whether the sensor leans with the camera
 
 
 @dataclass(frozen=True)
@@ -138,7 +198,7 @@ class ReferenceEntry:
 
 @dataclass(frozen=True)
 class PanelEntry:
-    """One ``[[panels]]``: where a panel of known reflectance lies."""
+    """One ``[[panels]]``: place and reflectance of a panel."""
 
     line: str  # Its flight line
     along_track: tuple[int, int]
@@ -150,21 +210,21 @@ class PanelEntry:
 
 @dataclass(frozen=True)
 class Collect:
-    """What a ``collect.toml`` says, its paths absolute and found."""
+    """Content of a ``collect.toml``; its paths are absolute and exist."""
 
     path: Path  # The file
-    name: str  # Of the collect
+    name: str
     flightlines: tuple[FlightlineInputs, ...]  # Their calibration and irradiance are still to be opened
-    calibration: Path | Unavailable | None  # None where not needed and not given
-    irradiance: IrradianceEntry | None  # As well
-    clock: Timing  # What the camera's table says of the clocks
+    calibration: Path | Unavailable | None  # None where it is neither needed nor named
+    irradiance: IrradianceEntry | None  # None where it is neither needed nor named
+    clock: Timing  # Clocks of the table [camera]
     nav: tuple[Path, ...]  # Navigation files, each once; the lines of one flight share them
     references: tuple[ReferenceEntry, ...]
-    panels: tuple[PanelEntry, ...]  # Of known reflectance, in the scene
+    panels: tuple[PanelEntry, ...]
     sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
-    # Ground [m above the ellipsoid] or dem (a path), and how the camera sits in the platform
+    # Ground [m above the ellipsoid] or dem (a path), and the mounting of the camera in the platform
     geometry: Mapping[str, Any]
-    alignment: Alignment  # When what separates camera and record is corrected
+    alignment: Alignment  # When differences between camera and record are corrected
     # Names of cubes of one table, a pattern or a folder, in their order, with the id that the table gives
     flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
@@ -179,7 +239,7 @@ class _Reader(TableReader):
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
         self.dark = self._dark_word(raw)
-        super().__init__(path, raw, _SCHEMA, _LISTS, problems)
+        super().__init__(path, raw, SCHEMA, _LISTS, problems)
         self.file_name = path.name
         self.collect_name = self.one("collect").get("name", path.resolve().parent.name)
         self.clock = Timing(**{key: value for key, value in self.one("camera").items() if key in _CLOCK})
@@ -193,7 +253,7 @@ class _Reader(TableReader):
         return word if word in ("none", "calibration") else None
 
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
-        """Return the tables of this name with what is valid in them; for the dark there may be a word."""
+        """Return the valid keys of the tables of this name; the dark may be a word."""
         if name == "dark":
             if value in ("none", "calibration"):
                 return []
@@ -210,22 +270,28 @@ def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
 
 
 def _camera(reader: _Reader) -> dict[str, Any]:
-    """Return what holds for all flight lines."""
-    table, dark = reader.one("camera"), _dark(reader)
+    """Return the inputs that all flight lines share."""
+    table = reader.one("camera")
     same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
-    convention = {key: value for key, value in reader.one("navigation").items() if key != "?"}
-    return {key: table[key] for key in same if key in table} | {"dark": dark, "convention": convention}
+    convention = values(reader.one("navigation"))
+    return {key: table[key] for key in same if key in table} | {
+        "dark": _dark(reader),
+        "convention": convention,
+    }
 
 
 def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | None]:
     """Return the paths of a calibration and of a lab sweep, of which there is one at most."""
     table = reader.one("calibration")
-    if {"path", "sweep"} <= table["?"]:
-        reader.problems.add("[calibration] has both path and sweep; keep the one that is to be used")
+    reader.exclude("[calibration]", table, "path", "sweep")
     path = reader.path("[calibration]", "path", table.get("path"))
     sweep = reader.path("[calibration]", "sweep", table.get("sweep"))
     if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
-        reader.problems.add("[calibration] path is missing (or sweep, a lab sweep)")
+        reader.problems.add(
+            "[calibration] path is missing",
+            mend="name a calibration, or a lab sweep (sweep)",
+            code="key-missing",
+        )
     if path is None and sweep is None and table["?"]:
         return Unavailable.REPORTED, None
     return path, sweep
@@ -243,11 +309,12 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     table = reader.one("irradiance")
     if "files" not in table:
         if table["?"] and "files" not in table["?"]:
-            reader.problems.add("[irradiance] files is missing: the spectrometer's files")
+            reader.problems.add(
+                "[irradiance] files is missing", mend="name the files of the spectrometer", code="key-missing"
+            )
         return None
-    options = {
-        key: value for key, value in table.items() if key not in ("?", "files", "calibration", "mount")
-    }
+    skipped = ("files", "calibration", "mount")
+    options = {key: value for key, value in values(table).items() if key not in skipped}
     if "calibration" in table:
         certificates = {
             str(key): reader.path("[irradiance.calibration]", str(key), str(value))
@@ -265,17 +332,19 @@ def _cubes(
     place = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
         if "cube" not in table["?"]:
-            reader.problems.add(f"{place} cube is missing")
+            reader.problems.add(
+                f"{place} cube is missing", mend="name the header of a cube", code="key-missing"
+            )
         return
     text = table["cube"]
-    is_folder = os.path.isdir(reader.folder / text)  # of names too long for a path, too, false
+    is_folder = os.path.isdir(reader.folder / text)  # False for names too long for a path as well
     if not (is_folder or is_pattern(text)):
         yield _flightline(reader, place, table, reader.path(place, "cube", text), shared)
         return
     files = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
     headers = [path for path in files if path.suffix.lower() == ".hdr"] or list(files)
     headers.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
-    if "id" in table and not _is_id(reader, place, table["id"]):
+    if "id" in table and not reader.is_name(place, "id", table["id"]):
         return
     # with an id, cubes of other folders may have the same names
     prefix = f"{table['id']}_" if "id" in table else ""
@@ -285,21 +354,12 @@ def _cubes(
         yield _flightline(reader, place, {**table, "id": name}, cube, shared)
 
 
-def _is_id(reader: _Reader, place: str, name: str) -> bool:
-    """Tell whether a group of the store can have this name; what is wrong with it is noted."""
-    if _ID.fullmatch(name) and name not in _RESERVED:
-        return True
-    expected = "letters, digits, '.', '_' and '-': it names a group of the store"
-    reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
-    return False
-
-
 def _flightline(
     reader: _Reader, place: str, table: Mapping[str, Any], cube: Path | None, shared: Mapping[str, Any]
 ) -> FlightlineInputs | None:
     camera = reader.one("camera")
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
-    _is_id(reader, place, name)
+    reader.is_name(place, "id", name)
     before = len(reader.problems)
     table = _with_files_beside(table, cube)
     paths: dict[str, Any] = {key: reader.path(place, key, table.get(key)) for key in _SIDE_FILES}
@@ -310,7 +370,7 @@ def _flightline(
         try:
             start = utc_of(start, "start_time")
         except TimeError as error:
-            reader.problems.add(f"{place} {error}")
+            reader.problems.add_error(place, error)
     _check_timing(reader, place, table)
     timing: Timing | Unavailable = Unavailable.REPORTED
     if len(reader.problems) == before:
@@ -337,80 +397,93 @@ def _flightline(
 
 
 def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[str, Any]:
-    """Return the table with the frame index and the navigation beside the cube, where none is named."""
-    given = table["?"]
-    if cube is None or not os.path.isdir(cube.parent) or given & {"frame_index", "start_time"}:
+    """Return the table with the frame index and the navigation beside the cube, where it names none."""
+    stated = table["?"]
+    if cube is None or not os.path.isdir(cube.parent) or stated & {"frame_index", "start_time"}:
         return table
     beside = {"frame_index": frame_index_beside(cube)}
-    if not given & {"nav", "gps_time", "date"}:
+    if not stated & {"nav", "gps_time", "date"}:
         beside["nav"] = navigation_beside(cube)
     paths = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
-    return {**table, **paths, "?": given | set(paths)}
+    return {**table, **paths, "?": stated | set(paths)}
 
 
 def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
-    given = table["?"]
-    period = "frame_period_ms" in given or "frame_period_ms" in reader.one("camera")["?"]
-    by_index = "frame_index" in given and given & {"nav", "start_time", "gps_time", "date"}
-    if not by_index and not ("start_time" in given and period):
-        stated = sorted(given & {"frame_index", "nav", "start_time"}) + (
-            ["frame_period_ms"] if period else []
-        )
+    stated = table["?"]
+    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
+    by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
+    if not by_index and not ("start_time" in stated and period):
+        sources = sorted(stated & {"frame_index", "nav", "start_time"})
+        sources += ["frame_period_ms"] if period else []
         reader.problems.add(
-            f"{place} no line times: found {', '.join(stated) or 'nothing'},"
-            " expected frame_index and nav, or start_time and frame_period_ms"
+            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
+            expected="frame_index and nav, or start_time and frame_period_ms",
+            code="line-times-missing",
         )
-    if "date" in given and reader.clock.clock_offset_s is None:
+    if "date" in stated and reader.clock.clock_offset_s is None:
         reader.problems.add(
-            f"{place} date needs [camera] clock_offset_s: UTC = computer clock + clock_offset_s"
+            f"{place} date without [camera] clock_offset_s",
+            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
+            code="clock-offset-missing",
         )
 
 
 def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
     tables, shared = reader.tables["flightlines"], _camera(reader)
     if not tables:
-        reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
+        reader.problems.add(
+            "no [[flightlines]]", mend="name the cube of at least one flight line", code="flightline-missing"
+        )
     candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
     entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
-    # as on file systems that ignore case; cubes of a pattern may become one line, of the id of its table
+    # compared as on file systems that ignore case; cubes of a pattern may become one line with the table's id
     names = [str(entry.name).lower() for entry in entries]
     names += [wanted.lower() for members, wanted in reader.flights if members and wanted]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
-            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own",
-            mend="give each table an id: cubes of a pattern are then called <id>_<name of the cube>",
+            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines",
+            mend="give each table its own id: cubes of a pattern are then called <id>_<name of the cube>",
+            code="name-duplicate",
         )
     return tuple(entries)
 
 
 def _geometry(reader: _Reader) -> dict[str, Any]:
-    table = {key: value for key, value in reader.one("geometry").items() if key != "?"}
+    table = reader.one("geometry")
+    reader.exclude("[geometry]", table, "ground", "dem")
+    reader.exclude("[geometry]", table, "fov_deg", "look_angle")
+    arguments: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
+    }
     for key in ("dem", "look_angle"):
-        if key in table:
-            table[key] = reader.path("[geometry]", key, table[key])
-    for one, other in (("ground", "dem"), ("fov_deg", "look_angle")):
-        if one in table and other in table:
-            reader.problems.add(f"[geometry] has both {one} and {other}; keep the one that is to be used")
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+        if key in arguments:
+            arguments[key] = reader.path("[geometry]", key, arguments[key])
+    return arguments
+
+
+def _note_absent(reader: _Reader, place: str, name: str, table: Mapping[str, Any]) -> None:
+    """Note the needed keys of a table that are not there."""
+    for key, fact in SCHEMA[name].items():
+        if fact.needed and key not in table["?"]:
+            reader.problems.add(f"{place} {key} is missing", mend=f"state the {fact.doc}", code="key-missing")
 
 
 def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
     entries: list[ReferenceEntry] = []
     for number, table in enumerate(reader.tables["references"]):
         place = f"[[references]] {number + 1}"
-        absent = [key for key in ("instrument", "files") if key not in table["?"]]
-        if absent:
-            reader.problems.add(f"{place} {' and '.join(absent)} missing")
+        _note_absent(reader, place, "references", table)
         if "instrument" not in table or "files" not in table:
             continue
         name = table["instrument"]
         group = ReferenceEntry(name, ()).group
-        if not _ID.fullmatch(group) or group in _RESERVED:
-            expected = "letters, digits, blanks, '.', '_' and '-': it names a group of the store"
-            reader.problems.add(f"{place} instrument = {shown(name)}, expected {expected}")
-        elif group.lower() in (entry.group.lower() for entry in entries):
-            reader.problems.add(f"{place} instrument {name!r} is there already; list all its files in one")
-        else:
+        if group.lower() in (entry.group.lower() for entry in entries):
+            reader.problems.add(
+                f"{place} instrument {name!r} has a table already",
+                mend="list all its files in one",
+                code="name-duplicate",
+            )
+        elif reader.is_name(place, "instrument", group, "blanks, "):
             entries.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
     return tuple(entries)
 
@@ -419,17 +492,13 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
     needed = ("line", "along_track", "cross_track")
     for number, table in enumerate(reader.tables["panels"]):
         place = f"[[panels]] {number + 1}"
-        absent = [key for key in needed if key not in table["?"]]
-        if absent:
-            given = ", ".join(key for key in needed if key in table["?"]) or "none of them"
+        _note_absent(reader, place, "panels", table)
+        reader.exclude(place, table, "reflectance", "certificate")
+        if not {"reflectance", "certificate"} & table["?"]:
             reader.problems.add(
-                f"{place} {' and '.join(absent)} missing: found {given}, expected {', '.join(needed)}"
-            )
-        stated = sorted({"reflectance", "certificate"} & table["?"])
-        if len(stated) != 1:
-            reader.problems.add(
-                f"{place} found {' and '.join(stated) or 'no reflectance'}, expected a reflectance, or the "
-                "file of a certificate"
+                f"{place} reflectance is missing",
+                mend="state it, or the file of a certificate",
+                code="key-missing",
             )
         factor = reader.path(place, "certificate", table.get("certificate")) or table.get("reflectance")
         if factor is None or not set(needed) <= set(table):
@@ -442,11 +511,11 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
 def parse_collect(
     path: Path, problems: Problems, *, need_irradiance: bool, tables: Mapping[str, Any] | None = None
 ) -> Collect:
-    """Return what of a ``collect.toml`` is valid, so that what it names can be checked as well.
+    """Return the valid part of a ``collect.toml``, so that the files that it names can be checked as well.
 
-    ``path``: the file; ``problems``: takes what is wrong; ``need_irradiance``: false where only radiance is
-    wanted; ``tables``: its content, where that is not as in the file. What is `Unavailable` has had its
-    problem noted.
+    ``path``: the file; ``problems``: takes the faults; ``need_irradiance``: false where only radiance is
+    wanted; ``tables``: its content, where it differs from the file. The fault of an `Unavailable` input has
+    been noted.
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
@@ -454,10 +523,15 @@ def parse_collect(
         raw = load_tables(path, "a collect.toml") if tables is None else tables
         reader = _Reader(path, raw, problems)
     except FormatError as error:
-        raise CollectError(str(error)) from error
+        fault = error.problem
+        raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error
     irradiance = _irradiance(reader)
     if need_irradiance and "irradiance" not in reader.given:
-        problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
+        problems.add(
+            "no [irradiance], which reflectance needs",
+            mend="name the files of the spectrometer, or compute radiance only",
+            code="irradiance-missing",
+        )
     calibration, sweep = _calibration(reader)
     return Collect(
         path=path,
@@ -477,13 +551,13 @@ def parse_collect(
 
 
 def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
-    """Read and check a ``collect.toml``; what it names is looked for, not opened.
+    """Read and check a ``collect.toml``; the files that it names are located, not opened.
 
     ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: false where only radiance
     is wanted.
 
-    Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, what is missing or
-    not found; all problems are listed.
+    Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
+    files; all problems are listed.
     """
     path = Path(path)
     problems = Problems(f"{path} cannot be processed", CollectError)

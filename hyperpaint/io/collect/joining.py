@@ -1,23 +1,21 @@
-"""Cubes of one flight as one line, where the recording goes on from one to the next."""
+"""Cubes of one flight as one line, where the recording continues from one to the next."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
 from hyperpaint.io.flightline.flightline_opening import BLANK_COUNT
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 MAX_STEP_PERIODS = 2.5
-"""Line periods from the last line of a cube to the first of the next, up to which the recording goes on: one
+"""Maximum time from the last line of a cube to the first of the next within one recording [line periods]: one
 lost frame is bridged, as in the navigation."""
 
 
@@ -27,7 +25,7 @@ class JoinedLine:
 
     line: xr.Dataset
     members: tuple[str, ...]  #: Ids of its cubes; the first names it
-    interruption: str = ""  #: Why it does not go on from the line before
+    interruption: str = ""  #: Why it does not continue the line before
 
 
 def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
@@ -38,7 +36,7 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
     lines
         Id to the line of each cube, in the order of recording.
     irradiance
-        The whole record, of which each line takes what covers it; None where there is none.
+        The whole record, from which each line takes the part that covers it, or None.
     """
     groups: list[list[str]] = []
     reasons: list[str] = []
@@ -54,7 +52,7 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
 
 
 def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> str:
-    """Return why a cube does not go on where the one before ended; empty where it does."""
+    """Return why a cube does not continue the one before; empty where it does."""
     first, second = lines[before], lines[name]
     apart = _apart(first, second)
     if apart is None:
@@ -89,7 +87,7 @@ def _apart(first: xr.Dataset, second: xr.Dataset) -> tuple[np.timedelta64, np.ti
 
 
 def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
-    """Return how many frames were lost between two cubes: by their numbers if they count on, else by time."""
+    """Return the number of frames lost between two cubes: by frame number if it continues, else by time."""
     by_number = int(second["frame"].values[0]) - int(first["frame"].values[-1]) - 1
     if 0 <= by_number < MAX_STEP_PERIODS:
         return by_number
@@ -98,38 +96,39 @@ def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
 
 
 def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
-    """Return lines of lost frames as cubes hold them: blank, without time and place, frames counted on."""
-    import xarray as xr
-
+    """Return blank lines for lost frames, without time and place; frame numbers continue."""
     blank = before.isel({ALONG_TRACK: [-1] * count})
     for name, variable in before.variables.items():
-        own = blank[name]
+        filled = blank[name]
         if ALONG_TRACK not in variable.dims or name == "exposure_time":
             continue
         if name == "frame":
-            own = own + np.arange(1, count + 1)
+            filled = filled + np.arange(1, count + 1)
         elif name == "counts":
-            own = xr.full_like(own, BLANK_COUNT)
+            filled = xr.full_like(filled, BLANK_COUNT)
         else:
             empty: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
-            own = xr.full_like(own, empty)
-        blank[name] = own.variable
+            filled = xr.full_like(filled, empty)
+        blank[name] = filled.variable
     return blank
 
 
 def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
     if len(lines) == 1:
         return lines[0]
-    import xarray as xr
-
     lost = [_frames_between(*pair) for pair in itertools.pairwise(lines)]
     bare = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
     for place in reversed(np.flatnonzero(lost)):
         bare.insert(place + 1, _blank_lines(bare[place], lost[place]))
     joined: xr.Dataset = xr.concat(
-        bare, ALONG_TRACK, data_vars="minimal", coords="minimal", compat="override", join="override",
+        bare,
+        ALONG_TRACK,
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
         combine_attrs="override",
-    )  # fmt: skip
+    )
     joined = with_numbers(joined)  # they count on from cube to cube
     # the tasks that one cube would have been read in
     for name, variable in bare[0].variables.items():
@@ -141,7 +140,7 @@ def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Datase
 
 
 def _attrs(lines: list[xr.Dataset], lost: int) -> dict[str, Any]:
-    """Return the attributes that are those of all cubes together."""
+    """Return the attributes of all cubes together."""
     return {
         "source": ", ".join(str(line.attrs["source"]) for line in lines),
         "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines) + lost,

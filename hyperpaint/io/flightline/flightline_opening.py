@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
-from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_belongings, with_numbers
+from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_calibration_names, with_numbers
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -296,7 +296,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     if irradiance is not None:
         parts |= {str(key): value for key, value in irradiance.data_vars.items()}
     line = with_numbers(xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path)))
-    line = with_belongings(line)
+    line = with_calibration_names(line)
     line.attrs = {
         **attrs,
         "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],

@@ -386,6 +386,7 @@ def _read_store(path: Any) -> xr.Dataset:
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):
-        reasons = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
+        texts = [str(problem) for problem in wrong if problem]
+        reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
         raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
     return library

@@ -61,8 +61,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     names = [name for name in required if not _is_plain_number(library, name)]
     variables, wrong = schema.find(library, names, LIBRARY_VARIABLES)
     problems = Problems("the library cannot be written", SchemaError)
-    for problem in wrong:
-        problems.add(problem)
+    problems.extend(wrong)
     for name in variables:
         wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
         numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)

@@ -219,7 +219,7 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
         if name not in library.variables:
             yield LibraryFinding("structure", f"{name!r} is missing", expected)
         elif problem := row.dim_problem(library[name]):
-            yield LibraryFinding("structure", problem.partition(",")[0], expected)
+            yield LibraryFinding("structure", problem.found, expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
         if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):

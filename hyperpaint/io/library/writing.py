@@ -11,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_whole_numbers
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
 
 from .csv_library import write_csv_library
@@ -155,7 +155,7 @@ def write_library(
             f"curves={curves!r}", expected=f"{' or '.join(kinds)} for {chosen}", code="choice-unknown"
         )
     path = _named(path, chosen)
-    library = checked_library(with_whole_numbers(library, LIBRARY_VARIABLES))
+    library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
     if (curves or kinds[0]) == "centre":
         others = [name for name in spectral_variables(library) if name != CENTRE]
         inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}

@@ -291,8 +291,7 @@ def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None
     names = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
     variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
-    for problem in wrong:
-        problems.add(problem)
+    problems.extend(wrong)
     if count < 1:
         problems.add(f"count={count!r}, expected 1 or more")
     if form not in ("members", "paints"):

@@ -59,7 +59,8 @@ class Viewing:
     def __init__(self, line: xr.Dataset) -> None:
         look_names = ("look_across", "look_along", "look_angle")
         names = [name for name in (*_PIXELS, *look_names, *ATTITUDE) if name in line.variables]
-        variables, problems = schema.find(line, names)
+        variables, faults = schema.find(line, names)
+        problems = [fault.text() for fault in faults]
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
         self.look: Floats | None = None

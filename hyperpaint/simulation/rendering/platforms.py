@@ -10,14 +10,10 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import Fact, Spelling, as_argument
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.setting_checks import (
-    check_number,
-    check_whole,
-    finite_floats,
-    is_number,
-    moment_of,
-)
+from hyperpaint.simulation.setting_checks import check_whole, finite_floats, moment_of
+from hyperpaint.simulation.settings import MAX_SEED
 
 from .platform_geometry import (
     MOST_COLUMNS,
@@ -104,15 +100,17 @@ def pushbroom(
     >>> flight.position[0].round(3), flight.column_edges[[0, -1]].round(4)
     (array([ 0.  , -4.95, 15.  ]), array([-0.2133,  0.2133]))
     """
-    start_time = _moment(start_time)
-    given = {
+    values = {
         "lines": lines, "columns": columns, "altitude": altitude, "ground_sample": ground_sample,
         "ifov": ifov, "speed": speed, "line_spacing": line_spacing, "centre": centre, "start": start,
         "heading": heading, "exposure_time": exposure_time, "frame_period": frame_period, "wobble": wobble,
-        "sway": sway, "seed": seed,
+        "sway": sway, "seed": seed, "start_time": start_time,
     }  # fmt: skip
-    _check_pushbroom(given)
-    angle = _pixel_angle(given)
+    problems = Problems("the flight cannot be flown", SchemaError)
+    note_pushbroom_faults(values, problems)
+    problems.raise_if_any()
+    utc = moment_of(start_time)
+    angle = _pixel_angle(values)
     if speed is None:
         speed = (angle * altitude if line_spacing is None else line_spacing) / frame_period
     time = np.rint(np.arange(lines) * (frame_period * 1e9)).astype(np.int64)
@@ -133,7 +131,7 @@ def pushbroom(
     )
     rotation = matrices(quaternions(turned[0], turned[1], turned[2] + heading))
     edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * angle)
-    return Platform(origin, rotation, edges, np.array([-0.5, 0.5]) * angle, time, exposure_time, start_time)
+    return Platform(origin, rotation, edges, np.array([-0.5, 0.5]) * angle, time, exposure_time, utc)
 
 
 def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats:
@@ -150,66 +148,111 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
     return oscillations
 
 
-def _check_pushbroom(given: dict[str, Any]) -> None:
-    problems = Problems("the flight cannot be flown", SchemaError)
-    check_whole(problems, "lines", given["lines"], 1, MOST_LINES)
-    check_whole(problems, "columns", given["columns"], 1, MOST_COLUMNS)
-    check_whole(problems, "seed", given["seed"], 0)
-    for name, (lowest, highest) in _RANGES.items():
-        if given[name] is not None:
-            check_number(problems, name, given[name], lowest, highest)
-    for name in ("centre", "start"):
-        value = given[name]
-        if value is not None and not (_is_tuple(value, 2) and max(map(abs, value)) <= 1e6):
-            problems.add(f"{name}={value!r:.60}, expected east and north within 1e6 m")
-    several = given["wobble"] if _is_tuple(given["wobble"], 3) else (given["wobble"],)
-    if not all(is_number(each) and 0 <= each <= 20 for each in several):
-        problems.add(f"wobble={given['wobble']!r:.60}, expected one number or three from 0 to 20 degrees")
+def note_pushbroom_faults(
+    values: dict[str, Any], problems: Problems, spelled: Spelling = as_argument
+) -> None:
+    """Note wrong arguments of `pushbroom`, and arguments that contradict each other."""
+    before = len(problems)
+    present = {name: value for name, value in values.items() if value is not None}
+    for name, value in present.items():
+        PUSHBROOM[name].note(problems, spelled(name, value), value)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
-        if given[one] is not None and given[other] is not None:
-            problems.add(f"both {one} and {other} are given; keep one")
-    problems.raise_if_any()
-    if given["exposure_time"] > given["frame_period"]:
-        problems.add(f"exposure_time={given['exposure_time']} exceeds frame_period={given['frame_period']}")
-    angle = _pixel_angle(given)
-    if angle * given["columns"] / 2 > STEEPEST:
-        aside = np.degrees(np.arctan(angle * given["columns"] / 2))
+        if one in present and other in present:
+            found = f"{spelled(one, values[one])} and {spelled(other, values[other])}"
+            problems.add(found, expected="one of them", mend="keep one", code="option-conflict")
+    if len(problems) > before:
+        return
+    exposure, period = (
+        present.get(name, PUSHBROOM[name].default) for name in ("exposure_time", "frame_period")
+    )
+    if exposure > period:
+        found = f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}"
+        problems.add(found, mend="shorten the exposure, or lengthen the period", code="exposure-too-long")
+    angle = _pixel_angle(values)
+    if angle * values["columns"] / 2 > STEEPEST:
+        aside = np.degrees(np.arctan(angle * values["columns"] / 2))
         problems.add(
-            f"{given['columns']} columns look {aside:.1f} degrees aside, expected at most 85; "
-            "fewer columns, smaller pixels or a higher flight"
+            f"{spelled('columns', values['columns'])}: the outer ones look {aside:.1f} degrees aside",
+            expected="at most 85",
+            mend="take fewer columns, smaller pixels or a higher flight",
+            code="view-too-wide",
         )
-    problems.raise_if_any()
 
 
-def _pixel_angle(given: dict[str, Any]) -> float:
-    if given["ground_sample"] is not None:
-        return float(given["ground_sample"] / given["altitude"])
-    return IFOV if given["ifov"] is None else float(given["ifov"])
+def _pixel_angle(values: dict[str, Any]) -> float:
+    if values.get("ground_sample") is not None:
+        return float(values["ground_sample"] / values.get("altitude", PUSHBROOM["altitude"].default))
+    return IFOV if values.get("ifov") is None else float(values["ifov"])
 
 
-_RANGES = {
-    "altitude": (0.1, 1e5),
-    "ground_sample": (1e-5, 1e4),
-    "ifov": (1e-7, 1.0),
-    "speed": (1e-4, 1e4),
-    "line_spacing": (1e-5, 1e4),
-    "heading": (-360.0, 360.0),
-    "exposure_time": (0.0, 3600.0),
-    "frame_period": (1e-6, 3600.0),
-    "sway": (0.0, 100.0),
-}
-
-
-def _is_tuple(value: Any, length: int) -> bool:
-    return isinstance(value, Sequence) and len(value) == length and all(map(is_number, value))
-
-
-def _moment(value: np.datetime64 | str) -> np.datetime64:
+def _is_flight_time(value: Any) -> bool:
     # "now" would be another flight at every call
     moment = moment_of("NaT" if isinstance(value, str) and not value[:1].isdigit() else value)
-    if not np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"):
-        raise SchemaError(f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'")
-    return moment
+    return bool(np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"))
+
+
+_PLACE: dict[str, Any] = {
+    "kind": "numbers", "unit": "m", "length": 2, "least": -1e6, "most": 1e6,
+}  # fmt: skip
+_FACTS = (
+    Fact(name="lines", kind="whole", least=1, most=MOST_LINES, needed=True, doc="lines of the cube"),
+    Fact(name="columns", kind="whole", least=1, most=MOST_COLUMNS, needed=True, doc="columns of the cube"),
+    Fact(
+        name="altitude", key="altitude_m", kind="number", unit="m", scale=1.0, least=0.1, most=1e5,
+        default=15.0, doc="height above z = 0",
+    ),
+    Fact(
+        name="ground_sample", key="ground_sample_m", kind="number", unit="m", scale=1.0, least=1e-5, most=1e4,
+        doc="across-track size of a pixel on z = 0; or ifov_mrad",
+    ),
+    Fact(
+        name="ifov", key="ifov_mrad", kind="number", unit="mrad", scale=1e-3, least=1e-7, most=1.0,
+        doc="angle of a pixel; by default a 12 mm lens in front of 7.4 um pixels",
+    ),
+    Fact(
+        name="speed", key="speed_m_s", kind="number", unit="m s-1", scale=1.0, least=1e-4, most=1e4,
+        doc="speed over ground; or line_spacing_m",
+    ),
+    Fact(
+        name="line_spacing", key="line_spacing_m", kind="number", unit="m", scale=1.0, least=1e-5, most=1e4,
+        doc="way from line to line; by default a line is as long as a pixel is wide",
+    ),
+    Fact(name="centre", key="centre_m", **_PLACE, doc="east and north of the middle of the flight"),
+    Fact(
+        name="start", key="start_m", **_PLACE,
+        doc="east and north of the camera at the first line, in place of the centre",
+    ),
+    Fact(
+        name="heading", key="heading_deg", kind="number", unit="degree", scale=1.0, least=-360.0, most=360.0,
+        default=0.0, doc="direction of flight, clockwise from north",
+    ),
+    Fact(
+        name="exposure_time", key="exposure_time_ms", kind="number", unit="ms", scale=1e-3, least=0.0,
+        most=3600.0, default=5e-3, doc="exposure of a line",
+    ),
+    Fact(
+        name="frame_period", key="frame_period_ms", kind="number", unit="ms", scale=1e-3, least=1e-6,
+        most=3600.0, default=7e-3, doc="time from line to line",
+    ),
+    Fact(
+        name="wobble", key="wobble_deg", kind="numbers", single=True, length=3, unit="degree", least=0.0,
+        most=20.0, default=0.0, doc="spread of roll, pitch and heading, 1 sigma; one number or three",
+    ),
+    Fact(
+        name="sway", key="sway_m", kind="number", unit="m", scale=1.0, least=0.0, most=100.0, default=0.0,
+        doc="spread of east, north and up, 1 sigma",
+    ),
+    Fact(
+        name="start_time", kind="own", accepts=_is_flight_time, doc="UTC at mid exposure of the first line",
+        phrase="a UTC time such as '2021-07-20T17:10:00'",
+    ),
+    Fact(
+        name="seed", kind="whole", least=0, most=MAX_SEED, default=0, doc="chooses wobble and sway",
+    ),
+)  # fmt: skip
+
+PUSHBROOM = {one.name: one for one in _FACTS}
+"""Facts of the arguments of `pushbroom`; ``key`` is the spelling in ``[platform]`` of a ``scene.toml``."""
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------
@@ -294,8 +337,8 @@ def platform_from_poses(
     }  # fmt: skip
     _check_poses(poses, seconds, problems)
     check_whole(problems, "columns", columns, 1, MOST_COLUMNS)
-    check_number(problems, "ifov", ifov, *_RANGES["ifov"])
-    check_number(problems, "exposure_time", exposure_time, *_RANGES["exposure_time"])
+    PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
+    PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()
     _check_lines(seconds, at, exposure_time, line_time is None, problems)
     problems.raise_if_any()

@@ -18,18 +18,18 @@ from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "code"),
     [
-        ("*/" * 3000, "expected a pattern of at most 1000 characters"),
-        ("**/" * 30 + "*.asd", "matches no file"),
-        ("[" * 5000, "expected a pattern of at most 1000 characters"),
+        ("*/" * 3000, "pattern-invalid"),
+        ("**/" * 30 + "*.asd", "file-not-found"),
+        ("[" * 5000, "pattern-invalid"),
     ],
 )
-def test_globs_that_recurse_or_never_end(pattern: str, said: str, tmp_path: Path) -> None:
+def test_globs_that_recurse_or_never_end(pattern: str, code: str, tmp_path: Path) -> None:
     # RecursionError from glob (a level a folder); with many '**' the time multiplies
     path = tmp_path / "collect.toml"
     path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
-    with pytest.raises(CollectError, match=said):
+    with pytest.raises(CollectError, match=code):
         read_collect(path)
 
 
@@ -39,9 +39,7 @@ def test_a_pipe_that_a_glob_matches_is_missed(tmp_path: Path) -> None:
     (tmp_path / "sky_1.asd").touch()
     path = tmp_path / "collect.toml"
     path.write_text('[irradiance]\nfiles = "*.asd"\n')
-    with pytest.raises(
-        CollectError, match=r"files = '\*\.asd': .*sky\.asd is a pipe or device, expected a file"
-    ):
+    with pytest.raises(CollectError, match=r"sky\.asd .*file-special"):
         read_collect(path)
 
 
@@ -50,7 +48,7 @@ def test_whole_numbers_beyond_float64(number: str, tmp_path: Path) -> None:
     # OverflowError: int too large to convert to float; ValueError where it is printed
     path = tmp_path / "collect.toml"
     path.write_text(f"[camera]\nexposure_time_ms = {number}\n")
-    with pytest.raises(CollectError, match="expected a positive number"):
+    with pytest.raises(CollectError, match=r"exposure_time_ms.*(not-finite|type-wrong)"):
         read_collect(path)
 
 

@@ -45,7 +45,7 @@ def test_instruments_name_groups(collect: Path) -> None:
     for name, told in {
         "../svc": "instrument = '../svc', expected letters",
         "": "instrument = '', expected a text",
-        "ASD": "instrument 'asd' is there already",
+        "ASD": "'asd' has a table already",
     }.items():
         collect.write_text(text.replace('instrument = "svc"', f'instrument = "{name}"'))
         with pytest.raises(CollectError, match=re.escape(told)):
@@ -60,7 +60,7 @@ def test_an_instrument_may_be_called_by_its_model(collect: Path) -> None:
     assert opened.attrs["instrument"] == "SVC"
     collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"')
                        .replace('instrument = "asd"', 'instrument = "svc_hr-1024i"'))  # fmt: skip
-    with pytest.raises(CollectError, match="instrument 'svc_hr-1024i' is there already"):
+    with pytest.raises(CollectError, match=r"'svc_hr-1024i'.*name-duplicate"):
         hp.open_collect(collect)
 
 
@@ -69,7 +69,7 @@ def test_instruments_are_not_mixed(collect: Path) -> None:
     collect.write_text(
         text.replace('files = "svc/*.sig"', 'files = ["svc/red.sig", "asd_reflectance/red.asd"]')
     )
-    with pytest.raises(CollectError, match=r"'svc': files of 2 kinds of instruments; give each its own"):
+    with pytest.raises(CollectError, match="instrument-mixed"):
         hp.open_collect(collect)
 
 

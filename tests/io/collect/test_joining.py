@@ -63,9 +63,7 @@ def test_a_cube_that_is_missing_makes_two_lines_and_says_why(cut: Path, tmp_path
     shutil.copytree(cut.parent, tmp_path / "raw")
     for name in ("raw_24", "raw_24.hdr", "frameIndex_24.txt"):
         (tmp_path / "raw" / "flight" / name).unlink()
-    with pytest.warns(
-        hp.errors.PaintWarning, match=r"raw_36 is a flight line of its own: .* after raw_12 ended"
-    ):
+    with pytest.warns(hp.errors.PaintWarning, match=r"raw_36 .*recording-interrupted"):
         lines = hp.open_collect(tmp_path / "raw" / "collect.toml")["flightlines"]
     assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
         "raw_0": 24,
@@ -133,7 +131,7 @@ def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path
     shutil.copytree(tmp_path / "raw" / "flight", tmp_path / "raw" / "second")
     (tmp_path / "raw" / "second" / "raw_24.hdr").unlink()
     tables = ['id = "one"\ncube = "flight"', 'id = "two"\ncube = "second/raw_*.hdr"']
-    with pytest.warns(hp.errors.PaintWarning, match="two_raw_36 is a flight line of its own"):
+    with pytest.warns(hp.errors.PaintWarning, match=r"two_raw_36 .*recording-interrupted"):
         lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
     assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
         "one": 60, "two_raw_0": 24, "two_raw_36": 24,
