@@ -86,20 +86,26 @@ def read_mesh(
     suffix = file.suffix.lower()
     if suffix not in readers:
         raise FormatError(
-            f"{file.name}: the ending {suffix!r} is not known, expected one of {', '.join(readers)}"
+            f"{file.name}: the suffix {suffix!r} is unknown",
+            expected=f"one of {', '.join(readers)}",
+            code="format-unknown",
         )
     upright = _UPRIGHT.get(("y" if suffix == ".glb" else "z") if up is None else up)
     if upright is None or not (np.isfinite(unit) and unit > 0):
         raise SchemaError(
-            f"up={up!r} and unit={unit!r}, expected one of x, y, z and a number of metres above 0"
+            f"up={up!r} and unit={unit!r}",
+            expected="one of x, y, z and a number of metres above 0",
+            code="value-out-of-range",
         )
     raw = readers[suffix](_contents(file), file.name)
     _check(raw, file.name)
     farthest = float(np.abs(raw.vertices).max(initial=0.0))
     if not farthest < _FARTHEST_M / unit:
         raise FormatError(
-            f"{file.name}: a vertex {farthest:.3g} units of {unit:g} m from the origin, expected at most "
-            f"{_FARTHEST_M:g} m; mend the mesh, or give unit="
+            f"{file.name}: a vertex is {farthest:.3g} units of {unit:g} m from the origin",
+            expected=f"at most {_FARTHEST_M:g} m",
+            mend="mend the mesh, or pass unit=",
+            code="vertex-too-far",
         )
     vertices = unit * raw.vertices @ upright.T
     with_area = has_area(vertices, raw.faces)
@@ -122,22 +128,29 @@ def read_mesh(
 def _contents(file: Path) -> bytes:
     data = read_limited(file, _MAX_BYTES, "a mesh")
     if not data.strip():
-        raise FormatError(f"{file.name}: the file is empty, expected a mesh")
+        raise FormatError(f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
     return data
 
 
 def _check(raw: RawTriangles, where: str) -> None:
     if not len(raw.faces):
-        raise FormatError(f"{where}: there are no triangles in it, expected a mesh with faces")
+        raise FormatError(f"{where}: no triangles", expected="a mesh with faces", code="mesh-empty")
     first, last, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
     if first < 0 or last >= count:
         wrong = last + 1 if last >= count else first
-        raise FormatError(f"{where}: a face names vertex {wrong}, but there are {count}; the file is damaged")
+        raise FormatError(
+            f"{where}: a face names vertex {wrong}",
+            expected=f"one of {count} vertices",
+            mend="export the mesh again",
+            code="vertex-unknown",
+        )
     bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
     if len(bad):
         raise FormatError(
             f"{where}: {len(bad)} of {len(raw.vertices)} vertices are not finite, the first is number "
-            f"{bad[0]} counted from 0; mend the mesh"
+            f"{bad[0]} counted from 0",
+            mend="mend the mesh",
+            code="not-finite",
         )
 
 
@@ -157,7 +170,9 @@ def _assigned(
         numbers[group] = chosen.setdefault(material, len(chosen))
     if missing:
         raise SchemaError(
-            f"{where}: no material for {', '.join(missing[:20])}; name them in materials=, or give default="
+            f"{where}: no material for {', '.join(missing[:20])}",
+            mend="name them in materials=, or pass default=",
+            code="material-missing",
         )
     return tuple(chosen), numbers[raw.face_group]
 

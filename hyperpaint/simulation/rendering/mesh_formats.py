@@ -27,7 +27,6 @@ _MAX_TRIANGLES = 50_000_000
 _LARGEST_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")
 _LONGEST_LINE = 2**20
-_CUT = "the file is cut or damaged"
 
 
 class RawTriangles(NamedTuple):
@@ -76,14 +75,22 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     group = -1
     for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
         if match.end() - match.start() > _LONGEST_LINE:
-            raise FormatError(f"{where}: line {number} has over {_LONGEST_LINE} characters; it is damaged")
+            raise FormatError(
+                f"{where}: line {number} is too long",
+                expected=f"at most {_LONGEST_LINE} characters",
+                code="line-too-long",
+            )
         line = match[0]
         words = line.split()
         keyword = words[0] if words else ""
         if keyword == "v":
             position = _numbers(float, words[1:4])
             if len(position) != 3:
-                raise FormatError(f"{where}: {_line(number, words)}, expected 'v' and three numbers")
+                raise FormatError(
+                    f"{where}: {_line(number, words)}",
+                    expected="'v' and three numbers",
+                    code="number-unreadable",
+                )
             coordinates.extend(position)
         elif keyword == "f":
             if group < 0:
@@ -91,8 +98,9 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             indices = _numbers(int, [word.partition("/")[0] for word in words[1:]])
             if len(indices) < 3 or not all(0 < abs(index) < _LARGEST_INDEX for index in indices):
                 raise FormatError(
-                    f"{where}: {_line(number, words)}, expected 'f' and three or more numbers of vertices, "
-                    "counted from 1"
+                    f"{where}: {_line(number, words)}",
+                    expected="'f' and three or more numbers of vertices, counted from 1",
+                    code="number-unreadable",
                 )
             before = len(coordinates) // 3  # negative numbers count back from here
             fan = [index - 1 if index > 0 else before + index for index in indices]
@@ -149,30 +157,36 @@ def check_ply(data: bytes, where: str) -> None:
         There is no PLY header, or it declares more than the file can hold.
     """
     if not data.startswith(b"ply"):
-        raise FormatError(f"{where}: it begins with {data[:4]!r}, expected b'ply'")
+        raise FormatError(f"{where}: it begins with {data[:4]!r}", expected="b'ply'", code="format-unknown")
     head, end, _ = data[:_MAX_HEADER_BYTES].partition(b"end_header")
     if not end:
-        raise FormatError(f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes; {_CUT}")
+        raise FormatError(
+            f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes", code="header-truncated"
+        )
     room = len(data) - len(head) - len(end)
     lines = head.decode("latin-1").split("\n")
     binary = any("binary" in line for line in lines[:3])
     needed, count, row = 0, 0, 0  # bytes so far; elements of the current kind, and the least bytes of one
     for line in [*lines, "element end 0"]:
         words = line.split()
-        fails = f"{where}: the header has {line.strip()[:60]!r}, expected"
+        wrong = f"{where}: the header has {line.strip()[:60]!r}"
         if words[:1] == ["element"]:
             needed += count * row
             if len(words) != 3 or not words[2].isascii() or not words[2].isdigit() or len(words[2]) > 18:
-                raise FormatError(f"{fails} 'element NAME COUNT'")
+                raise FormatError(wrong, expected="'element NAME COUNT'", code="header-unreadable")
             count, row = int(words[2]), 0
         elif words[:1] == ["property"]:
             listed = words[1:2] == ["list"]
             kinds = words[2:4] if listed else words[1:2]
             if len(words) != (5 if listed else 3) or any(kind not in _PLY_BYTES for kind in kinds):
-                raise FormatError(f"{fails} 'property TYPE NAME' or a list")
+                raise FormatError(wrong, expected="'property TYPE NAME' or a list", code="header-unreadable")
             row += _PLY_BYTES[kinds[0]] if binary else 2  # in text a digit and what follows it
     if needed > room + 2:
-        raise FormatError(f"{where}: its header declares {needed} bytes or more, found {room}; {_CUT}")
+        raise FormatError(
+            f"{where}: {room} bytes",
+            expected=f"{needed} or more, as its header declares",
+            code="file-truncated",
+        )
 
 
 # --- GLB ---------------------------------------------------------------------------------------------------
@@ -209,7 +223,10 @@ def read_glb(data: bytes, where: str) -> RawTriangles:
     stripped = strip_glb(data, where)
     if stripped.triangles > _MAX_TRIANGLES:
         raise FormatError(
-            f"{where}: {stripped.triangles} triangles, expected at most {_MAX_TRIANGLES}; simplify the mesh"
+            f"{where}: {stripped.triangles} triangles",
+            expected=f"at most {_MAX_TRIANGLES}",
+            mend="simplify the mesh",
+            code="mesh-too-large",
         )
     if not stripped.triangles:
         return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
@@ -257,30 +274,44 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
     """Return the description and the numbers of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise FormatError(
-            f"{where}: it begins with {data[:4]!r}, expected a binary glTF file (b'glTF'); export it as .glb"
+            f"{where}: it begins with {data[:4]!r}",
+            expected="a binary glTF file (b'glTF')",
+            mend="export it as .glb",
+            code="format-unknown",
         )
     _, version, length, size, kind = struct.unpack("<4sIIII", data[:20])
     if version != 2 or kind != _JSON:
         raise FormatError(
-            f"{where}: glTF version {version}, expected 2 with its JSON chunk first; export it anew"
+            f"{where}: glTF version {version}",
+            expected="2 with its JSON chunk first",
+            mend="export it again",
+            code="format-version",
         )
     if length > len(data) or 20 + size > length:
         raise FormatError(
-            f"{where}: it declares {length} bytes with {size} of JSON, found {len(data)}; {_CUT}"
+            f"{where}: {len(data)} bytes",
+            expected=f"{length} with {size} of JSON, as its header declares",
+            code="file-truncated",
         )
     try:
         header = json.loads(data[20 : 20 + size])
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where}: its JSON chunk cannot be read ({error}); the file is damaged") from error
+        raise FormatError(
+            f"{where}: its JSON chunk cannot be read ({error})", code="json-unreadable"
+        ) from error
     if not isinstance(header, dict):
-        raise FormatError(f"{where}: its JSON chunk holds {type(header).__name__}, expected an object")
+        raise FormatError(
+            f"{where}: its JSON chunk holds {type(header).__name__}", expected="an object", code="type-wrong"
+        )
     if length < 28 + size:
         return header, b""
     count, kind = struct.unpack("<II", data[20 + size : 28 + size])
     body = data[28 + size : 28 + size + count] if kind == _BINARY else b""
     if kind == _BINARY and len(body) != count:
         raise FormatError(
-            f"{where}: its binary chunk declares {count} bytes, found {len(body)}; the file is cut"
+            f"{where}: its binary chunk has {len(body)} bytes",
+            expected=f"{count}, as it declares",
+            code="file-truncated",
         )
     return header, body
 
@@ -293,25 +324,27 @@ class _GlbCheck:
         for name in self.many("extensionsRequired", str):
             if not name.startswith("KHR_materials_") and name != "KHR_texture_transform":
                 self.fail(
-                    f"it needs the extension {name[:60]}, which is not read; export it without compression"
+                    f"it requires the extension {name[:60]}",
+                    mend="export it without compression",
+                    code="extension-unsupported",
                 )
         if any("uri" in buffer for buffer in self.many("buffers")):
-            self.fail("it refers to another file for its numbers; export it as one .glb")
+            self.fail("its buffer is in another file", mend="export it as one .glb", code="buffer-external")
         if len(self.many("buffers")) > 1:
-            self.fail("it has more than one buffer, expected the one inside the file")
+            self.fail("it has more than one buffer", expected="the one inside the file", code="buffer-number")
         self.views = [self.view(view) for view in self.many("bufferViews")]
         self.given_accessors = self.many("accessors")
         self.places: dict[tuple[int, str], int] = {}
         self.accessors: list[dict[str, Any]] = []
 
-    def fail(self, message: str) -> NoReturn:
-        raise FormatError(f"{self.where}: {message}")
+    def fail(self, found: str, *, expected: str = "", mend: str = "", code: str) -> NoReturn:
+        raise FormatError(f"{self.where}: {found}", expected=expected, mend=mend, code=code)
 
     def many(self, key: str, kind: Any = dict, of: dict[str, Any] | None = None) -> list[Any]:
         """Return a list of ``kind`` under a key; empty where there is none."""
         entries = (self.header if of is None else of).get(key, [])
         if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
-            self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}")
+            self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}", code="type-wrong")
         return list(entries)
 
     def names(self, key: str) -> tuple[str, ...]:
@@ -322,7 +355,11 @@ class _GlbCheck:
         """Return a whole number from 0 to ``most`` under a key."""
         number = of.get(key, default)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
-            self.fail(f"{key} is {str(number)[:40]}, expected a whole number from 0 to {most}")
+            self.fail(
+                f"{key} is {str(number)[:40]}",
+                expected=f"a whole number from 0 to {most}",
+                code="value-out-of-range",
+            )
         return number
 
     def view(self, view: dict[str, Any]) -> dict[str, int]:
@@ -342,11 +379,16 @@ class _GlbCheck:
         component = given.get("componentType")
         if given.get("type") != kind or component not in _GLB_BYTES or "sparse" in given:
             self.fail(
-                f"accessor {number} is {given.get('type')!s:.20}, expected plain numbers of type {kind}"
+                f"accessor {number} is {given.get('type')!s:.20}",
+                expected=f"plain numbers of type {kind}",
+                code="accessor-type",
             )
         if kind == "VEC3" and component != 5126:
             self.fail(
-                f"accessor {number} has quantised positions, expected float; export it without compression"
+                f"accessor {number} has quantised positions",
+                expected="float",
+                mend="export it without compression",
+                code="accessor-type",
             )
         place = self.whole(given, "bufferView", len(self.views) - 1)
         view, size = self.views[place], _GLB_BYTES[component] * _COMPONENTS[kind]
@@ -385,11 +427,18 @@ class _GlbCheck:
         primitives = []
         for primitive in self.many("primitives", of=mesh):
             mode, attributes = primitive.get("mode", _TRIANGLES), primitive.get("attributes")
-            fails = f"mesh {number} has a primitive"
             if mode != _TRIANGLES:
-                self.fail(f"{fails} of mode {mode!s:.20}, expected triangles ({_TRIANGLES})")
+                self.fail(
+                    f"mesh {number} has a primitive of mode {mode!s:.20}",
+                    expected=f"triangles ({_TRIANGLES})",
+                    code="primitive-type",
+                )
             if not isinstance(attributes, dict):
-                self.fail(f"{fails} without attributes, expected POSITION")
+                self.fail(
+                    f"mesh {number} has a primitive without attributes",
+                    expected="POSITION",
+                    code="primitive-type",
+                )
             position = self.accessor(attributes, "POSITION", "VEC3")
             stripped: dict[str, Any] = {"attributes": {"POSITION": position}, "mode": _TRIANGLES}
             if "indices" in primitive:
@@ -407,7 +456,11 @@ class _GlbCheck:
             if key in node:
                 values = self.many(key, int | float, of=node)
                 if len(values) != count:
-                    self.fail(f"node {number} has a {key} of {len(values)} numbers, expected {count}")
+                    self.fail(
+                        f"node {number} has a {key} of {len(values)} numbers",
+                        expected=f"{count}",
+                        code="length-mismatch",
+                    )
                 stripped[key] = [float(value) for value in values]
         children = self.many("children", int, of=node)
         return stripped | ({"children": children} if children else {})
@@ -419,7 +472,8 @@ class _GlbCheck:
             for child in node.get("children", []):
                 if not 0 <= child < len(nodes) or child in with_parent:
                     self.fail(
-                        f"node {number} has the child {child}, which does not exist or has a parent already"
+                        f"node {number} has the child {child}, which does not exist or has another parent",
+                        code="node-parent",
                     )
                 with_parent.add(child)
         roots = [number for number in range(len(nodes)) if number not in with_parent]
@@ -428,7 +482,11 @@ class _GlbCheck:
             reached += len(level)
             level = [child for number in level for child in nodes[number].get("children", [])]
         if level or reached != len(nodes):
-            self.fail(f"its nodes lie in a circle, or more than {_MAX_NODE_DEPTH} below one another")
+            self.fail(
+                "its nodes form a circle or too deep a tree",
+                expected=f"at most {_MAX_NODE_DEPTH} levels",
+                code="node-depth",
+            )
         return roots
 
 
@@ -446,7 +504,7 @@ def _loaded(load: Callable[..., Any], data: bytes, kind: str, where: str, **opti
             return load(io.BytesIO(data), file_type=kind, process=False, **options)
     except Exception as error:  # a parser of others may fail in any way
         raise FormatError(
-            f"{where}: trimesh cannot read it ({type(error).__name__}: {error}); the file is damaged or odd"
+            f"{where}: trimesh cannot read it ({type(error).__name__}: {error})", code="mesh-unreadable"
         ) from error
 
 
