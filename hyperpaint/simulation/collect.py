@@ -186,10 +186,14 @@ def simulate_collect(
     )
     if not settings.quantise:
         raise SchemaError(
-            "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
+            "quantise=False, but files hold whole counts",
+            mend="use simulate_line for float32 counts in memory",
+            code="option-conflict",
         )
     if block_lines < 1:
-        raise SchemaError(f"block_lines={block_lines}, expected a whole number above 0")
+        raise SchemaError(
+            f"block_lines={block_lines}", expected="a whole number above 0", code="value-out-of-range"
+        )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = _flight_of(settings)
     root = _prepare(place, overwrite)
@@ -222,14 +226,18 @@ def _flight_of(settings: SimulationSettings) -> Flight:
 
 def _prepare(root: Path, overwrite: bool) -> Path:
     if root.exists() and not root.is_dir():
-        raise StoreError(f"{root} is a file; name a folder for the simulated collect")
+        raise StoreError(
+            f"{root} is a file", mend="name a folder for the simulated collect", code="folder-is-file"
+        )
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
             mend = "name another folder, or replace an earlier collect with {}"
             raise StoreError(
                 f"{root} is not empty",
-                mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-            )  # fmt: skip
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="folder-not-empty",
+            )
         _check_simulated(root)
         (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
         for part in PARTS[:-1]:
@@ -252,8 +260,9 @@ def _check_simulated(root: Path) -> None:
     if parts and not (head_of(toml, len(MARKER)) == MARKER.encode()):
         raise StoreError(
             f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
-            expected="what an earlier simulation wrote there",
+            expected="an earlier simulated collect",
             mend="name another folder; nothing was removed",
+            code="folder-foreign",
         )
 
 

@@ -129,8 +129,10 @@ class RenderedFlight(Flight):
         length = start + settings.lines * self.ground_sample + before
         if length > _LONGEST:
             raise SchemaError(
-                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park, and at "
-                f"most {_LONGEST:g} m are rendered; take fewer lines, more columns, or scene='plan'"
+                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
+                expected=f"at most {_LONGEST:g} m",
+                mend="take fewer lines, more columns, or scene='plan'",
+                code="flight-too-long",
             )
         park = car_park(
             length=float(length),

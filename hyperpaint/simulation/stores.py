@@ -464,9 +464,11 @@ def _clear(target: Path, overwrite: bool) -> None:
     if not overwrite or not is_simulated_sweep(target, f"{TRUTH}srf_shape"):
         mend = "name another path, or replace an earlier sweep with {}"
         raise StoreError(
-            f"{target} exists already",
-            mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-        )  # fmt: skip
+            f"{target} exists",
+            mend=mend.format("overwrite=True"),
+            option=mend.format("--overwrite"),
+            code="store-exists",
+        )
     shutil.rmtree(target)
 
 

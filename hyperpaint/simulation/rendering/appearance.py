@@ -105,8 +105,10 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
     most, least = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
     if not least < gloss <= most:
         raise SchemaError(
-            f"gloss is {gloss}, expected {least:.1f} to {most:.1f} units for an index of {index} and a "
-            f"waviness of {waviness} degrees; a higher index is glossier"
+            f"gloss is {gloss} units",
+            expected=f"{least:.1f} to {most:.1f} for index {index} and waviness {waviness} degrees",
+            mend="raise the index for more gloss",
+            code="value-out-of-range",
         )
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -291,15 +293,21 @@ def flakes_of_flop(
     10.0
     """
     if material.flakes is None:
-        raise SchemaError(f"material {material.name!r} has no flakes; give it flakes=Flakes(share)")
+        raise SchemaError(
+            f"material {material.name!r} has no flakes",
+            mend="pass flakes=Flakes(share)",
+            code="flakes-missing",
+        )
     own, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     curves = _paint_curves(material, wavelength, body, flakes)
     flops = np.array([_flop(lobes, own.share, *curves) for lobes in _lobes_by_alpha(index)])
     peak = int(flops.argmax())  # sharper lobes miss the first angle
     if not (nearest or flops[-1] <= flop <= flops[peak]):
         raise SchemaError(
-            f"flop is {flop}, expected {flops[-1]:.1f} to {flops[peak]:.1f} for a share of flakes of "
-            f"{own.share}; more flakes, or a darker pigment, flop more"
+            f"flop index is {flop}",
+            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {own.share}",
+            mend="for more flop, raise the flake share or darken the pigment",
+            code="value-out-of-range",
         )
     roughness = float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
     return replace(own, roughness=roughness)

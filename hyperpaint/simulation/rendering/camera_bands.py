@@ -69,20 +69,30 @@ class BandSet:
         problems = Problems("these bands cannot be rendered", SchemaError)
         wavelength = finite_floats(self.wavelength, "wavelength", problems)
         if wavelength.ndim != 1 or not wavelength.size:
-            problems.add(f"wavelength has shape {wavelength.shape}, expected (band,)")
+            problems.add(f"wavelength has shape {wavelength.shape}", expected="(band,)", code="dims-wrong")
         elif not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0):
-            problems.add("wavelength must be positive and increase from band to band [nm]; sort the bands")
+            problems.add(
+                "wavelength is not positive and increasing",
+                mend="sort the bands",
+                code="wavelength-unordered",
+            )
         fwhm = finite_floats(self.fwhm, "fwhm", problems)
         if fwhm.shape not in ((), (1,), wavelength.shape):
-            problems.add(f"fwhm has shape {fwhm.shape}, expected one value or {wavelength.shape}")
+            problems.add(
+                f"fwhm has shape {fwhm.shape}", expected=f"one value or {wavelength.shape}", code="dims-wrong"
+            )
         elif not np.all(fwhm > 0):
-            problems.add("fwhm must be positive [nm]")
+            problems.add(
+                f"fwhm falls to {fwhm.min():g} nm", expected="a width above 0", code="value-out-of-range"
+            )
         check_choice(problems, "shape", self.shape, SHAPES)
         shift = None
         if self.wavelength_shift is not None:
             shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)
             if shift.ndim != 1 or not shift.size:
-                problems.add(f"wavelength_shift has shape {shift.shape}, expected (cross_track,)")
+                problems.add(
+                    f"wavelength_shift has shape {shift.shape}", expected="(cross_track,)", code="dims-wrong"
+                )
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
@@ -114,7 +124,11 @@ class BandSet:
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
             if getattr(bands, name, None) is None:
-                problems.add(f"{name!r} is missing; give a BandSet, or a Dataset with wavelength and fwhm")
+                problems.add(
+                    f"{name!r} is missing",
+                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                    code="variable-missing",
+                )
         problems.raise_if_any()
         attrs = getattr(bands, "attrs", {})
         shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
@@ -173,7 +187,11 @@ class BandSet:
             The bands have no smile, and so one node.
         """
         if self.wavelength_shift is None:
-            raise SchemaError("bands without smile have one node; take the products as they are")
+            raise SchemaError(
+                "bands without smile have one node",
+                mend="use the products of that node",
+                code="smile-missing",
+            )
         place = (self.wavelength_shift - self.nodes[0]) / self._node_step
         first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(place - first - 1)

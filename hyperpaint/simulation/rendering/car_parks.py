@@ -140,7 +140,7 @@ def car_park(
         for one in names:
             check_choice(problems, what, one, allowed)
     if not chosen.paints or not chosen.types:
-        problems.add("paints or types are empty, expected at least one name of each")
+        problems.add("paints or types are empty", expected="at least one name of each", code="empty-input")
     problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])

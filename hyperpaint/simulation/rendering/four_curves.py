@@ -124,11 +124,19 @@ class Atmosphere:
         check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
         check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
         if not np.isfinite(self.sun_azimuth):
-            problems.add(f"sun_azimuth={self.sun_azimuth!r}, expected degrees clockwise from north")
+            problems.add(
+                f"sun_azimuth={self.sun_azimuth!r}",
+                expected="degrees clockwise from north",
+                code="not-finite",
+            )
         check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
         if not problems and self.uniform.min(initial=0.0) < -1e-9:
             whole = 1.0 - self.uniform.min()
-            problems.add(f"overcast_share, molecular and aureole come to {whole:.4g}, expected 1 at most")
+            problems.add(
+                f"overcast_share + molecular + aureole is {whole:.4g}",
+                expected="at most 1",
+                code="shares-too-large",
+            )
         problems.raise_if_any()
 
     @property
@@ -303,7 +311,9 @@ class Atmosphere:
         fraction = np.asarray(direct_fraction, dtype=np.float64)
         if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
             raise SchemaError(
-                f"direct_fraction {fraction.shape} must be one number or {grid.shape}, from 0 to 1"
+                f"direct_fraction of shape {fraction.shape}",
+                expected=f"one number or an array of shape {grid.shape}, from 0 to 1",
+                code="value-out-of-range",
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
@@ -433,7 +443,7 @@ class Atmosphere:
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
             if name not in dataset.variables:
-                problems.add(f"{name!r} is missing")
+                problems.add(f"{name!r} is missing", code="variable-missing")
         problems.raise_if_any()
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
@@ -449,7 +459,9 @@ class Atmosphere:
             haze = Haze(**json.loads(text)) if text else None
         except (ValueError, TypeError) as error:
             raise SchemaError(
-                f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
+                f"attribute 'haze' is {text!r}",
+                expected="the JSON text that to_dataset writes",
+                code="metadata-damaged",
             ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
@@ -491,4 +503,6 @@ def preset_atmosphere(name: str) -> Atmosphere:
     if name in PRESETS:
         noon = Atmosphere.clear(25.0, 180.0, name=name)
         return noon if name == "noon" else replace(noon.clouded(8.0), name=name)
-    raise SchemaError(f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}")
+    raise SchemaError(
+        f"there is no atmosphere {name!r}", expected=f"one of {', '.join(PRESETS)}", code="choice-unknown"
+    )

@@ -81,13 +81,16 @@ def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
     library = with_new_names(library) if is_library(library) else library
     if not is_library(library) or SIGNATURE not in library.variables:
         raise SchemaError(
-            "spectra is no mapping of names to spectra, and no library with reflectance(signature, band)"
+            f"spectra is {type(library).__name__}",
+            expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
+            code="type-wrong",
         )
     names = [str(name) for name in library[SIGNATURE].values]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SchemaError(
-            f"the library has two paints {', '.join(map(repr, twice))}; give each its own name, or choose "
-            "one by its place with library.isel(signature=...)"
+            f"the library has several paints named {', '.join(map(repr, twice))}",
+            mend="rename them, or select one with library.isel(signature=...)",
+            code="paint-ambiguous",
         )
     wanted = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
     slim = library[wanted].reset_coords(drop=True)
@@ -155,16 +158,16 @@ class SpectrumReader:
         """Warn of what was taken though it may mislead."""
         if self._clipped:
             msg = (
-                f"noise takes {some_names(self._clipped)} beyond 0 to 1 by {_NOISE:g} at most; cut there for "
-                "the render"
+                f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
+                "they are clipped for the render"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
         if self._mirroring:
             msg = (
-                f"{some_names(self._mirroring)} hold the light that the coat mirrors, and the renderer adds "
-                "its own; extract signatures with specular_sky=True (--specular-sky)"
+                f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
+                "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(msg, code="mirror-counted-twice"), stacklevel=4)
 
     def _spectrum(self, value: Any, name: str) -> Spectrum | None:
         problems = self._problems
@@ -177,18 +180,19 @@ class SpectrumReader:
             except SchemaError as error:
                 inside = [key for key in self._given if key.startswith(f"{value}/")]
                 hint = (
-                    f"it has {some_names(inside)}; name one"
-                    if inside
-                    else f"or give it with spectra={{{value!r}: ...}}"
+                    f"name one of {some_names(inside)}" if inside else f"or pass spectra={{{value!r}: ...}}"
                 )
-                problems.add(f"{error}; {hint}")
+                found, mend = error.problem.found, error.problem.mend
+                problems.add(found, mend="; ".join(filter(None, (mend, hint))), code="spectrum-unknown")
                 return None
         try:
             table = self._measured(value, name) if hasattr(value, "data_vars") else Table(*_columns(value))
         except (PaintError, TypeError, ValueError) as error:
             problems.add(
-                f"spectrum {name!r} cannot be read ({error}); expected a name, (wavelength [nm], "
-                "reflectance), a DataArray with a coordinate 'wavelength', or a paint library"
+                f"spectrum {name!r} cannot be read: {error}",
+                expected="a name, (wavelength [nm], reflectance), a DataArray with a coordinate "
+                "'wavelength', or a paint library",
+                code="spectrum-unreadable",
             )
             return None
         return self._checked(table, name)
@@ -197,12 +201,17 @@ class SpectrumReader:
         nm, reflectance = table.wavelength, table.reflectance
         if nm.ndim != 1 or nm.shape != reflectance.shape or nm.size < 2:
             self._problems.add(
-                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}, "
-                "expected two of the same length, at least 2"
+                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}",
+                expected="two arrays of one length, at least 2",
+                code="length-mismatch",
             )
             return None
         if not np.isfinite(nm).all() or not (np.diff(nm) > 0).all():
-            self._problems.add(f"spectrum {name!r}: wavelengths do not increase; sort them")
+            self._problems.add(
+                f"wavelengths of spectrum {name!r} do not increase",
+                mend="sort them",
+                code="wavelength-unordered",
+            )
             return None
         used = np.isfinite(reflectance)
         if not self._hold:  # values may end half a width inside of the outer bands' centres
@@ -210,7 +219,9 @@ class SpectrumReader:
             used |= (nm >= low + self._bands.fwhm[0] / 2) & (nm <= high - self._bands.fwhm[-1] / 2)
         if used.sum() < 2:
             where = _runs(nm, ~np.isfinite(reflectance))
-            self._problems.add(f"spectrum {name!r} holds values that are not finite at {where} nm; fill them")
+            self._problems.add(
+                f"spectrum {name!r} is not finite at {where} nm", mend="fill the gaps", code="not-finite"
+            )
             return None
         members = None if table.members is None else _whole(table.members[:, used])
         return Table(nm[used], reflectance[used], members)
@@ -246,26 +257,33 @@ class SpectrumReader:
             low, high = bands.wavelength[[0, -1]]
             if not self._hold and (first > low + bands.fwhm[0] / 2 or last < high - bands.fwhm[-1] / 2):
                 problems.add(
-                    f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm, expected the bands, "
-                    f"{low:.1f} to {high:.1f} nm; hold_edges=True (--hold-edges) holds its ends"
+                    f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm",
+                    expected=f"the range of the bands, {low:.1f} to {high:.1f} nm",
+                    mend="pass hold_edges=True to hold it constant beyond its ends",
+                    option="pass --hold-edges to hold it constant beyond its ends",
+                    code="spectrum-coverage",
                 )
             values = near.reflectance
             missing = ~np.isfinite(values)
             if missing.any():
                 where = _runs(near.wavelength, missing)
                 problems.add(
-                    f"spectrum {name!r} holds values that are not finite at {where} nm; cut or fill them "
-                    "first, or hold_edges=True (--hold-edges) holds and bridges them"
+                    f"spectrum {name!r} is not finite at {where} nm",
+                    mend="fill the gaps, or pass hold_edges=True to bridge them",
+                    option="fill the gaps, or pass --hold-edges to bridge them",
+                    code="not-finite",
                 )
                 return
         else:
             values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
         if not (values.size and np.isfinite(values).all()):
-            problems.add(f"spectrum {name!r} holds values that are not finite; cut or fill them first")
+            problems.add(f"spectrum {name!r} is not finite", mend="fill the gaps", code="not-finite")
         elif not self._clip and (values.min() < 0.0 or values.max() > 1.0):
             problems.add(
-                f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}, expected 0 to 1; "
-                "divide per cent by 100, or pass clip=True"
+                f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}",
+                expected="0 to 1",
+                mend="divide per cent by 100, or pass clip=True",
+                code="value-out-of-range",
             )
 
 

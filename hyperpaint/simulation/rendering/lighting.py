@@ -66,18 +66,23 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
         there = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
-            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees; traced were {there}; "
-            "trace the scene with this sun as well"
+            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
+            expected=f"a traced sun: {there}",
+            mend="trace the scene with this sun as well",
+            code="sun-not-traced",
         )
     if atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast:
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
-            "but no overcast sky was traced; trace the scene with overcast=True"
+            "but no overcast sky was traced",
+            mend="trace the scene with overcast=True",
+            code="sky-not-traced",
         )
     if clear and not settings.clear:
         raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has a clear sky, but none was traced",
+            f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
             mend="trace the scene with clear=True",
+            code="sky-not-traced",
         )
     return nearest
 
@@ -364,8 +369,10 @@ class ProductTable:
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
         if chosen.max(initial=-1) >= len(self._factors):
             raise SchemaError(
-                f"a path was multiplied by spectrum {chosen.max()}, the scene has {len(self._factors)}; "
-                "transport_path is damaged, or of another scene than the attributes"
+                f"a path code names spectrum {chosen.max()}",
+                expected=f"a number below {len(self._factors)}, the spectra of the scene",
+                mend="trace the scene again: transport_path is damaged, or belongs to another scene",
+                code="path-code-unknown",
             )
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)

@@ -99,7 +99,7 @@ class Flakes:
         check_number(problems, "share", self.share, 0.0, 1.0)
         check_number(problems, "roughness", self.roughness, 0.0, 1.0, above=True)
         if not self.spectrum:
-            problems.add("spectrum is empty, expected a name such as 'aluminium'")
+            problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
         problems.raise_if_any()
 
 
@@ -139,14 +139,20 @@ class Material:
     def __post_init__(self) -> None:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
         if not self.name:
-            problems.add("its name is empty")
+            problems.add("name is empty", code="argument-missing")
         if not self.spectrum:
-            problems.add("spectrum is empty, expected the name of a reflectance spectrum")
+            problems.add(
+                "spectrum is empty", expected="the name of a reflectance spectrum", code="argument-missing"
+            )
         check_choice(problems, "kind", self.kind, KINDS)
         if self.flakes is not None and self.coat is None:
-            problems.add("it has flakes but no coat; give it coat=Coat()")
+            problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
         if self.transmittance and self.coat is not None:
-            problems.add("it has a transmittance and a coat; only thin surfaces without a coat pass light")
+            problems.add(
+                "transmittance with a coat",
+                mend="leave one out: only thin surfaces without a coat pass light",
+                code="option-conflict",
+            )
         problems.raise_if_any()
 
 
@@ -227,7 +233,9 @@ def _through_interface(index: float, geometry: Geometry) -> float:
         "d/0": hemispherical_reflectance(index),
     }
     if geometry not in others:
-        raise SchemaError(f"geometry is {geometry!r}, expected one of {', '.join(others)}")
+        raise SchemaError(
+            f"geometry is {geometry!r}", expected=f"one of {', '.join(others)}", code="choice-unknown"
+        )
     return (1.0 - normal) * (1.0 - others[geometry]) / index**2
 
 
@@ -280,7 +288,9 @@ def measured_factor(
     if specular_included:
         if geometry == "0/45":
             raise SchemaError(
-                "a 0/45 measurement does not contain the mirror reflection; leave specular_included out"
+                "a 0/45 measurement does not contain the mirror reflection",
+                mend="leave specular_included out",
+                code="option-conflict",
             )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
     crossed, back = 1.0, 0.0
@@ -291,9 +301,9 @@ def measured_factor(
     if wrong.any():
         msg = (
             f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
-            f"{measured.max():.4g}, were clamped to what surfaces can have: 0 to {crossed / (1.0 - back):.4g}"
+            f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
     return np.clip(factor, 0.0, 1.0)
 
 
@@ -302,9 +312,16 @@ def _checked(reflectance: npt.ArrayLike) -> Floats:
     problems = Problems("a measured reflectance cannot be used", SchemaError)
     missing = int((~np.isfinite(measured)).sum())
     if missing:
-        problems.add(f"{missing} of {measured.size} values are not finite; cut or fill them first")
+        problems.add(
+            f"{missing} of {measured.size} values are not finite", mend="fill the gaps", code="not-finite"
+        )
     elif measured.size and measured.max() > 2.0:
-        problems.add(f"it reaches {measured.max():.4g}, expected a fraction; divide per cent by 100")
+        problems.add(
+            f"it reaches {measured.max():.4g}",
+            expected="a fraction",
+            mend="divide per cent by 100",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     return measured
 

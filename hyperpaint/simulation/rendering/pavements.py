@@ -112,8 +112,9 @@ def strips_across(
     if not 1 <= wanted <= most:
         least = _least_width(max(wanted, 1))
         raise SchemaError(
-            f"the car park cannot be laid out: {max(wanted, 1)} rows of bays need a width of {least:.1f} m "
-            f"or more, found {width:g} m"
+            f"the car park is {width:g} m wide",
+            expected=f"{least:.1f} m or more for {max(wanted, 1)} rows of bays",
+            code="car-park-too-narrow",
         )
     aisles = (wanted + 1) // 2
     aisle = min(_AISLE + (width - _least_width(wanted)) / aisles, _WIDEST_AISLE) if wanted < 4 else _AISLE

@@ -76,7 +76,7 @@ class Platform:
         problems.raise_if_any()
         lines = len(self.origin) if self.origin.ndim else 0
         if not 1 <= lines <= MOST_LINES:
-            problems.add(f"{lines} lines, expected 1 to {MOST_LINES}")
+            problems.add(f"{lines} lines", expected=f"1 to {MOST_LINES}", code="value-out-of-range")
         self._check_shapes(lines, problems)
         problems.raise_if_any()
         self._check_values(problems)
@@ -92,27 +92,39 @@ class Platform:
         for name, shape in expected.items():
             actual = np.shape(getattr(self, name))
             if actual != shape:
-                problems.add(f"{name} has shape {actual}, expected {shape}")
+                problems.add(f"{name} has shape {actual}", expected=f"{shape}", code="dims-wrong")
         edges = self.column_edges.shape
         if len(edges) != 1 or not 2 <= edges[0] <= MOST_COLUMNS + 1:
             problems.add(
-                f"column_edges has shape {edges}, expected columns + 1, of 1 to {MOST_COLUMNS} columns"
+                f"column_edges has shape {edges}",
+                expected=f"(columns + 1,) with 1 to {MOST_COLUMNS} columns",
+                code="dims-wrong",
             )
         if np.asarray(self.time).dtype != np.int64:
             problems.add(
-                f"time is {np.asarray(self.time).dtype}, expected int64 nanoseconds after the first line"
+                f"time is {np.asarray(self.time).dtype}",
+                expected="int64 nanoseconds after the first line",
+                code="type-wrong",
             )
 
     def _check_values(self, problems: Problems) -> None:
         turned = self.rotation @ self.rotation.swapaxes(-1, -2)
         if not np.allclose(turned, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
-            problems.add("rotation holds matrices that are no rotations")
+            problems.add("rotation contains matrices that are not rotations", code="rotation-invalid")
         for name in ("column_edges", "along_edges"):
             edges = getattr(self, name)
             if not (np.diff(edges) > 0).all() or np.abs(edges).max() > STEEPEST:
-                problems.add(f"{name} do not increase, or look more than 85 degrees aside; expected tangents")
+                problems.add(
+                    f"{name} do not increase, or exceed 85 degrees",
+                    expected="tangents of view angles",
+                    code="edges-invalid",
+                )
         if not 0 <= self.exposure_time < 3600:
-            problems.add(f"exposure_time={self.exposure_time!r}, expected seconds from 0 on")
+            problems.add(
+                f"exposure_time={self.exposure_time!r}",
+                expected="a number of seconds from 0 to below 3600",
+                code="value-out-of-range",
+            )
 
     @property
     def lines(self) -> int:

@@ -161,22 +161,33 @@ def _check_pushbroom(given: dict[str, Any]) -> None:
     for name in ("centre", "start"):
         value = given[name]
         if value is not None and not (_is_tuple(value, 2) and max(map(abs, value)) <= 1e6):
-            problems.add(f"{name}={value!r:.60}, expected east and north within 1e6 m")
+            problems.add(
+                f"{name}={value!r:.60}", expected="east and north within 1e6 m", code="value-out-of-range"
+            )
     several = given["wobble"] if _is_tuple(given["wobble"], 3) else (given["wobble"],)
     if not all(is_number(each) and 0 <= each <= 20 for each in several):
-        problems.add(f"wobble={given['wobble']!r:.60}, expected one number or three from 0 to 20 degrees")
+        problems.add(
+            f"wobble={given['wobble']!r:.60}",
+            expected="one number or three from 0 to 20 degrees",
+            code="value-out-of-range",
+        )
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if given[one] is not None and given[other] is not None:
-            problems.add(f"both {one} and {other} are given; keep one")
+            problems.add(f"both {one} and {other} are given", mend="keep one", code="option-conflict")
     problems.raise_if_any()
     if given["exposure_time"] > given["frame_period"]:
-        problems.add(f"exposure_time={given['exposure_time']} exceeds frame_period={given['frame_period']}")
+        problems.add(
+            f"exposure_time={given['exposure_time']} exceeds frame_period={given['frame_period']}",
+            code="exposure-too-long",
+        )
     angle = _pixel_angle(given)
     if angle * given["columns"] / 2 > STEEPEST:
         aside = np.degrees(np.arctan(angle * given["columns"] / 2))
         problems.add(
-            f"{given['columns']} columns look {aside:.1f} degrees aside, expected at most 85; "
-            "fewer columns, smaller pixels or a higher flight"
+            f"{given['columns']} columns reach {aside:.1f} degrees from nadir",
+            expected="at most 85",
+            mend="take fewer columns, smaller pixels or a higher flight",
+            code="view-too-wide",
         )
     problems.raise_if_any()
 
@@ -208,7 +219,11 @@ def _moment(value: np.datetime64 | str) -> np.datetime64:
     # "now" would be another flight at every call
     moment = moment_of("NaT" if isinstance(value, str) and not value[:1].isdigit() else value)
     if not np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"):
-        raise SchemaError(f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'")
+        raise SchemaError(
+            f"start_time={value!r:.60}",
+            expected="a UTC time such as '2021-07-20T17:10:00'",
+            code="time-unreadable",
+        )
     return moment
 
 
@@ -322,18 +337,22 @@ def _clock(
     lines = poses if line_time is None else np.asarray(line_time)
     if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):
         problems.add(
-            f"{poses.size} pose times and {lines.size} line times, expected two poses and one line at least"
+            f"{poses.size} pose times and {lines.size} line times",
+            expected="at least two poses and one line",
+            code="pose-missing",
         )
         problems.raise_if_any()
     if (poses.dtype.kind == "M") != (lines.dtype.kind == "M"):
         problems.add(
-            f"time is {poses.dtype}, line_time {lines.dtype}; expected both datetime64 or both seconds"
+            f"time is {poses.dtype}, line_time {lines.dtype}",
+            expected="both datetime64 or both seconds",
+            code="type-wrong",
         )
         problems.raise_if_any()
     base = None
     if poses.dtype.kind == "M":
         if np.isnat(poses).any() or np.isnat(lines).any():
-            problems.add("time or line_time holds NaT; expected a time for each")
+            problems.add("time or line_time contains NaT", expected="a time for each", code="time-missing")
             problems.raise_if_any()
         base = poses[0].astype("datetime64[ns]")
         poses, lines = (
@@ -344,23 +363,28 @@ def _clock(
 
 def _check_poses(poses: dict[str, Floats], seconds: Floats, problems: Problems) -> None:
     if not (np.diff(seconds) > 0).all():
-        problems.add("time does not increase from pose to pose")
+        problems.add("time does not increase from pose to pose", code="time-unordered")
     elif seconds[-1] - seconds[0] > 1e8:
-        problems.add("time spans more than three years; expected seconds")
+        problems.add("time spans more than three years", expected="seconds", code="value-out-of-range")
     for name, values in poses.items():
         expected = (3,) if name in ("boresight", "lever_arm") else seconds.shape
         if values.shape != expected:
-            problems.add(f"{name} has shape {values.shape}, expected {expected}")
+            problems.add(f"{name} has shape {values.shape}", expected=f"{expected}", code="dims-wrong")
         elif values.size and not np.abs(values).max() <= 1e6:
             problems.add(
-                f"{name} holds values beyond 1e6; expected a local frame in metres, angles in degrees"
+                f"{name} has values beyond 1e6",
+                expected="a local frame in metres, angles in degrees",
+                code="value-out-of-range",
             )
     problems.raise_if_any()
     turned = quaternions(poses["roll"], poses["pitch"], poses["heading"])
     apart = np.abs((turned[1:] * turned[:-1]).sum(axis=-1))
     if (apart < np.cos(np.radians(45.0))).any():
         where = int(np.argmin(apart))
-        problems.add(f"the platform turns by over 90 degrees between poses {where} and {where + 1}")
+        problems.add(
+            f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
+            code="turn-too-large",
+        )
 
 
 def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, problems: Problems) -> None:
@@ -368,8 +392,9 @@ def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, p
     early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
     if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
         problems.add(
-            f"lines are exposed from {early:.6f} to {late:.6f} s, "
-            f"the poses span {seconds[0]:.6f} to {seconds[-1]:.6f} s"
+            f"lines are exposed from {early:.6f} to {late:.6f} s",
+            expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
+            code="lines-outside-poses",
         )
     if len(at) > MOST_LINES:
-        problems.add(f"{len(at)} lines, expected at most {MOST_LINES}")
+        problems.add(f"{len(at)} lines", expected=f"at most {MOST_LINES}", code="size-too-large")

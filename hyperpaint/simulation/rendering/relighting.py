@@ -188,7 +188,9 @@ def _atmosphere(atmosphere: Any) -> Atmosphere:
     light = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
     if not isinstance(light, Atmosphere):
         raise SchemaError(
-            f"atmosphere is {type(light).__name__}, expected an Atmosphere or the name of a preset one"
+            f"atmosphere is {type(light).__name__}",
+            expected="an Atmosphere or the name of a preset",
+            code="type-wrong",
         )
     return light
 
@@ -200,12 +202,15 @@ def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
     first, last = atmosphere.wavelength[[0, -1]]
     if first > low or last < high:
         problems.add(
-            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm, the bands and their sides "
-            f"{low:.1f} to {high:.1f} nm"
+            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm",
+            expected=f"the range of the bands and their wings, {low:.1f} to {high:.1f} nm",
+            code="atmosphere-coverage",
         )
     if bands.wavelength_shift is not None and bands.wavelength_shift.size != columns:
         problems.add(
-            f"wavelength_shift has {bands.wavelength_shift.size} columns, the traced scene {columns}"
+            f"wavelength_shift has {bands.wavelength_shift.size} columns",
+            expected=f"{columns}, as the traced scene",
+            code="length-mismatch",
         )
     problems.raise_if_any()
 
@@ -216,9 +221,13 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
         return None
     factors = np.asarray(variation, np.float64)
     if factors.shape != (2, lines):
-        raise SchemaError(f"variation has shape {factors.shape}, expected (2, along_track) = (2, {lines})")
+        raise SchemaError(
+            f"variation has shape {factors.shape}",
+            expected=f"(2, along_track) = (2, {lines})",
+            code="dims-wrong",
+        )
     if not np.isfinite(factors).all() or (factors < 0).any():
-        raise SchemaError("variation holds factors that are negative or not finite")
+        raise SchemaError("variation has factors that are negative or not finite", code="value-out-of-range")
     return np.ascontiguousarray(factors.T)
 
 
@@ -447,7 +456,9 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:
         raise SchemaError(
-            f"no traced dataset (see hyperpaint.simulation.trace): time_coverage_start or _end: {error}"
+            f"not a traced dataset: time_coverage_start or _end: {error}",
+            mend="use one from hyperpaint.simulation.trace",
+            code="metadata-damaged",
         ) from error
     between = np.empty(0, "datetime64[ns]")
     if lines:

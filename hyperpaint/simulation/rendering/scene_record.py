@@ -60,12 +60,18 @@ class TraceSettings:
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
         if not 1 <= len(self.suns) <= MOST_SUNS:
-            problems.add(f"{len(self.suns)} suns, expected 1 to {MOST_SUNS}")
+            problems.add(f"{len(self.suns)} suns", expected=f"1 to {MOST_SUNS}", code="sun-number")
         for number, sun in enumerate(self.suns):
             if len(sun) != 2 or not all(np.isfinite(sun)):
-                problems.add(f"sun {number} is {sun!r}, expected (zenith, azimuth) in degrees")
+                problems.add(
+                    f"sun {number} is {sun!r}", expected="(zenith, azimuth) in degrees", code="sun-unreadable"
+                )
             elif not 0.0 <= sun[0] < 90.0:
-                problems.add(f"sun {number} has zenith {sun[0]:g}, expected 0 to below 90 degrees")
+                problems.add(
+                    f"sun {number} has zenith {sun[0]:g}",
+                    expected="0 to below 90 degrees",
+                    code="value-out-of-range",
+                )
         check_whole(problems, "samples", self.samples, 1, MOST_SAMPLES)
         check_whole(problems, "depth", self.depth, 1, 32)
         check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
@@ -95,7 +101,9 @@ class TraceSettings:
         try:
             directions = tuple(tuple(float(angle) for angle in sun) for sun in suns)
         except (TypeError, ValueError):
-            raise SchemaError(f"suns={suns!r}, expected a list of (zenith, azimuth) in degrees") from None
+            raise SchemaError(
+                f"suns={suns!r}", expected="a list of (zenith, azimuth) in degrees", code="sun-unreadable"
+            ) from None
         return cls(directions, **settings)  # type: ignore[arg-type]
 
 
@@ -178,17 +186,22 @@ class SceneRecord:
         """
         if "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS:
             raise SchemaError(
-                "this scene was traced by an older hyperpaint: its paths have 3 bits for their source, "
-                f"expected {SOURCE_BITS}, and know no clear sky",
+                "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",
+                expected=f"{SOURCE_BITS} bits",
                 mend="trace the scene again",
+                code="trace-outdated",
             )
-        problems = Problems("this is no traced dataset (see hyperpaint.simulation.trace)", SchemaError)
+        problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
         texts = {
             name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
         for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
-                problems.add(f"attribute {name!r} is {attrs.get(name)!r}, expected a whole number")
+                problems.add(
+                    f"attribute {name!r} is {attrs.get(name)!r}",
+                    expected="a whole number",
+                    code="metadata-damaged",
+                )
         problems.raise_if_any()
         try:
             materials = tuple(map(_material, texts["materials"]))
@@ -208,7 +221,8 @@ class SceneRecord:
             )
         except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
             raise SchemaError(
-                f"no traced dataset (see hyperpaint.simulation.trace): its attributes are damaged ({error})"
+                f"not a dataset from hyperpaint.simulation.trace: its attributes are damaged ({error})",
+                code="metadata-damaged",
             ) from error
         return record, settings
 
@@ -298,13 +312,13 @@ def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any
     try:
         entries = json.loads(attrs[name])
     except KeyError:
-        problems.add(f"attribute {name!r} is missing")
+        problems.add(f"attribute {name!r} is missing", code="metadata-missing")
     except (TypeError, ValueError, RecursionError):
-        problems.add(f"attribute {name!r} is no JSON text")
+        problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
     else:
         if isinstance(entries, list) and entries:
             return entries
-        problems.add(f"attribute {name!r} holds no list")
+        problems.add(f"attribute {name!r} is not a list with entries", code="metadata-damaged")
     return []
 
 

@@ -142,8 +142,9 @@ def paint_spec(name: str) -> PaintSpec:
     parsed = parse_name(name)
     if parsed is None or parsed[2]:
         raise SchemaError(
-            f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, "
-            "pigment:<family>:<number> or fleet-<number>"
+            f"there is no paint {name!r}",
+            expected=f"one of {', '.join(FOURTEEN)}, pigment:<family>:<number> or fleet-<number>",
+            code="paint-unknown",
         )
     return generate_paint(parsed[0], parsed[1])
 
@@ -226,9 +227,15 @@ def parse_name(name: str) -> tuple[str, int, bool] | None:
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     if family not in FAMILIES:
-        raise SchemaError(f"there is no family of paints {family!r}; expected one of {', '.join(FAMILIES)}")
+        raise SchemaError(
+            f"there is no paint family {family!r}",
+            expected=f"one of {', '.join(FAMILIES)}",
+            code="choice-unknown",
+        )
     if not 0 <= number < 10**9:
-        raise SchemaError(f"the number of a paint is {number!r}, expected 0 to 999999999")
+        raise SchemaError(
+            f"the number of a paint is {number!r}", expected="0 to 999999999", code="value-out-of-range"
+        )
     rng = np.random.default_rng([FAMILIES.index(family), number])
     hue = str(rng.choice(list(HUES)))
     adjective = str(rng.choice(_ADJECTIVES))
@@ -327,7 +334,7 @@ def spectrum_of(name: str) -> Spectrum:
     True
     >>> spectrum_of("panel_21")
     Traceback (most recent call last):
-    hyperpaint.base.errors.SchemaError: there is no spectrum 'panel_21'; did you mean 'panel_20'?
+    hyperpaint.base.errors.SchemaError: ... 'panel_21'; did you mean 'panel_20'? [spectrum-unknown]
     """
     turned = name.endswith(":flakes" + _TURNED)
     name = name.removesuffix(_TURNED) if turned else name
@@ -350,7 +357,7 @@ def spectrum_of(name: str) -> Spectrum:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)
     hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}"
-    raise SchemaError(f"there is no spectrum {name!r}; {hint}")
+    raise SchemaError(f"there is no spectrum {name!r}", mend=hint, code="spectrum-unknown")
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:

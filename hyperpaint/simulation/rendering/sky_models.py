@@ -54,9 +54,17 @@ def check_wavelengths(wavelength: Floats) -> None:
         The grid has not one dim and two samples, or they are not positive, finite and increasing.
     """
     if wavelength.ndim != 1 or wavelength.size < 2:
-        raise SchemaError(f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples")
+        raise SchemaError(
+            f"wavelength has shape {wavelength.shape}",
+            expected="one dim and at least 2 samples",
+            code="dims-wrong",
+        )
     if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
-        raise SchemaError("wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates")
+        raise SchemaError(
+            "wavelength is not positive, finite and increasing",
+            mend="sort it and drop duplicates",
+            code="wavelength-unordered",
+        )
 
 
 def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
@@ -65,14 +73,23 @@ def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
     try:
         check_wavelengths(grid)
     except SchemaError as error:
-        problems.add(str(error))
+        own = error.problem
+        problems.add(own.found, expected=own.expected, mend=own.mend, code=own.code)
     for name, curve in curves.items():
         if curve.shape != grid.shape:
-            problems.add(f"{name} has shape {curve.shape}, expected that of wavelength, {grid.shape}")
+            problems.add(
+                f"{name} has shape {curve.shape}",
+                expected=f"{grid.shape}, as wavelength",
+                code="grid-mismatch",
+            )
         elif not np.isfinite(curve).all():
-            problems.add(f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite")
+            problems.add(
+                f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite", code="not-finite"
+            )
         elif (curve < 0.0).any():
-            problems.add(f"{name} falls to {curve.min():.4g}, expected nothing below 0")
+            problems.add(
+                f"{name} falls to {curve.min():.4g}", expected="nothing below 0", code="value-out-of-range"
+            )
 
 
 def built_in_sky(
@@ -115,7 +132,9 @@ def relative_air_mass(sun_zenith: float) -> float:
     (10.31, 11.47)
     """
     if not 0.0 <= sun_zenith <= 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
+        )
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
 
 
@@ -137,8 +156,11 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     coarse = np.asarray(table["wavelength"], dtype=np.float64)
     first, last = wavelength[[0, -1]]
     if not (coarse[0] <= first and last <= coarse[-1]):
-        span = f"from {first:g} to {last:g} nm"
-        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
+        raise SchemaError(
+            f"wavelength goes from {first:g} to {last:g} nm",
+            expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
+            code="value-out-of-range",
+        )
     sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
     return sun, sky
 
@@ -187,7 +209,7 @@ def cloud_factor(oktas: float) -> float:
     0.25
     """
     if not 0.0 <= oktas <= 8.0:
-        raise SchemaError(f"oktas={oktas!r}, expected 0 (clear) to 8 (overcast)")
+        raise SchemaError(f"oktas={oktas!r}", expected="0 (clear) to 8 (overcast)", code="value-out-of-range")
     return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
 
 
@@ -273,7 +295,11 @@ class Haze:
         check_number(problems, "visibility", self.visibility, 0.0, _CONTRAST / _MOLECULES, above=True)
         check_number(problems, "angstrom", self.angstrom, 0.0, 4.0)
         if not -1.0 < self.asymmetry < 1.0:
-            problems.add(f"asymmetry={self.asymmetry!r}, expected a number between -1 and 1")
+            problems.add(
+                f"asymmetry={self.asymmetry!r}",
+                expected="a number between -1 and 1",
+                code="value-out-of-range",
+            )
         for name in ("scattering_albedo", "ground"):
             check_number(problems, name, getattr(self, name), 0.0, 1.0)
         problems.raise_if_any()

@@ -214,7 +214,9 @@ def trace(
         sun_radius=sun_radius,
     )
     if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:
-        raise SchemaError(f"chunk_lines={chunk_lines!r}, expected a whole number above 0")
+        raise SchemaError(
+            f"chunk_lines={chunk_lines!r}", expected="a whole number above 0", code="value-out-of-range"
+        )
     record = SceneRecord.of(scene)
     record.codes(settings)  # whether they fit is said now, not in a task
     arrays = _lazy_arrays(scene, platform, settings, chunk_lines)

@@ -99,14 +99,14 @@ class PathCodes:
             The digits do not fit into 63 bits.
         """
         if depth < 1:
-            raise SchemaError(f"depth={depth}, expected at least 1 scattering")
+            raise SchemaError(f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range")
         bits = max(factors, 1).bit_length()
         if FIRST_DIGIT + depth * bits > USABLE_BITS:
             most = (USABLE_BITS - FIRST_DIGIT) // bits
             raise SchemaError(
-                f"{factors} spectra and depth={depth} do not fit into the code of a path; "
-                "there is a spectrum for each material, two where it has flakes; "
-                f"with so many depth is at most {most}"
+                f"{factors} spectra and depth={depth} do not fit into the code of a path",
+                mend=f"take depth={most} or less, or fewer materials (those with flakes count twice)",
+                code="path-code-too-long",
             )
         return cls(depth, bits)
 
