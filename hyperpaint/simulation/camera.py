@@ -88,7 +88,7 @@ def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: fl
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
-    """Return spectra as a spectrometer of Gaussian line shape sees them.
+    """Return spectra at the resolution of a spectrometer of Gaussian line shape.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Imager:
         return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without the elements' own factors at wavelength shifts [nm], shape (grid, shift)."""
+        """Return R_b without the element factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)
         shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)
@@ -303,7 +303,7 @@ class Detector:
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
-        """Return what the converter is given: signal, dark and, with ``rng``, shot and read noise [count].
+        """Return the input of the converter: signal, dark and, with ``rng``, shot and read noise [count].
 
         The variance is signal / electrons_per_count + read_noise^2; shot noise is taken as Gaussian.
         """
@@ -427,7 +427,7 @@ class Camera:
 
     @property
     def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
-        """Dims, values and attributes of what optics and electronics do, by name, where they do it."""
+        """Dims, values and attributes of optical and electronic imperfections, by name, where present."""
         values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
         if self.optics is not None and self.optics.has_stray_light:
             row = VARIABLES["stray_light"]

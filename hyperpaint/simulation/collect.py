@@ -254,7 +254,7 @@ def _prepare(root: Path, overwrite: bool) -> Path:
 
 
 def _check_simulated(root: Path) -> None:
-    """Refuse to replace a collect, or parts of one, that no simulation made."""
+    """Refuse to replace a collect that no simulation wrote."""
     toml = root / "collect.toml"
     parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
     if parts and not (head_of(toml, len(MARKER)) == MARKER.encode()):
@@ -267,7 +267,7 @@ def _check_simulated(root: Path) -> None:
 
 
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return microseconds of the instrument's clock at nanoseconds after the first line."""
+    """Return microseconds of the instrument's clock at nanoseconds after the first scan line."""
     return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
 
 
@@ -278,7 +278,7 @@ def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> N
 
 
 def _comments(flight: Flight) -> dict[str, object]:
-    """Return what Headwall writes below the ENVI part of a header."""
+    """Return the fields that Headwall writes below the ENVI part of a header."""
     settings = flight.settings
     return {
         "AOI width": settings.columns,
@@ -361,7 +361,7 @@ def _write_flight(
 
 
 def _write_survey(flight: Flight, path: Path) -> None:
-    """Write places of the ground under the first, middle and last line; heights above the ellipsoid."""
+    """Write ground points under the first, middle and last scan line; heights above the ellipsoid."""
     pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
     places = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
     places[:, 2] = 0.0

@@ -162,7 +162,7 @@ def _lamp() -> Floats:
 
 
 def _lamp_counts() -> Floats:
-    """Return the counts of the fore optic under that lamp, with the detector's own ripple [count]."""
+    """Return the counts of the fore optic under that calibration lamp, with detector ripple [count]."""
     detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
     ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
     return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
@@ -215,7 +215,7 @@ def write_asd_reflectance(
 
 @dataclass(frozen=True)
 class _AsdKind:
-    """What a file says of the operator's choice: data type, fore optic, highest ordinate, comment."""
+    """Fields of an ASD file chosen by the operator: data type, fore optic, highest ordinate, comment."""
 
     number: int
     fore_optic: int
@@ -438,7 +438,7 @@ def _header(
 
 
 def _degrees_and_minutes(angle: float, width: int, letters: str) -> str:
-    """Return an angle the way GPS receivers write it.
+    """Return an angle in the format of GPS receivers.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Reflectance spectra of paints and of what stands around cars, from a few parameters each.
+"""Reflectance spectra of paints and of surroundings of cars, from a few parameters each.
 
 A paint is a scattering layer under a clear coat. Kubelka & Munk (1931): a thick layer whose absorption is K/S
 times its scattering reflects R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S). Saunderson (1942) adds the interface:
@@ -18,7 +18,7 @@ from hyperpaint.base.arrays import Floats
 
 
 class Feature(Protocol):
-    """Something a spectrum has at one wavelength."""
+    """A local feature of a spectrum."""
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return its height at ``wavelength`` [nm]."""

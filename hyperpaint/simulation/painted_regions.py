@@ -1,4 +1,4 @@
-"""Regions of a simulated collect, found from what is true of its pixels instead of drawn by hand.
+"""Regions of a simulated collect, found from the truth of its pixels instead of drawn by hand.
 
 A rectangle is grown over neighbouring pixels that show one car's paint and nothing else, in the sun and
 without its mirror image, and hardly differ in height. A paint gets the largest of all cars and flight lines,
@@ -30,7 +30,7 @@ _Box = tuple[int, int, int, int]
 
 
 class PaintedRectangles:
-    """The largest clean rectangle of every paint, found line by line; a flight knows which pixels are clean.
+    """The largest clean rectangle of every paint, found scan line by scan line.
 
     Examples
     --------
@@ -60,7 +60,7 @@ class PaintedRectangles:
         self._tall = np.zeros(columns, np.int64)
 
     def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Look at further lines of the flight line, in order; only ``recorded`` ones (along_track,) count."""
+        """Add further scan lines in order; only ``recorded`` ones (along_track,) count."""
         labels = self._flight.clean_paint(lines)
         ups = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
         for label, up in zip(labels[recorded], ups[recorded], strict=True):
@@ -72,7 +72,7 @@ class PaintedRectangles:
             self._line += 1
 
     def _search(self) -> None:
-        """Take what is larger than before of the rectangles that end at this line."""
+        """Keep the rectangles that end at this scan line and exceed the largest so far."""
         for begin, end in self._runs():
             paint = int(self._label[begin]) % len(self._flight.paints)
             for tall, first, last in _rectangles(self._tall[begin:end].tolist()):
@@ -83,7 +83,7 @@ class PaintedRectangles:
                     self._best[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
-        """Yield bounds of the columns that may hold a rectangle: one label, level, and tall enough."""
+        """Yield bounds of columns that may hold a rectangle: one label, level, and tall enough."""
         enough = self._tall >= _FEWEST
         joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         joined &= np.abs(np.diff(self._up)) <= self._step
@@ -93,7 +93,7 @@ class PaintedRectangles:
                 yield begin, end + 1
 
     def features(self) -> list[dict[str, Any]]:
-        """Return a Feature of GeoJSON of every paint with a rectangle, in the order of the paints."""
+        """Return a GeoJSON Feature of every paint with a rectangle, in the order of the paints."""
         return [self._feature(self._flight.paints[paint], *self._best[paint]) for paint in sorted(self._best)]
 
     def _feature(self, paint: str, flightline: str, box: _Box) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class PaintedRectangles:
 
 
 def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
-    """Yield height, first column and column after the last of the rectangles that a skyline cannot widen.
+    """Yield height, first column and column after the last of all maximal rectangles under a skyline.
 
     Examples
     --------

@@ -115,7 +115,7 @@ class CarPark:
         classes[near] = view
 
     def _paint_of(self, place: int) -> str:
-        """Return the paint of the car on a place: twelve neighbouring places have twelve paints."""
+        """Return the paint of the car in a bay: twelve neighbouring bays have twelve paints."""
         paints = list(CAR_PAINTS)
         deck, card = divmod(place + 2 * len(paints), len(paints))
         order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
@@ -166,7 +166,7 @@ class PlanFlight(Flight):
         return Seen(block, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
-        """Return pi INT L R of every element of a line, shape (band, cross_track)."""
+        """Return pi INT L R of every element of a scan line, shape (band, cross_track)."""
         direct, diffuse = factors
         columns = self.settings.columns
         index = surface.astype(np.intp) * columns + np.arange(columns)

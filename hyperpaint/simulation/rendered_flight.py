@@ -109,13 +109,13 @@ class RenderedFlight(Flight):
         return {"colour": paint_spec(paint).colour, "finish": finish}
 
     def _flakes(self, paint: str) -> float:
-        """Return how much of the light in a paint meets flakes in this scene."""
+        """Return the share of the light in a paint that meets flakes in this scene."""
         flakes = paint_spec(paint).flakes
         has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
         return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of one car and nothing else, in full sun and without glint."""
+        """Return which pixels show the paint of one car only, in full sun and without glint."""
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
         clean = (paint >= 0) & (car >= 0)
         clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
@@ -149,7 +149,7 @@ class RenderedFlight(Flight):
         return park.moved((0.0, -float(start), 0.0))
 
     def _seen_ahead(self) -> tuple[float, float]:
-        """Return how far ahead the camera may look, and how much is built before what it sees [m]."""
+        """Return how far ahead the camera may look, and the length of car park before its view [m]."""
         path = self.trajectory
         lean = float(np.tan(np.radians(max(_STEEPEST, path.steepest))))
         ahead = lean * self.ground_sample / PIXEL_ANGLE
@@ -158,7 +158,7 @@ class RenderedFlight(Flight):
 
     @cached_property
     def platform(self) -> Platform:
-        """Where the camera was at begin and end of every exposure."""
+        """Camera poses at begin and end of every exposure."""
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
         edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
@@ -180,7 +180,7 @@ class RenderedFlight(Flight):
         return Seen(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
-        """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""
+        """Return the paths of scan lines, traced by threads: the kernel releases the interpreter."""
         platform = self.platform
 
         def trace(begin: int) -> Block:
@@ -191,7 +191,6 @@ class RenderedFlight(Flight):
         return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def _label(self, block: Block) -> dict[str, NDArray[Any]]:
-        """Return the layers of lines."""
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
         return {
@@ -201,7 +200,7 @@ class RenderedFlight(Flight):
         }  # fmt: skip
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        """Return where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
+        """Return which pixels have `GLINT` or more of the sun's mirror image, shape (line, column)."""
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors
@@ -209,13 +208,13 @@ class RenderedFlight(Flight):
         return np.asarray(weight * (normal / level)[:, None] > GLINT)
 
     def _shine(self, block: Block, factors: Floats, out: NDArray[np.float32]) -> None:
-        """Write INT L R of every element but for its own factor, shape (line, band, column)."""
+        """Write INT L R of every element without its own factor, shape (line, band, column)."""
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
         self._products.mix(weight, block.code, out, self._texture(block))
 
     def _texture(self, block: Block) -> Texture | None:
-        """Return which members of populations pixels show; None where nothing has one."""
+        """Return the population members of pixels; None without populations."""
         if self._populations is None:
             return None
         labels, place = (block.material, block.instance), np.moveaxis(block.position, 1, 0)
@@ -223,7 +222,6 @@ class RenderedFlight(Flight):
 
 
 def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
-    """Return what is known of every pixel."""
     meters = {
         "east": f"East of the mean place seen, on {plane.crs}",
         "north": f"North of the mean place seen, on {plane.crs}",
@@ -242,5 +240,5 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
 
 
 def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes that can be written as JSON."""
+    """Return attributes with arrays as lists, for JSON."""
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in attrs.items()}

@@ -1,4 +1,4 @@
-"""Calibration, truth and sweeps as labelled arrays: what of the simulator knows xarray and zarr."""
+"""Calibration, truth and sweeps as labelled arrays: the part of the simulator that uses xarray and zarr."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
 
 
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
-    """Write small arrays as a new store; zarr's own default, zstd, is no codec that hyperpaint reads."""
+    """Write small arrays as a new store; hyperpaint does not read zarr's default codec, zstd."""
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
     store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
@@ -117,7 +117,7 @@ def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) ->
 
 
 def _consolidate(path: Path) -> None:
-    """Gather the metadata at the root, where plain `xarray.open_zarr` looks first."""
+    """Consolidate the metadata at the root, where plain `xarray.open_zarr` looks first."""
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
         warnings.simplefilter("ignore")
@@ -134,7 +134,7 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
-    """Return the corners of a checkerboard, where that is flown over."""
+    """Return the corners of a checkerboard; empty for other flights."""
     if not isinstance(flight, CheckerboardFlight):
         return {}
     return {
@@ -264,7 +264,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 
 
 def _scalar_or_step(values: Any) -> Any:
-    """Return what does not change from step to step as one number."""
+    """Return one number if all steps have the same value."""
     return values[0] if np.all(values == values[0]) else values
 
 
@@ -273,7 +273,7 @@ def _is_one_dark(sweep: Sweep) -> bool:
 
 
 def _without_cubes(sweep: Sweep) -> xr.Dataset:
-    """Return all of a sweep but its counts."""
+    """Return a sweep without its counts."""
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -299,7 +299,7 @@ def _without_cubes(sweep: Sweep) -> xr.Dataset:
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
-    """Return what the calibration of a sweep should find; names open with `TRUTH`."""
+    """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
     seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
@@ -432,7 +432,7 @@ def write_sweep(
 
 
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
-    """Write a sweep where nothing stands yet, and its truth beside it."""
+    """Write a sweep to a new store, and its truth beside it."""
     if truth:
         _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         _consolidate(_truth_beside(path))
@@ -482,7 +482,6 @@ def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
 
 
 def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
-    """Write the frames of every step into arrays of `_shapes`."""
     one_dark = _is_one_dark(sweep)
     if one_dark:
         cubes["dark_counts"][...] = sweep.dark(0).mean

@@ -1,4 +1,4 @@
-"""How a drone flies over the earth: a straight course, and what wind and propellers make of it.
+"""The flight of a drone over the earth: a straight course, and deviations by wind and propellers.
 
 The earth's figure is WGS-84 by closed formulas, its map that of one UTM zone. What a flight is simulated on
 must not be what it is located with: nothing here is from a library of geodesy, nor shared with the part of
@@ -62,7 +62,7 @@ def geodetic(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-    """Return what turns north, east, down at a place [degree] into the earth-centred frame (..., 3, 3)."""
+    """Return rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3)."""
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
     none = np.zeros_like(cl)
@@ -101,7 +101,7 @@ class LocalFrame:
 
     @cached_property
     def axes(self) -> Floats:
-        """What turns this frame into the earth-centred one, (3, 3)."""
+        """Rotation from this frame to the earth-centred one, (3, 3)."""
         north, east, down = north_east_down(self.latitude, self.longitude).T
         return np.stack([east, north, -down], axis=-1)
 
@@ -114,7 +114,7 @@ class LocalFrame:
         return geodetic(self._origin + place @ self.axes.T)
 
     def from_north_east_down(self, latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-        """Return what turns north, east, down at places into this frame (..., 3, 3)."""
+        """Return rotations from north, east, down at places to this frame (..., 3, 3)."""
         return np.asarray(self.axes.T @ north_east_down(latitude, longitude))
 
 
@@ -150,7 +150,7 @@ class TransverseMercator:
 
     @property
     def crs(self) -> str:
-        """Its name in the register of the EPSG."""
+        """EPSG code."""
         return f"EPSG:{32600 + self.zone}"
 
     def project(self, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
@@ -221,7 +221,7 @@ class Motion:
 
     @classmethod
     def random(cls, spread: float, rate: float, rng: np.random.Generator) -> Motion:
-        """Return sines of these standard deviations, of the motion and of its rate of change [1 s-1]."""
+        """Return sines with these standard deviations of the motion and of its rate of change [s-1]."""
         part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
         amplitude = part**-0.5
         amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
@@ -240,7 +240,7 @@ class Motion:
 
     @property
     def most(self) -> float:
-        """Largest magnitude that it can have."""
+        """Largest possible magnitude."""
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
 
@@ -270,7 +270,7 @@ def _motions(settings: SimulationSettings) -> dict[str, Motion]:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the navigation system is, and the camera that is fixed to it, at any moment.
+    """Pose of the navigation system, and of the camera fixed to it, at any moment.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What instruments of the paint shop read of a paint: gloss units, and the flop index of metallics."""
+"""Readings of paint-shop instruments: gloss units, and the flop index of metallic paints."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ def gloss_units(coat: Coat) -> float:
 
 
 def _overlap(deflection: Floats, axis: int) -> Floats:
-    """Return the part of the source's image, shifted by an angle [rad], that the receptor sees."""
+    """Return the part of the source's image, shifted by an angle [rad], inside the receptor field."""
     receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
     return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
 
 def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
-    """Return the clear coat that reads a gloss at 20 degrees; undoes `gloss_units`.
+    """Return the clear coat with a gloss at 20 degrees, the inverse of `gloss_units`.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    """Return what the tracer's lobes make of light and view at zenith angles [degree], azimuth apart.
+    """Return the lobes of the tracer for light and view at zenith angles [degree], azimuth apart.
 
     Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
     """
@@ -136,7 +136,7 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
 
 
 def _added_up(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    """Return the reflectance factor of a paint part of whose light meets flakes."""
+    """Return the reflectance factor of a paint with a share of flakes."""
     again = share * metal + (1.0 - share) * pigment
     return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
 
@@ -190,7 +190,7 @@ def reflectance_factor(
 def flop_index(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
 ) -> float:
-    """Return how much darker a paint gets away from its mirror direction: about 0 for a solid paint.
+    """Return the flop index: how much darker a paint is away from its mirror direction; about 0 when solid.
 
     Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
     at 45 degrees; D65, 10 degree observer (its luminosity as fitted by C. Wyman, P.-P. Sloan, P. Shirley,
@@ -267,7 +267,7 @@ def flakes_of_flop(
     *,
     nearest: bool = False,
 ) -> Flakes:
-    """Return the flakes of a paint, their lobe so broad that the paint has a flop index.
+    """Return the flakes of a paint, with the lobe roughness that gives a flop index.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is in the base coat of a car paint: pigments in a binder, with or without flakes among them."""
+"""The base coat of a car paint: pigments in a binder, with or without flakes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 
 @dataclass(frozen=True)
 class Pigments:
-    """What is in a base coat.
+    """Contents of a base coat.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]
 def absorbers_of(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
-    """Return edges and bands of K/S like ``rows`` of `HUES`, each a little elsewhere."""
+    """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
     features: list[Feature] = []
     for kind, centre, spread, width, height in rows:
         feature = Edge if kind == "edge" else Bump

@@ -81,7 +81,7 @@ class BrokenClouds:
         problems.raise_if_any()
 
     def factors(self, east: npt.ArrayLike, north: npt.ArrayLike, seconds: npt.ArrayLike) -> Floats:
-        """Return factors of direct and of diffuse light, (2, ...); 1 where a place is NaN.
+        """Return factors of direct and of diffuse light, (2, ...); 1 at NaN places.
 
         Parameters
         ----------

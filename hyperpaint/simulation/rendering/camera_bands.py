@@ -155,7 +155,7 @@ class BandSet:
 
     @property
     def _node_step(self) -> float:
-        """Distance of the nodes [nm]: sharper bands change faster from shift to shift."""
+        """Distance of the nodes [nm]: sharper bands change faster with the shift."""
         widest, parts = _NODE_STEP[self.shape]
         narrowest = float(self.fwhm.min())
         if self.shape == "slit":
@@ -173,7 +173,7 @@ class BandSet:
         return np.asarray(low + step * np.arange(-1, cells + 2), np.float64)
 
     def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return where columns lie among the nodes: first of four nodes, and the weights of the four.
+        """Return the position of columns among the nodes: first of four nodes, and the four weights.
 
         Returns
         -------
@@ -270,7 +270,7 @@ class BandResponses:
         self.first_band = np.clip(first, 0, starts.size - self.width)
 
     def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return where a band's fine points lie, and its response x step there, both (band, point)."""
+        """Return the fine points of every band, and response x step there, both (band, point)."""
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
@@ -283,7 +283,7 @@ class BandResponses:
         return points, response
 
     def weights(self, sources: Floats) -> Floats:
-        """Return what grid points count for in the bands, shape (source, node, grid, width).
+        """Return the weights of the grid points in the bands, shape (source, node, grid, width).
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class BandResponses:
         return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
-        """Return what bands see of spectra on the fine grid, shape (spectrum, node, band)."""
+        """Return band means of spectra on the fine grid, shape (spectrum, node, band)."""
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)
@@ -317,7 +317,7 @@ class BandResponses:
 
 
 def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
-    """Return the mean of a spectrum over the cells of an even grid; zero where it is not known.
+    """Return the mean of a spectrum over the cells of an even grid; zero outside the spectrum.
 
     The spectrum is taken as linear between its points, however finer or coarser than the grid they are, and
     integrated exactly.

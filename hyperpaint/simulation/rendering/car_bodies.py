@@ -29,7 +29,7 @@ _SIDES = 10  # of a wheel
 
 @dataclass(frozen=True)
 class CarShape:
-    """What makes a kind of car; fractions of its length count from the nose, heights in metres.
+    """Proportions of a type of car; fractions of its length count from the nose, heights in metres.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
 
 
 def _stations(shape: CarShape, length: float) -> Floats:
-    """Return where cross sections are, from nose (0) to tail (1)."""
+    """Return the positions of the cross sections, from nose (0) to tail (1)."""
     gap = _SEAM / length
     seams = [0.045, *shape.doors, *(() if shape.bed else (_boot_seam(shape),))]
     bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
@@ -162,7 +162,7 @@ def _stations(shape: CarShape, length: float) -> Floats:
 
 
 def _boot_seam(shape: CarShape) -> float:
-    """Return where the boot lid meets the bumper."""
+    """Return the position where the boot lid meets the bumper."""
     return 0.972 if shape.rear_base < 0.9 else 0.988
 
 
@@ -201,20 +201,19 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
 
 
 def _profile(stations: Floats, points: tuple[tuple[float, float], ...]) -> Floats:
-    """Return a height or width at stations, linear between points."""
     table = np.asarray(points)
     return np.asarray(np.interp(stations, table[:, 0], table[:, 1]), np.float64)
 
 
 def _greenhouse(shape: CarShape, stations: Floats) -> Floats:
-    """Return how far a section has risen from deck (0) to roof (1)."""
+    """Return the rise of a section from deck (0) to roof (1)."""
     front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
     back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
     return np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
 
 
 def _cells(shape: CarShape, middles: Floats, length: float, *, sunroof: bool) -> tuple[Words, Words]:
-    """Return surface and part of every cell of the sheet, shape (station - 1, column - 1)."""
+    """Return surface and body part of every cell of the sheet, shape (station - 1, column - 1)."""
     half = _COLUMNS - 1
     surface = np.full((len(middles), half), "paint", object)
     part = np.full((len(middles), half), "", object)

@@ -160,7 +160,7 @@ def car_park(
 
 @dataclass(frozen=True)
 class _Choices:
-    """What cars are drawn from."""
+    """Paints, types and options from which the cars are drawn."""
 
     paints: tuple[str, ...]
     types: tuple[str, ...]
@@ -171,7 +171,6 @@ class _Choices:
     surroundings: dict[str, Material]
 
     def material(self, name: str, paint: str) -> Material:
-        """Return the surface of a car that has a paint."""
         surface = (
             paint_spec(paint).material(name) if is_paint(paint) else Material(name, paint, "paint", Coat())
         )
@@ -179,7 +178,7 @@ class _Choices:
         return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
-        """Return the paint of a car: as many successive cars as there are paints have all of them."""
+        """Return the paint of a car; consecutive cars use every paint once before any is used again."""
         if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
             return self.paints[number % _FLEET_SIZE]
         deck, card = divmod(number, len(self.paints))
@@ -187,7 +186,6 @@ class _Choices:
         return self.paints[int(order[card])]
 
     def kind(self, rng: np.random.Generator) -> str:
-        """Return the kind of a car."""
         chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
         return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
 
@@ -197,7 +195,7 @@ _FLEET_SIZE = 5000
 
 
 def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
-    """Return the paints of a fleet; those of a real one in an order that has the shares in every part."""
+    """Return the paints of a fleet; a real one in an order with its shares in every stretch."""
     if fleet != "real":
         return FOURTEEN
     return fleet_names(int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)), _FLEET_SIZE)
@@ -314,7 +312,7 @@ def _lamps(layout: Layout) -> Iterator[Scene]:
 
 
 def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
-    """Return a tree that stands on the origin, its top ``height`` and the radius of its ``crown`` [m]."""
+    """Return a tree at the origin; ``height`` of its top and radius of its ``crown`` [m]."""
     middle = np.array([0.0, 0.0, height - 0.95 * crown])
     blobs = 9
     direction = _directions(rng, blobs)

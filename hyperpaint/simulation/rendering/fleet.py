@@ -98,7 +98,7 @@ class FleetPaint:
     index: float
 
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
-        """Return the reflectance of a clean base (wavelength,) under the dust of many places of the car."""
+        """Return the reflectance of a clean base (wavelength,) under dust, for many places on the car."""
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
         cover = np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6)
         return dusty(clean, cover, wavelength)
@@ -132,13 +132,13 @@ def fleet_paint(number: int) -> FleetPaint:
 
 
 def _chosen(shares: Mapping[str, float], place: float) -> str:
-    """Return the name whose share of the unit interval holds a place."""
+    """Return the name whose share of the unit interval contains a place."""
     last = np.searchsorted(np.cumsum(list(shares.values())), place, side="right")
     return list(shares)[min(int(last), len(shares) - 1)]
 
 
 def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
-    """Return a colour in words, and what makes it."""
+    """Return the colour in words, and the pigments."""
     film = None
     if finish == "pearl":
         film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))

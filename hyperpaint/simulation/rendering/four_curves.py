@@ -59,7 +59,7 @@ _LOWEST_SUN = 89.0  # degree; below, neither air mass nor four curves mean much
 
 @dataclass(frozen=True, eq=False)
 class Atmosphere:
-    """The light at the ground and the air before the camera.
+    """Light at the ground and the air before the camera.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class Atmosphere:
     def _hazy(
         cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **more: Any
     ) -> Atmosphere:
-        """Return an atmosphere whose third and fourth curve follow from the first two."""
+        """Return an atmosphere whose extinction and path radiance follow from sun and sky."""
         extinction = path = np.zeros_like(grid)
         if haze is not None:
             extinction = haze.extinction(grid)
@@ -374,7 +374,7 @@ class Atmosphere:
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
-        """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.
+        """Return this clear atmosphere under clouds; `sky_models` has the model.
 
         Parameters
         ----------

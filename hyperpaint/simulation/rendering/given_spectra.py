@@ -1,4 +1,4 @@
-"""Spectra that a user gives: names, tables, functions, and paints of a library with their populations."""
+"""Spectra from users: names, tables, functions, and paints of a library with their populations."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def is_library(value: Any) -> bool:
 
 
 def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
-    """Return the paints of a library by name, each with what the renderer takes of it, unread.
+    """Return the paints of a library by name, each with the variables that the renderer needs, lazily.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
 
 
 def by_name(spectra: Any) -> dict[str, Any]:
-    """Return spectra by name: a library's paints; a library inside a mapping as ``name/paint``.
+    """Return spectra by name: paints of a library; a library inside a mapping as ``name/paint``.
 
     One of a single paint keeps the mapping's name.
     """
@@ -122,7 +122,7 @@ def by_name(spectra: Any) -> dict[str, Any]:
 
 
 class SpectrumReader:
-    """Makes functions of what a user gives for spectra, and gathers what is wrong with them.
+    """Turns user spectra into functions of wavelength, and collects their problems.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class SpectrumReader:
         self._mirroring: list[str] = []
 
     def read(self, name: str) -> Spectrum | None:
-        """Return a spectrum by name as a function; None where it is wrong."""
+        """Return a spectrum by name as a function; None after a problem."""
         spectrum = self._spectrum(self._given.get(name, name), name)
         if spectrum is not None:
             self._check_values(name, spectrum)
@@ -155,7 +155,7 @@ class SpectrumReader:
         return None
 
     def warn(self) -> None:
-        """Warn of what was taken though it may mislead."""
+        """Warn of clipped reflectances and of mirror reflections counted twice."""
         if self._clipped:
             msg = (
                 f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
@@ -227,7 +227,7 @@ class SpectrumReader:
         return Table(nm[used], reflectance[used], members)
 
     def _measured(self, paint: xr.Dataset, name: str) -> Table:
-        """Return a paint of a library: bands in order, those that are not good without values."""
+        """Return a paint of a library: bands in order, NaN in bands that are not good."""
         nm, reflectance = _columns(paint["reflectance"])
         order = np.argsort(nm, kind="stable")
         good = np.ones(nm.size, bool)
@@ -300,7 +300,7 @@ def _columns(value: Any) -> tuple[Floats, Floats]:
 
 
 def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
-    """Return the part of a table that bands see: what is missing at 1900 nm need not bother them."""
+    """Return the part of a table within reach of the bands; gaps elsewhere do not matter."""
     if not isinstance(spectrum, Table):
         return spectrum
     last = spectrum.wavelength.size - 1
@@ -312,7 +312,7 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
 
 
 def _thinned(members: Floats) -> Floats:
-    """Return at most `MOST_MEMBERS` of the members that have values, evenly among them."""
+    """Return at most `MAX_MEMBERS` members with values, evenly spaced."""
     used = members[np.isfinite(members).any(axis=1)]
     if len(used) <= MOST_MEMBERS:
         return used
@@ -320,13 +320,13 @@ def _thinned(members: Floats) -> Floats:
 
 
 def _whole(members: Floats) -> Floats | None:
-    """Return the members without gaps; None of fewer than two."""
+    """Return the members without gaps; None for fewer than two."""
     whole = members[np.isfinite(members).all(axis=1)]
     return whole if len(whole) > 1 else None
 
 
 def _runs(wavelength: Floats, missing: Bools) -> str:
-    """Return where values are missing, neighbours together."""
+    """Return the wavelengths of missing values as text, neighbours as ranges."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
     texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]
@@ -334,6 +334,6 @@ def _runs(wavelength: Floats, missing: Bools) -> str:
 
 
 def some_names(names: Iterable[str]) -> str:
-    """Return some of different names, in quotes."""
+    """Return up to twelve different names, in quotes."""
     different = list(dict.fromkeys(names))
     return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")

@@ -1,4 +1,4 @@
-"""Light, spectra and camera of one relighting, and what they do to a block of traced lines.
+"""Light, spectra and camera of one relighting, and the radiance of a block of traced lines.
 
 A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
 part depends on nothing but the path's code, of which a scene has some thousands: it is made once for every
@@ -49,7 +49,7 @@ _SAME_DIRECTION = 0.01  # degree
 
 
 def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
-    """Return the number of the traced sun that shines in an atmosphere; without direct light the nearest.
+    """Return the number of the traced sun of an atmosphere; without direct light the nearest one.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
-    """Return the irradiance of every source of a trace that shines, by number, on the atmosphere's grid."""
+    """Return the irradiance of every traced source that shines, by number, on the atmosphere's grid."""
     sun = traced_sun(atmosphere, settings)
     first = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
@@ -101,7 +101,7 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """What all tasks of a relighting share.
+    """Light and camera, shared by all tasks of a relighting.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class Lighting:
     def surface_radiance(
         self, weight: Floats32, code: Array, variation: Floats | None, texture: Texture | None = None
     ) -> Floats32:
-        """Return what the scene sends to the camera, (line, band, column) [W m-2 sr-1 nm-1].
+        """Return the radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1].
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Lighting:
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN, the sky, has none."""
+        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN (sky) is no distance."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
         from hyperpaint.simulation.transport.mixing import through_air
@@ -149,7 +149,7 @@ class Lighting:
         return out
 
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
-        """Return pi L / E of what the scene sends to the camera [1]; NaN where there is no light."""
+        """Return pi L / E of the radiance at the surface [1]; NaN without light."""
         out = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
         for line, (direct, diffuse) in enumerate(factors):
@@ -159,7 +159,7 @@ class Lighting:
         return out
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        """Return where the light came from, (line, share, column); see `SHARES`."""
+        """Return the shares of the light by source, (line, share, column); see `SHARES`."""
         from hyperpaint.simulation.transport.mixing import index_paths, mix
 
         distinct, index = index_paths(code)
@@ -174,7 +174,7 @@ class Lighting:
 
 
 def _share_weights(codes: Ints, level: Floats32) -> Floats32:
-    """Return what a path's weight counts for in all light and in every one of `SHARES`, (path, 1 + share).
+    """Return the weight of a path in all light and in each of `SHARES`, (path, 1 + share).
 
     ``level`` is the mean product of every path over the bands, (path,).
     """
@@ -216,7 +216,7 @@ _LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made ag
 
 
 class ProductTable:
-    """Band spectra by code, made when they are first asked for.
+    """Band spectra of path codes, computed when first needed.
 
     Of a calibrated camera they are means over the responses [W m-2 sr-1 nm-1]. With ``normalise=False`` they
     are those of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. For an imager, the elements'
@@ -359,7 +359,7 @@ class ProductTable:
         mix_shifted(weight, index, products, *nodes, out, texture)
 
     def irradiance(self, source: int) -> Floats:
-        """Return what the bands see of a source itself, shape (node, band)."""
+        """Return the irradiance of a source in the bands, shape (node, band)."""
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
@@ -389,7 +389,7 @@ class ProductTable:
 
 
 def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
-    """Return where codes stand among sorted known ones; -1 for the others."""
+    """Return the places of codes in a sorted array; -1 for codes that are not in it."""
     if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
     place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)

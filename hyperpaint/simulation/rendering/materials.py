@@ -360,7 +360,7 @@ def base_albedo(
 def coated_reflectance(
     albedo: npt.ArrayLike, index: float = 1.5, *, geometry: Geometry = "0/0", specular_included: bool = False
 ) -> Floats:
-    """Return what an instrument reads of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
+    """Return the instrument reading of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
 
 def _without_noise(irradiance: Floats) -> Floats:
-    """Return an irradiance whose noise around zero does not go below; what does otherwise is left."""
+    """Return an irradiance with small noise below zero set to 0; larger negative values stay."""
     low, high = irradiance.min(), irradiance.max()
     if -_NOISE * high <= low < 0.0:
         count = int((irradiance < 0.0).sum())
@@ -109,7 +109,7 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
 
 
 def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], Spread | None]:
-    """Return the curves of a table from `hyperpaint.io.skies`, and how its radiance is spread, if it has any.
+    """Return the curves of a table from `hyperpaint.io.skies`, and the spread of its radiance, if any.
 
     Warns where the functions of the clear sky miss the radiance by more than `_MISFIT`.
     """

@@ -157,7 +157,7 @@ def _check(raw: RawTriangles, where: str) -> None:
 def _assigned(
     raw: RawTriangles, materials: Mapping[str, Material], default: Material | None, where: str
 ) -> tuple[tuple[Material, ...], NDArray[np.int64]]:
-    """Return the materials, and the number of that of every triangle."""
+    """Return the materials, and the material number of every triangle."""
     chosen: dict[Material, int] = {}
     numbers = np.zeros(len(raw.groups), np.int64)
     missing = []
@@ -178,7 +178,7 @@ def _assigned(
 
 
 def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the mesh with vertices at one place made one, so that normals can be smooth across seams."""
+    """Return the mesh with coincident vertices merged, so that normals are smooth across seams."""
     order = np.lexsort(vertices.T)
     placed = vertices[order]
     new = np.concatenate([[True], (placed[1:] != placed[:-1]).any(axis=1)])

@@ -117,7 +117,7 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
 
 
 def _numbers(kind: Callable[[str], Any], words: list[str]) -> list[Any]:
-    """Return words as numbers; an empty list where one is none."""
+    """Return words as numbers; an empty list if any is not a number."""
     try:
         return [kind(word) for word in words]
     except ValueError:
@@ -139,7 +139,7 @@ _MAX_HEADER_BYTES = 65536
 
 
 def read_ply(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a PLY file; errors are those of `check_ply`, and what trimesh cannot read."""
+    """Return the triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read."""
     trimesh = _trimesh(where)
     check_ply(data, where)
     mesh = _loaded(trimesh.load_mesh, data, "ply", where, skip_materials=True)
@@ -199,7 +199,7 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # types of a chunk: "JSON" and "BIN" in
 
 
 class Stripped(NamedTuple):
-    """What is left of a GLB file.
+    """Remains of a GLB file.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ class Stripped(NamedTuple):
 
 
 def read_glb(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a GLB file; errors are those of `strip_glb`, and what trimesh cannot read."""
+    """Return the triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read."""
     trimesh = _trimesh(where)
     stripped = strip_glb(data, where)
     if stripped.triangles > _MAX_TRIANGLES:
@@ -271,7 +271,7 @@ def strip_glb(data: bytes, where: str) -> Stripped:
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
-    """Return the description and the numbers of a GLB file."""
+    """Return the JSON header and the binary chunk of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise FormatError(
             f"{where}: it begins with {data[:4]!r}",
@@ -317,7 +317,7 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
 
 
 class _GlbCheck:
-    """Takes what triangles need out of a description, and refuses what lies outside the file's numbers."""
+    """Extracts the parts of a glTF header that triangles need; refuses outside references."""
 
     def __init__(self, header: dict[str, Any], size: int, where: str) -> None:
         self.header, self.size, self.where = header, size, where
@@ -341,7 +341,7 @@ class _GlbCheck:
         raise FormatError(f"{self.where}: {found}", expected=expected, mend=mend, code=code)
 
     def many(self, key: str, kind: Any = dict, of: dict[str, Any] | None = None) -> list[Any]:
-        """Return a list of ``kind`` under a key; empty where there is none."""
+        """Return a list of ``kind`` under a key; empty if absent."""
         entries = (self.header if of is None else of).get(key, [])
         if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
             self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}", code="type-wrong")
@@ -352,7 +352,6 @@ class _GlbCheck:
         return tuple(name if isinstance(name, str) else "" for name in given)
 
     def whole(self, of: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
-        """Return a whole number from 0 to ``most`` under a key."""
         number = of.get(key, default)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
             self.fail(
@@ -363,7 +362,7 @@ class _GlbCheck:
         return number
 
     def view(self, view: dict[str, Any]) -> dict[str, int]:
-        """Return a stretch of the numbers that lies within them."""
+        """Return a buffer view that lies within the binary chunk."""
         begin = self.whole(view, "byteOffset", self.size, 0)
         length = self.whole(view, "byteLength", self.size - begin)
         self.whole(view, "buffer", 0)
@@ -371,7 +370,7 @@ class _GlbCheck:
         return {"buffer": 0, "byteOffset": begin, "byteLength": length} | stride
 
     def accessor(self, of: dict[str, Any], key: str, kind: str) -> int:
-        """Return the new number of an accessor of one type that lies within its stretch."""
+        """Return the new number of an accessor of one type that lies within its buffer view."""
         number = self.whole(of, key, len(self.given_accessors) - 1)
         if (number, kind) in self.places:
             return self.places[number, kind]
@@ -403,7 +402,7 @@ class _GlbCheck:
         return self.places[number, kind]
 
     def stripped(self) -> tuple[dict[str, Any], int]:
-        """Return the description of what remains, and the number of triangles of all nodes."""
+        """Return the stripped header, and the number of triangles of all nodes."""
         meshes = [self.mesh(mesh, number) for number, mesh in enumerate(self.many("meshes"))]
         nodes = [self.node(node, number) for number, node in enumerate(self.many("nodes"))]
         roots = self.roots(nodes)
@@ -466,7 +465,7 @@ class _GlbCheck:
         return stripped | ({"children": children} if children else {})
 
     def roots(self, nodes: list[dict[str, Any]]) -> list[int]:
-        """Return the nodes without a parent; all others must have one, and none may be its own ancestor."""
+        """Return the nodes without a parent; refuse several parents and circles."""
         with_parent: set[int] = set()
         for number, node in enumerate(nodes):
             for child in node.get("children", []):
@@ -513,7 +512,7 @@ def _faces(mesh: Any) -> NDArray[np.int64]:
 
 
 def _named(names: tuple[str, ...], number: str | None) -> str:
-    """Return the name that a number in words stands for; empty where it stands for none."""
+    """Return the name with a number given as text; empty if there is none."""
     if number is None or not number.isdecimal() or int(number) >= len(names):
         return ""
     return names[int(number)]

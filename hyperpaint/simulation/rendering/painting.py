@@ -104,7 +104,7 @@ def factor_spectra(
 
 
 def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
-    """Return which paint of a library goes where in a scene.
+    """Return the assignment of library paints to spectra, materials and instances of a scene.
 
     A paint that is called like a spectrum, a material or a thing of the scene goes there. The others are
     dealt in turn, in their order, to the cars that none has gone to.
@@ -193,7 +193,7 @@ def _painted(
 def _exchange_flakes(
     record: SceneRecord, place: int, name: str, assigned: list[str], scales: list[float], problems: Problems
 ) -> None:
-    """Give a repainted base the flakes of its new paint; weights carry the shares that were traced."""
+    """Give a repainted base the flakes of its new paint; path weights contain the traced flake shares."""
     material = record.factors[place].material
     old = record.materials[material].flakes
     if record.factors[place].flakes or old is None:
@@ -214,7 +214,7 @@ def _exchange_flakes(
 
 
 def _flakes_of(name: str) -> Flakes | None:
-    """Return the flakes of a built-in paint; None for what has none, and for any other spectrum."""
+    """Return the flakes of a built-in paint; None for paints without flakes and other spectra."""
     try:
         return paint_spec(name).flakes
     except SchemaError:
@@ -222,7 +222,7 @@ def _flakes_of(name: str) -> Flakes | None:
 
 
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
-    """Return the factor that is the paint of an instance."""
+    """Return the paint factor of an instance, in a list; an empty one after a problem."""
     members, name = record.members[instance], record.instances[instance].name
     painted = [number for number in members if record.materials[number].kind == "paint"]
     chosen = painted or list(members)

@@ -93,7 +93,7 @@ class Layout:
 def strips_across(
     length: float, width: float, rows: int | None, *, margin: float, line_width: float, islands: bool
 ) -> Layout:
-    """Return where rows and aisles go.
+    """Return the layout of rows and aisles.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def paved(layout: Layout) -> Mesh:
 
 
 def worn(layout: Layout, seed: int) -> list[Mesh]:
-    """Return what years leave: stains in bays and mended places in aisles, 3 mm thick, and tufts of grass.
+    """Return traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
 
     Its surfaces are "patch" and "grass".
     """
@@ -188,7 +188,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
 
 
 def _tufts(layout: Layout, seed: int) -> list[Mesh]:
-    """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length of it."""
+    """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length."""
     tufts = []
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
@@ -204,14 +204,14 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
 
 
 def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
-    """Yield what lies between the rows: aisles and gutters."""
+    """Yield the strips between the rows: aisles and gutters."""
     for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
         if end[0] - begin[1] > 1e-6:
             yield begin[1], end[0]
 
 
 def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:
-    """Yield the cells of one row of bays: asphalt and the lines between."""
+    """Yield the cells of one row of bays: asphalt and the painted lines."""
     south = first
     for line in range(layout.bays + 1):
         low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))

@@ -184,7 +184,7 @@ def turns(rotation: Floats) -> Floats:
 
 
 def matrices(rotation: Floats) -> Floats:
-    """Return what turns camera directions into the scene's, of quaternions, shape (..., 3, 3).
+    """Return rotation matrices from camera directions to the scene's, of quaternions, shape (..., 3, 3).
 
     Examples
     --------
@@ -212,7 +212,7 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    """Return roll, pitch, heading halfway between two rotations [degree], of (line, 2, 3, 3), (line, 3)."""
+    """Return roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree]."""
     sum_of_both = _SCENE @ rotation.sum(axis=1)
     # the rotation nearest to the sum is the one halfway (Moakher 2002)
     left, _, right = np.linalg.svd(sum_of_both)

@@ -1,4 +1,4 @@
-"""Where the camera is and how it is turned at the begin and at the end of every exposure: flights."""
+"""Flights: position and attitude of the camera at the begin and end of every exposure."""
 
 from __future__ import annotations
 
@@ -332,7 +332,7 @@ def platform_from_poses(
 def _clock(
     time: ArrayLike, line_time: ArrayLike | None, problems: Problems
 ) -> tuple[np.datetime64 | None, Floats, Floats]:
-    """Return the moment that counts as zero (None: unknown), and both times as seconds."""
+    """Return the zero moment (None for seconds), and both times as seconds."""
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
     if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):

@@ -1,4 +1,4 @@
-"""Populations of spectra behind the factors of a scene: which members there are, and how they vary in space.
+"""Populations of spectra behind the factors of a scene: their members, and how they vary in space.
 
 A pixel shows one member of the population of what it shows most of: in the products of its paths, the factor
 of that surface is multiplied by member over mean, band by band. Paths stay as they were traced; what other
@@ -30,27 +30,27 @@ _BRIGHTEST = 50.0
 
 
 class Populations(NamedTuple):
-    """Members of all populations of a scene, as the mixing of paths takes them."""
+    """Members of all populations of a scene, as needed by the mixing of paths."""
 
     grain: Grain
     factor: Array  # (row,) that a member changes
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
-        """Return what pixels show at places (3, line, column) [m]; see `texturing.member_rows`."""
+        """Return the members of pixels at places (3, line, column) [m]; see `texturing.member_rows`."""
         from hyperpaint.simulation.transport.texturing import member_rows
 
         return self.of_rows(member_rows(material, instance, place, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
-        """Return what pixels show, of rows of members (line, column)."""
+        """Return the members of pixels, by rows (line, column)."""
         from hyperpaint.simulation.transport.texturing import Texture
 
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
-    """Return the populations of a scene's materials; None where no spectrum has one.
+    """Return the populations of a scene's materials; None if no spectrum has one.
 
     The mean over the members of a population is the spectrum itself, in every band.
     """
@@ -84,7 +84,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 
 
 def _over_mean(rows: Floats) -> Floats:
-    """Return members (member, band) over their mean, the dark ones first."""
+    """Return members (member, band) over their mean, darkest first."""
     mean = rows.mean(axis=0)
     ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _DARKEST)
     ratio = np.minimum(ratio, _BRIGHTEST)
@@ -96,7 +96,7 @@ def _over_mean(rows: Floats) -> Floats:
 def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
-    """Return the rows of the members that pixels show, (line, column); see `texturing.member_rows`."""
+    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
     from hyperpaint.simulation.transport.texturing import member_rows
 
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

@@ -1,4 +1,4 @@
-"""Shapes that things in a scene are put together from: plates, boxes, tubes, lofts, with smooth normals."""
+"""Shapes that things in a scene are built from: plates, boxes, tubes, lofts, with smooth normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .scene import PARTS, Instance, Scene, has_area
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles whose materials are still words.
+    """Triangles whose materials are named by words.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Mesh:
         return replace(self, vertices=self.vertices + np.asarray(offset, np.float64))
 
     def scene(self, materials: dict[str, Material], instance: Instance) -> Scene:
-        """Return the mesh as one thing, made of what ``materials`` gives for each of its surfaces."""
+        """Return the mesh as one thing; ``materials`` gives the material of each of its surfaces."""
         return Scene(
             instance.name,
             self.vertices,
@@ -65,7 +65,7 @@ class Mesh:
 
 
 def put_together(meshes: Sequence[Mesh]) -> Mesh:
-    """Return one mesh of several; surfaces of one name become one.
+    """Return one mesh of several; surfaces with one name become one.
 
     Examples
     --------
@@ -219,7 +219,7 @@ MOST_AROUND = 256
 
 
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
-    """Return the mesh with normals that are smooth but where it bends by more than ``crease`` [degree].
+    """Return the mesh with smooth normals except where it bends by more than ``crease`` [degree].
 
     The normal at a corner of a triangle is the mean of the normals of the triangles around its vertex that
     lie within ``crease`` of its own, weighted by their angles there, so that it does not matter how a
@@ -277,7 +277,7 @@ def _directions_and_angles(corners: Floats) -> tuple[Floats, Floats]:
 
 
 def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:
-    """Return the first of all corners of one vertex and normal, and for every corner which of them it is."""
+    """Return the first corner of every distinct vertex and normal, and for every corner its distinct one."""
     # normals to 21 bits an axis, in one number: sorting is what takes time in a large mesh
     steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)
     code = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]

@@ -216,7 +216,7 @@ def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
 
 
 def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
-    """Return factors (line, 2), None for ones."""
+    """Return factors (line, 2); None for ones."""
     if variation is None:
         return None
     factors = np.asarray(variation, np.float64)
@@ -232,7 +232,6 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 
 
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
-    """Return the factors of every pixel under broken clouds (line, 2, column), lazily."""
     import dask.array as da
 
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
@@ -274,7 +273,7 @@ _PLACES = ("material", "instance", "east", "north", "up")
 def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
-    """Return which member of its population every pixel shows (lazily, row of a table), and the table."""
+    """Return the population member of every pixel (lazily, row of a table), and the table."""
     import dask
     import dask.array as da
 
@@ -299,7 +298,7 @@ def _lazy_cubes(
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
-    """Return radiance, reflectance and shares; each costs what it needs and no more."""
+    """Return radiance, reflectance and shares; without truth, radiance needs one task per block."""
     import dask.array as da
 
     weight, code, distance = paths
@@ -327,7 +326,7 @@ def _lazy_cubes(
 
 
 def _only(nested: Any) -> Any:
-    """Return the one block of dims that have only one, which dask hands over in lists."""
+    """Return the sole block of dims with one block, which dask passes in lists."""
     while isinstance(nested, list):
         (nested,) = nested
     return nested
@@ -436,7 +435,7 @@ def _irradiance_record(
 
 
 def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple[Floats, Floats]:
-    """Return the channels [nm], and what they see of direct and diffuse light, (2, channel)."""
+    """Return the channels [nm], and their direct and diffuse irradiance, (2, channel)."""
     wavelength = atmosphere.wavelength
     reach = _REACH * _FWHM
     low = max(wavelength[0], bands.lowest() - 4 * _FWHM)
@@ -451,7 +450,7 @@ def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple
 
 
 def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
-    """Return when the spectrometer measures: before and after the flight, and between where light varies."""
+    """Return the sampling times: before and after the flight, and between where light varies."""
     try:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:

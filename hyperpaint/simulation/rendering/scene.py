@@ -1,4 +1,4 @@
-"""A scene: triangles, what they are made of, and which thing they belong to."""
+"""A scene: triangles with their materials and instances."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ class Scene:
 
     @classmethod
     def join(cls, scenes: Sequence[Scene], name: str = "scene") -> Scene:
-        """Return one scene with everything of several; equal materials become one.
+        """Return one scene with the content of several; equal materials become one.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ def plane(
 def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
-    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros where the length is known."""
+    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros of the known length."""
     array = np.asarray(values)
     if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)
@@ -427,14 +427,14 @@ def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which triangles have an area, shape (face,): are not so thin that they have no direction."""
+    """Return which triangles have an area, shape (face,); thinner ones have no direction."""
     edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     longest = (edges**2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _SMALLEST_SHAPE * longest)
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
-    """Warn where triangles of a scene without area are dropped."""
+    """Warn of triangles without area, which are dropped."""
     if not with_area.all():
         dropped = int((~with_area).sum())
         msg = f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped"

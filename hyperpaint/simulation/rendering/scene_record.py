@@ -1,4 +1,4 @@
-"""What a traced dataset keeps of its scene and of how it was traced, and the labels that follow from it."""
+"""Attributes of a traced dataset: its scene and trace settings, and the labels that follow from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SUN_RADIUS_DEG = 0.267
 
 @dataclass(frozen=True)
 class TraceSettings:
-    """How a scene is traced.
+    """Settings of a trace.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class TraceSettings:
 
     @classmethod
     def of(cls, suns: Any, **settings: Any) -> TraceSettings:
-        """Return the settings for suns given in any sequence.
+        """Return the settings for suns in any sequence.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class SceneRecord:
 
     @classmethod
     def of(cls, scene: Scene) -> SceneRecord:
-        """Return what is kept of a scene."""
+        """Return the record of a scene."""
         count = len(scene.materials)
         pairs = np.unique(scene.face_instance.astype(np.int64) * count + scene.face_material)
         members: list[list[int]] = [[] for _ in scene.instances]
@@ -155,7 +155,7 @@ class SceneRecord:
         return cls(scene.name, scene.materials, scene.instances, tuple(map(tuple, members)), scene.factors)
 
     def to_attrs(self, settings: TraceSettings) -> dict[str, Any]:
-        """Return attributes of a traced dataset, of text and numbers only."""
+        """Return attributes of a traced dataset, text and numbers only."""
         instances = [
             {**asdict(instance), "materials": list(members)}
             for instance, members in zip(self.instances, self.members, strict=True)
@@ -177,7 +177,7 @@ class SceneRecord:
 
     @classmethod
     def from_attrs(cls, attrs: Mapping[Any, Any]) -> tuple[SceneRecord, TraceSettings]:
-        """Return what `to_attrs` was given.
+        """Return the record and settings from attributes that `to_attrs` wrote.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class SceneRecord:
             self.materials[number]
 
     def codes(self, settings: TraceSettings) -> PathCodes:
-        """Return how the codes of the trace are read."""
+        """Return the layout of the trace's path codes."""
         return PathCodes.of(len(self.factors), settings.depth)
 
     @property
@@ -300,7 +300,7 @@ class LabelTables:
         }
 
     def attrs(self, name: str) -> dict[str, Any]:
-        """Return the CF attributes that say what the numbers of a label layer mean."""
+        """Return the CF flag attributes of a label layer."""
         if name not in ("surface_class", "paint_id"):
             return {}
         meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]

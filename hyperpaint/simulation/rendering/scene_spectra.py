@@ -46,7 +46,7 @@ _DULLED = 0.03  # by which a coat grows rougher in a year, relatively
 
 @dataclass(frozen=True)
 class PaintSpec:
-    """A car paint: how it looks and what it is made of.
+    """A car paint: appearance and composition.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ FOURTEEN = tuple(_CATALOGUE)
 
 
 def paint_spec(name: str) -> PaintSpec:
-    """Return what is known of a paint by the name of its spectrum.
+    """Return a paint by the name of its spectrum.
 
     Parameters
     ----------
@@ -150,13 +150,13 @@ def paint_spec(name: str) -> PaintSpec:
 
 
 def is_paint(name: str) -> bool:
-    """Return whether a spectrum is a car paint that is known here, of a catalogue or generated."""
+    """Return whether a spectrum is a car paint of the catalogue or a generated one."""
     named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
     return named and not name.endswith(":flakes")
 
 
 def fleet_names(first: int, count: int) -> tuple[str, ...]:
-    """Return the names of so many cars of the fleet.
+    """Return the names of ``count`` cars of the fleet.
 
     Examples
     --------
@@ -167,7 +167,7 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 
 
 def _fleet_spec(number: int) -> PaintSpec:
-    """Return the paint of a car of the fleet: an older coat is duller."""
+    """Return the paint of a car of the fleet; older coats are duller."""
     car, name = fleet_paint(number), f"fleet-{number}"
     flakes = None
     if car.flake_share:
@@ -179,7 +179,7 @@ def _fleet_spec(number: int) -> PaintSpec:
 
 
 def _fleet_base(car: FleetPaint) -> Weathered:
-    """Return what shows of a car between its flakes, with the dust that lies on it."""
+    """Return the base of a car between its flakes, with dust on it."""
 
     def members(wavelength: Floats) -> Floats:
         return car.weathered(coated_reflectance(car.pigments.albedo(wavelength), car.index), wavelength)
@@ -212,12 +212,12 @@ def generate_paint(family: str, number: int) -> PaintSpec:
 
 
 def pigments_of(family: str, number: int) -> Pigments:
-    """Return what is in a generated paint."""
+    """Return the pigments of a generated paint."""
     return _generate(family, number)[1]
 
 
 def parse_name(name: str) -> tuple[str, int, bool] | None:
-    """Return family, number and whether the flakes are meant, of the name of a generated spectrum."""
+    """Return family, number and whether it names flakes, for the name of a generated spectrum."""
     match = _NAME.fullmatch(name)
     if match is None or match[1] not in FAMILIES:
         return None
@@ -253,13 +253,13 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
 
 
 def _flakes_of(name: str, finish: str, share: float) -> Flakes:
-    """Return the flakes of a generated paint, before their lobe is known."""
+    """Return the flakes of a generated paint, before their lobe is fitted."""
     spectrum = f"{name}:flakes"
     return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED if finish == "pearl" else "")
 
 
 def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
-    """Return flakes whose lobe gives a paint its flop index, or the nearest that it can have."""
+    """Return flakes whose lobe gives a paint its flop index, or the nearest possible one."""
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
@@ -361,7 +361,7 @@ def spectrum_of(name: str) -> Spectrum:
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:
-    """Return ``spectrum`` for any wavelength: straight lines leave 0 to 1 far from where they were drawn."""
+    """Return ``spectrum`` clipped to 0 to 1: straight lines leave it far from their points."""
 
     def limited(wavelength: Floats) -> Floats:
         grid = np.asarray(wavelength, dtype=np.float64)

@@ -46,7 +46,7 @@ from hyperpaint.simulation.setting_checks import check_number
 
 
 def check_wavelengths(wavelength: Floats) -> None:
-    """Refuse what is no grid of wavelengths.
+    """Raise unless wavelengths are a positive, increasing grid.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def check_wavelengths(wavelength: Floats) -> None:
 
 
 def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
-    """Note what cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
+    """Note curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
     grid = curves["wavelength"]
     try:
         check_wavelengths(grid)
@@ -166,7 +166,7 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
 
 
 class Spread(NamedTuple):
-    """Shares of a clear sky's functions in the diffuse irradiance, see `Atmosphere`."""
+    """Shares of the clear-sky functions in the diffuse irradiance, see `Atmosphere`."""
 
     molecular: Floats
     aureole: Floats
@@ -175,7 +175,7 @@ class Spread(NamedTuple):
 def clear_spread(
     wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
 ) -> Spread:
-    """Return how a clear sky's light is spread.
+    """Return the shares of the clear-sky functions.
 
     None where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
     """
@@ -191,7 +191,7 @@ _CLOUD_REFERENCE_NM = 490.0
 
 
 def cloud_factor(oktas: float) -> float:
-    """Return the part of a clear sky's global irradiance that ``oktas`` eighths of cloud leave.
+    """Return the part of a clear sky's global irradiance that remains under ``oktas`` eighths of cloud.
 
     Parameters
     ----------
@@ -305,7 +305,6 @@ class Haze:
         problems.raise_if_any()
 
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
-        """Return the extinction of molecules and of haze [m-1]."""
         relative = wavelength / _HAZE_REFERENCE_NM
         molecules = _MOLECULES * relative**_MOLECULES_EXPONENT
         particles = (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
@@ -345,7 +344,7 @@ class Haze:
 
 
 def _backward_share(g: float) -> float:
-    """Return the share of Henyey-Greenstein scattering at more than 90 degrees."""
+    """Return the share of Henyey-Greenstein scattering beyond 90 degrees."""
     if abs(g) < 1e-6:
         return 0.5  # the formula is 0/0 there; its slope is -3/4
     return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)

@@ -48,7 +48,7 @@ Sun = tuple[float, float] | Atmosphere | str
 
 
 class PreparedScene(NamedTuple):
-    """A scene as the kernel takes it; made once, shared by all tasks."""
+    """A scene as the kernel takes it; prepared once, shared by all tasks."""
 
     geometry: Geometry
     surfaces: Surfaces
@@ -59,7 +59,7 @@ class PreparedScene(NamedTuple):
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
-    """Sort a scene's triangles for rays, and gather what is known of its surfaces."""
+    """Build the hierarchy of a scene's triangles, and the tables of its surfaces."""
     from hyperpaint.simulation.transport.hierarchy import build_geometry
     from hyperpaint.simulation.transport.path_blocks import Sources
 
@@ -251,7 +251,7 @@ _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 def _lazy_arrays(
     scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
 ) -> dict[str, da.Array]:
-    """Return every variable as a dask array; one task a block makes all."""
+    """Return every variable as a dask array; one task a block computes all."""
     import dask
     import dask.array as da
 
@@ -276,7 +276,7 @@ def _lazy_arrays(
 
 
 def _packed(scene: Scene) -> bytes:
-    """Return a scene for the graph, at a third of its size: dask warns where a graph is sent above 10 MB."""
+    """Return a compressed scene for the graph: dask warns above 10 MB."""
     from numcodecs.blosc import SHUFFLE, Blosc
 
     return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
@@ -289,7 +289,7 @@ def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
 
 
 def _poses(platform: Platform) -> Array:
-    """Return number, origin and rotation of every line in one structured array, shape (line,)."""
+    """Return number, origin and rotation of every scan line in one structured array, shape (line,)."""
     poses = np.empty(
         platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
     )
@@ -299,7 +299,6 @@ def _poses(platform: Platform) -> Array:
 
 
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
-    """Return all variables of a block of lines."""
     block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
     east, north, up = (np.ascontiguousarray(block.position[:, axis]) for axis in range(3))
     return {

@@ -1,4 +1,4 @@
-"""What years and weather make of surfaces: populations of spectra that vary over the ground and over cars.
+"""Weathered surfaces: populations of spectra that vary over the ground and over cars.
 
 Asphalt is bitumen worn off its stones, with stains and dust; painted lines wear down to it; concrete darkens;
 lawns have dry blades. Dust lies on everything as a thin diffuse layer. It covers the part c of a surface of
@@ -26,7 +26,7 @@ from .materials import fresnel_reflectance, hemispherical_reflectance
 
 @dataclass(frozen=True)
 class Octaves:
-    """How a population varies over a surface.
+    """Spatial variation of a population over a surface.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ LEAF_INDEX, LEAF_LAYERS = 1.42, 1.55
 
 
 def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Floats]:
-    """Return diffuse reflectance and transmittance of a leaf by what one of its plates passes inside [1].
+    """Return diffuse reflectance and transmittance of a leaf from the transmittance inside a plate [1].
 
     A leaf is a pile of plates, whose two streams Stokes (1862) has summed; the first plate is met within 40
     degrees of its normal, the others by diffuse light (Allen et al., J. Opt. Soc. Am. 59, 1376, 1969;
@@ -133,7 +133,7 @@ def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Fl
 
 
 def leaf_transmittance(reflectance: Floats) -> Floats:
-    """Return what a leaf of a diffuse reflectance passes [1]; one brighter than leaves are passes the rest.
+    """Return the transmittance of a leaf of a diffuse reflectance [1], at most 1 minus the reflectance.
 
     Examples
     --------

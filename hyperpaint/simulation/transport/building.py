@@ -57,7 +57,6 @@ def build_nodes(triangles: Array) -> tuple[Array, Array, Array]:
 
 @borrowing_kernel
 def _clear(boxes: Array, at: int) -> None:
-    """Make a box empty."""
     for k in range(3):
         boxes[at, k] = np.inf
         boxes[at, k + 3] = -np.inf
@@ -65,7 +64,6 @@ def _clear(boxes: Array, at: int) -> None:
 
 @borrowing_kernel
 def _widen(boxes: Array, at: int, others: Array, other: int) -> None:
-    """Widen a box to hold another."""
     for k in range(3):
         boxes[at, k] = min(boxes[at, k], others[other, k])
         boxes[at, k + 3] = max(boxes[at, k + 3], others[other, k + 3])
@@ -73,7 +71,7 @@ def _widen(boxes: Array, at: int, others: Array, other: int) -> None:
 
 @borrowing_kernel
 def _measure(boxes: Array, at: int, floor: float) -> Any:
-    """Return what the chance of meeting a box grows with: half its area, for flat ones a little more."""
+    """Return the surface area heuristic's measure of a box: half its area; flat boxes get a little more."""
     dx = boxes[at, 3] - boxes[at, 0]
     dy = boxes[at, 4] - boxes[at, 1]
     dz = boxes[at, 5] - boxes[at, 2]
@@ -82,21 +80,19 @@ def _measure(boxes: Array, at: int, floor: float) -> Any:
 
 @borrowing_kernel
 def _bin(boxes: Array, at: int, axis: int, low: float, per_length: float) -> int:
-    """Return the bin of a box's centre."""
     place = int((0.5 * (boxes[at, axis] + boxes[at, axis + 3]) - low) * per_length)
     return min(max(place, 0), _BINS - 1)
 
 
 @borrowing_kernel
 def _bins_per_length(room: _Room, axis: int) -> float:
-    """Return what turns lengths into bins; 0 where all centres coincide."""
+    """Return bins per length; 0 if all centres coincide."""
     extent = room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]
     return _BINS / extent if extent > 1e-200 else 0.0
 
 
 @borrowing_kernel
 def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
-    """Put a run's triangles into the bins of all axes."""
     for at in range(3 * _BINS):
         _clear(room.boxes, at)
         room.counts[at] = 0
@@ -110,7 +106,7 @@ def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Room) -
 
 @borrowing_kernel
 def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
-    """Return the lowest cost of a split, its axis, and the first bin on its high side; infinite for none."""
+    """Return the lowest cost of a split, its axis, and the first bin on its high side; infinite if none."""
     cost, best_axis, best_bin = np.inf, 0, 0
     floor = 0.0
     for axis in range(3):
@@ -137,7 +133,7 @@ def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
 
 @borrowing_kernel
 def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
-    """Find the box of a run and that of its centres."""
+    """Compute the box of a run and the box of its centres."""
     _clear(room.boxes, _WHOLE)
     _clear(room.boxes, _CENTRES)
     for i in range(start, stop):
@@ -152,7 +148,7 @@ def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> 
 def _partition(
     boxes: Array, order: Array, start: int, stop: int, axis: int, first_high: int, room: _Room
 ) -> int:
-    """Move a run's triangles of low bins before the others, and return where those begin."""
+    """Move a run's triangles of low bins to its front; return where the others begin."""
     low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
     last = stop - 1
     while start <= last:
@@ -166,7 +162,7 @@ def _partition(
 
 @borrowing_kernel
 def _await(room: _Room, size: int, start: int, stop: int, level: int, child: int) -> int:
-    """Put a run on the stack, and return the stack's new size."""
+    """Push a run on the stack; return the stack's new size."""
     room.waiting[size, 0], room.waiting[size, 1] = start, stop
     room.waiting[size, 2], room.waiting[size, 3] = level, child
     return size + 1

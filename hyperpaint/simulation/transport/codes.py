@@ -25,7 +25,7 @@ class PathTable(NamedTuple):
 
 @borrowing_kernel
 def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
-    """Return a code with one factor more, its digits still in descending order."""
+    """Return a code with one more factor, its digits still in descending order."""
     digit = np.int64(factor) + 1
     full = (np.int64(1) << digit_bits) - 1
     place = FIRST_DIGIT
@@ -83,7 +83,7 @@ def _sort(table: PathTable, count: int, by_weight: bool) -> None:
 
 @borrowing_kernel
 def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
-    """Keep ``slots`` of the codes, unbiased, their total unchanged; return how many are kept.
+    """Keep ``slots`` of the codes without bias or change of their total; return the number kept.
 
     The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
     proportional to its weight, and gives all that are taken the same weight.

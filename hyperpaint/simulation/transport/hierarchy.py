@@ -1,4 +1,4 @@
-"""Triangles in a hierarchy of boxes, and what a ray meets among them.
+"""Triangles in a hierarchy of boxes, and their intersection with rays.
 
 A node holds the boxes of its two children. Triangles are stored in the order of the leaves, so that a leaf
 is a run of them.
@@ -132,7 +132,7 @@ def build_geometry(
 
 
 class _Ray(NamedTuple):
-    """A ray as the tests of boxes and triangles take it."""
+    """A ray as the tests of boxes and triangles need it."""
 
     sides: tuple[Any, Any, Any]  # of a box that it enters by, for each axis: 0 the lowest, 1 the highest
     origin: Vector
@@ -144,7 +144,7 @@ class _Ray(NamedTuple):
 
 @borrowing_kernel
 def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
-    """Return where a ray enters a box, from 0 on; `_FAR` where it misses it before ``limit``."""
+    """Return the distance at which a ray enters a box, from 0 on; `_FAR` for a miss before ``limit``."""
     (nx, ny, nz), (ox, oy, oz), (ix, iy, iz) = ray.sides, ray.origin, ray.inverse
     near = (nodes[at + nx] - ox) * ix
     far = (nodes[at + (nx ^ _1)] - ox) * ix
@@ -164,13 +164,13 @@ def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
 
 @borrowing_kernel
 def _inverse(x: float) -> float:
-    """Return 1 / x, and something huge but finite for what is nearly zero."""
+    """Return 1 / x; large but finite near zero."""
     return 1.0 / x if abs(x) > 1e-150 else 1e150
 
 
 @borrowing_kernel
 def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
-    """Return the axes of a ray's own frame: the last is the one it runs along most."""
+    """Return the axes of a ray's own frame: the last is the dominant one."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         return _1, _2, _0
@@ -181,7 +181,6 @@ def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
 
 @borrowing_kernel
 def _component(axis: Any, x: float, y: float, z: float) -> float:
-    """Return the component of a vector along an axis."""
     if axis == _0:
         return x
     return y if axis == _1 else z
@@ -221,7 +220,6 @@ def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, 
 
 @borrowing_kernel
 def _ray_of(origin: Vector, direction: Vector) -> _Ray:
-    """Return a ray as boxes and triangles take it."""
     ox, oy, oz = origin
     dx, dy, dz = direction
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
@@ -237,7 +235,7 @@ def _ray_of(origin: Vector, direction: Vector) -> _Ray:
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
-    """Return the first triangle that a ray meets.
+    """Return the first triangle that a ray hits.
 
     Parameters
     ----------
@@ -292,7 +290,7 @@ def closest(
 
 @borrowing_kernel
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
-    """Return whether a ray meets anything; parameters as for `closest`."""
+    """Return whether a ray hits any triangle; parameters as for `closest`."""
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
     ray = _ray_of(origin, direction)
     size = 0

@@ -1,4 +1,4 @@
-"""Where a ray meets a surface, and where light goes on from it: normals, lifted points, waves of the coat."""
+"""Hits of rays on surfaces: normals, lifted points, waves of the coat."""
 
 from __future__ import annotations
 
@@ -30,14 +30,13 @@ class Hit(NamedTuple):
 
 @borrowing_kernel
 def _corner(array: Array, face: int, corner: int) -> Vector:
-    """Return a vector that belongs to the corner of a triangle."""
     at = 9 * face + 3 * corner
     return array[at], array[at + 1], array[at + 2]
 
 
 @borrowing_kernel
 def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
-    """Return the mean of what belongs to the corners."""
+    """Return the weighted mean of the vectors at the corners."""
     point = along((0.0, 0.0, 0.0), _corner(array, face, 0), weights[0])
     point = along(point, _corner(array, face, 1), weights[1])
     return along(point, _corner(array, face, 2), weights[2])
@@ -85,7 +84,7 @@ def _on_smooth_surface(
 def hit_at(
     geometry: Geometry, face: int, weights: Vector, direction: Vector, slope: float
 ) -> tuple[Hit, Vector]:
-    """Return where a path goes on from a surface, and the point of the triangle itself.
+    """Return the hit from which a path continues, and the point on the triangle.
 
     ``slope`` is that of the coat's waves [rad], 0 for a flat one.
     """
@@ -115,11 +114,11 @@ def behind(hit: Hit, point: Vector) -> Hit:
 
 @borrowing_kernel
 def _lifted(point: Vector, normal: Vector) -> Vector:
-    """Return a point lifted off its surface by more than rounding may have sunk it."""
+    """Return a point lifted off its surface by more than the rounding error."""
     return along(point, normal, _LIFT * (1.0 + abs(point[0]) + abs(point[1]) + abs(point[2])))
 
 
 @borrowing_kernel
 def leaves(hit: Hit, direction: Vector) -> bool:
-    """Return whether a direction leads away from a surface: a shading normal may promise too much."""
+    """Return whether a direction leads away from a surface; a shading normal alone can be wrong."""
     return hit.raised or dot(hit.own, direction) > 0.0

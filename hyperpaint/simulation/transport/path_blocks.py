@@ -1,4 +1,4 @@
-"""What a trace of some lines is given, and what it writes."""
+"""Inputs and outputs of the trace of a block of lines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .surfaces import Surfaces
 
 
 class Rays(NamedTuple):
-    """Where the camera looks from, and to, for the lines of a block.
+    """Camera position and view for the lines of a block.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Rays(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """What shines, beside the uniform sky.
+    """Light sources beside the uniform sky.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Sources(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What is recorded; allocated by the caller. NaN (labels: -1) where every sample sees the sky.
+    """Recorded paths and labels; allocated by the caller. NaN (labels: -1) if every sample sees the sky.
 
     Attributes
     ----------
@@ -125,7 +125,6 @@ class Settings(NamedTuple):
 
 
 def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
-    """Return shape and type of the parts of a block."""
     flat, slotted, sunned = (lines, columns), (lines, slots, columns), (lines, suns, columns)
     return [
         (slotted, np.float32),
@@ -143,7 +142,7 @@ def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple
 def check(
     geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
 ) -> None:
-    """Refuse what compiled loops would run wild on.
+    """Refuse inputs that compiled loops cannot handle.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The code of a path: which source its light came from, and which spectra it was multiplied by.
+"""The code of a path: the source of its light, and the spectra it was multiplied by.
 
 One int64 says it all, so that a stored table of weights needs no key:
 
@@ -50,7 +50,7 @@ def source_of(codes: Ints) -> Ints:
 
 
 def is_direct(codes: Ints) -> Bools:
-    """Return which paths begin at a sun; what begins at the sky is diffuse."""
+    """Return which paths begin at a sun; light of the sky is diffuse."""
     source = source_of(codes)
     return np.asarray((source >= FIRST_SUN) & (source < FIRST_CLEAR_SKY))
 
@@ -67,7 +67,7 @@ def is_indirect(codes: Ints) -> Bools:
 
 @dataclass(frozen=True)
 class PathCodes:
-    """Where the digits stand in the codes of one trace.
+    """Digit layout of the path codes of one trace.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class PathCodes:
         return code
 
     def factors(self, codes: Ints) -> Ints:
-        """Return the factors of every code, shape (code, depth); -1 where there is none."""
+        """Return the factors of every code, shape (code, depth); -1 for none."""
         shifts = FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
         return np.asarray(digits - 1)

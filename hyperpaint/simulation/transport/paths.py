@@ -55,7 +55,7 @@ _LOBES = 6  # codes that a sun adds at a surface
 
 
 class _Room(NamedTuple):
-    """Memory of one pixel at a time."""
+    """Memory for one pixel."""
 
     stack: Array  # (STACK,) nodes of a traversal
     entries: Array  # (STACK,) and where the ray enters them
@@ -68,7 +68,7 @@ class _Room(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """What paths meet."""
+    """Geometry, surfaces and light sources."""
 
     geometry: Geometry
     surfaces: Surfaces
@@ -76,7 +76,7 @@ class _Scene(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """What the random numbers of a path belong to."""
+    """Key of a path's random numbers."""
 
     seed: int
     line: int
@@ -87,7 +87,7 @@ class _Place(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """Light on its way, followed backwards."""
+    """A path of light, followed backwards."""
 
     origin: Vector
     direction: Vector
@@ -98,7 +98,7 @@ class _Path(NamedTuple):
 
 
 class _Codes(NamedTuple):
-    """Codes that a path has after each lobe of a surface, without a source."""
+    """Codes of a path after each lobe of a surface, without a source."""
 
     base: int
     coat: int
@@ -180,7 +180,6 @@ def trace_lines(
 
 
 def _room(settings: Settings, suns: int) -> _Room:
-    """Return memory for the paths of a pixel."""
     of_skies = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # either branch may end in the sky
     most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + of_skies)
     size = 1 << max(4, (2 * most - 1).bit_length())
@@ -198,7 +197,6 @@ def _room(settings: Settings, suns: int) -> _Room:
 
 @borrowing_kernel
 def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Block) -> None:
-    """Trace every pixel of a block."""
     mask = 1
     while mask < settings.samples:
         mask *= 2
@@ -222,7 +220,6 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Bl
 
 @borrowing_kernel
 def _clear_pixel(room: _Room) -> None:
-    """Forget the pixel before."""
     for i in range(room.table.in_use[0]):
         room.table.codes[room.table.used[i]] = -1
     room.table.in_use[0] = 0
@@ -233,7 +230,7 @@ def _clear_pixel(room: _Room) -> None:
 
 @borrowing_kernel
 def _vote(label: int, distinct: int, room: _Room) -> int:
-    """Count a sample's first hit, and return the number of distinct pairs of labels."""
+    """Count a sample's first hit; return the number of distinct label pairs."""
     for i in range(distinct):
         if room.labels[i] == label:
             room.votes[i] += 1
@@ -247,7 +244,7 @@ def _vote(label: int, distinct: int, room: _Room) -> int:
 def _write_pixel(
     block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Room
 ) -> None:
-    """Write what the first hits say."""
+    """Write the label layers and means of the first hits."""
     best = 0
     for i in range(1, distinct):
         more = room.votes[i] > room.votes[best]
@@ -268,7 +265,7 @@ def _write_pixel(
 
 @borrowing_kernel
 def _camera_ray(rays: Rays, line: int, column: int, u: float, v: float, w: float) -> tuple[Vector, Vector]:
-    """Return a ray through a pixel at some time of the exposure; attitude and position change evenly."""
+    """Return a ray through a pixel during the exposure; attitude and position change evenly."""
     right = rays.column_edges[column] + u * (rays.column_edges[column + 1] - rays.column_edges[column])
     forward = rays.along_edges[0] + v * (rays.along_edges[1] - rays.along_edges[0])
     a = _camera_axes(rays, line, 0, forward, right)
@@ -291,7 +288,7 @@ def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) 
 
 @borrowing_kernel
 def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
-    """Return a direction to a point of a sun's disc, evenly over its solid angle."""
+    """Return a direction to a random point of a sun's disc, even over its solid angle."""
     middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
@@ -308,13 +305,12 @@ def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vect
 
 @borrowing_kernel
 def _as_label(material: Any, instance: Any) -> Any:
-    """Return two labels as one number, which sorts by material first."""
+    """Return two labels as one number, sorted by material first."""
     return np.int64(material) << 32 | np.int64(instance)
 
 
 @borrowing_kernel
 def _record_first(sources: Sources, room: _Room, distance: float, point: Vector, normal: Vector) -> None:
-    """Add up what is known of the first hits."""
     room.first[0] += 1.0
     room.first[1] += distance
     for k in range(3):
@@ -328,7 +324,7 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 def _trace_sample(
     scene: _Scene, rays: Rays, line: int, place: _Place, settings: Settings, room: _Room
 ) -> int:
-    """Follow one ray of the camera, record what it gathers, and return the labels of its first hit."""
+    """Follow one camera ray, record its light, and return the labels of its first hit."""
     geometry, surfaces, sources = scene
     u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
     w, _ = even_pair(place.key, place.sample, _TIME, place.mask)
@@ -377,7 +373,7 @@ def _trace_sample(
 def _codes_after(
     surfaces: Surfaces, material: int, code: int, mirrored: int, spent: int, settings: Settings
 ) -> _Codes:
-    """Return the codes of a path after each lobe of a surface; ``mirrored`` is that after its coat."""
+    """Return the codes of a path after each lobe of a surface; ``mirrored`` is the one after its coat."""
     bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
     by_flakes = turned = with_factor(code, flakes, bits)
     recycled = twice = -1
@@ -390,7 +386,7 @@ def _codes_after(
 
 @borrowing_kernel
 def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
-    """Return the codes of a path that has passed a plate, which has one lobe."""
+    """Return the codes of a path through a plate, which has one lobe."""
     through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
     return _Codes(through, through, through, -1, -1, through)
 
@@ -399,7 +395,7 @@ def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settin
 def _code_of(
     codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, place: _Place, turn: int
 ) -> tuple[int, int]:
-    """Return the code of the lobe that was followed (turned flakes by chance), and its number of factors."""
+    """Return the code of the followed lobe (turned flakes by chance), and its number of factors."""
     if kind == COAT:
         return codes.coat, spent
     if kind == FLAKES and codes.turned != codes.flakes:
@@ -414,7 +410,7 @@ def _code_of(
 
 @borrowing_kernel
 def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Settings, branch: int) -> None:
-    """Follow a path from its first surface on, and record what it gathers.
+    """Follow a path from its first surface on, and record its light.
 
     ``branch`` is 1 for a path that left by the coat: its random numbers are others.
     """
@@ -469,7 +465,7 @@ def _record_suns(
     place: _Place,
     bounce: int,
 ) -> None:
-    """Add what a surface reflects of the suns that it sees.
+    """Add the reflected light of the visible suns at a surface.
 
     A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
     """

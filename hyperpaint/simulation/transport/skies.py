@@ -1,4 +1,4 @@
-"""What a path that leaves the scene brings from every sky."""
+"""Skylight of paths that leave the scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .vectors import Vector, dot
 
 @borrowing_kernel
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
-    """Add a path that has escaped, once for every sky: its weight times the sky's value there.
+    """Add an escaped path once for every sky: its weight times the sky's value in that direction.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ def unit(a: Vector) -> Vector:
 
 @borrowing_kernel
 def frame_of(z: Vector) -> Frame:
-    """Return three unit vectors at right angles, the last of them given.
+    """Return three orthonormal vectors, the last one given.
 
     T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
     """
@@ -54,7 +54,7 @@ def in_frame(frame: Frame, a: Vector) -> Vector:
 
 @borrowing_kernel
 def from_frame(frame: Frame, a: Vector) -> Vector:
-    """Return the vector that has these components along the axes of a frame."""
+    """Return the vector with these components along the axes of a frame."""
     x, y, z = frame
     return (
         a[0] * x[0] + a[1] * y[0] + a[2] * z[0],

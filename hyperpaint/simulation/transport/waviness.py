@@ -1,4 +1,4 @@
-"""Orange peel: a clear coat that has set in waves of millimetres to a centimetre."""
+"""Orange peel: waves of millimetres to a centimetre in a clear coat."""
 
 from __future__ import annotations
 
