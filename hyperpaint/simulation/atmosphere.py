@@ -20,8 +20,8 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
 
+#: Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line.
 GRID_STEP = 0.05
-"""Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line."""
 
 _LINE_WIDTH = 0.12  # nm, full width of an atmospheric line
 _NATURE = 19590  # the same lines in every simulation, whatever its seed

@@ -26,8 +26,8 @@ from .atmosphere import spectral_grid
 from .optics import Optics, OpticsSettings
 from .settings import SimulationSettings
 
+#: Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies.
 GAUSSIAN_REACH = 3.2
-"""Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies."""
 
 # small products: on a busy machine the threads that BLAS wakes for large ones wait longer than they work
 _COLUMNS_AT_ONCE = 16
@@ -46,8 +46,8 @@ def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float =
     return slit * pitch * np.pi / (4.0 * f_number**2)
 
 
+#: Etendue of the simulated imager [m2 sr].
 ETENDUE = filled_etendue()
-"""Etendue of the simulated imager [m2 sr]."""
 
 
 def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: float) -> Floats:
@@ -327,15 +327,31 @@ class Detector:
         return converted
 
 
+#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
 CAMERA_FIELDS = frozenset(
     {
-        "bands", "columns", "seed", "first_wavelength", "last_wavelength", "dispersion_bow_nm", "srf_shape",
-        "fwhm_nm", "fwhm_slope", "smile_nm", "bit_depth", "electrons_per_count", "read_noise", "dark_level",
-        "dark_pattern", "dark_rate", "nonuniformity", "column_nonuniformity", "bad_elements",
+        "bands",
+        "columns",
+        "seed",
+        "first_wavelength",
+        "last_wavelength",
+        "dispersion_bow_nm",
+        "srf_shape",
+        "fwhm_nm",
+        "fwhm_slope",
+        "smile_nm",
+        "bit_depth",
+        "electrons_per_count",
+        "read_noise",
+        "dark_level",
+        "dark_pattern",
+        "dark_rate",
+        "nonuniformity",
+        "column_nonuniformity",
+        "bad_elements",
         *(field.name for field in fields(OpticsSettings)),
     }
-)  # fmt: skip
-"""Fields of `hyperpaint.simulation.SimulationSettings` that make the camera."""
+)
 
 # keys of the random streams; those of flights and sweeps stand in their own modules
 _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19

@@ -120,9 +120,10 @@ class CheckerboardFlight(Flight):
         self.board = Checkerboard((east, north), settings.square, settings.board_turn)
         place = f"of what the middle of the pixel shows at mid exposure, on {self.plane.crs}"
         metres = {
-            "east": f"East {place}", "north": f"North {place}",
+            "east": f"East {place}",
+            "north": f"North {place}",
             "height": "Height above the ellipsoid of that place",
-        }  # fmt: skip
+        }
         share = {"long_name": "Share of the pixel on bright squares", "units": "1"}
         self.layers = {
             "bright_share": Layer("float32", share),

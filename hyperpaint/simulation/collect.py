@@ -77,32 +77,50 @@ def write_references(flight: Flight, folder: Path) -> None:
         panel = start - _LEAD + _EACH * index
         target = panel + _PANEL
         write_svc(
-            svc / f"{paint}.sig", by_svc[0], by_svc[index], stamps=(panel, target), utc_offset=zone,
-            position=ORIGIN[:2], sun=settings.sun,
-        )  # fmt: skip
+            svc / f"{paint}.sig",
+            by_svc[0],
+            by_svc[index],
+            stamps=(panel, target),
+            utc_offset=zone,
+            position=ORIGIN[:2],
+            sun=settings.sun,
+        )
         write_asd_reflectance(
-            asd / f"{paint}.asd", by_asd[index], by_asd[0], stamp=target, utc_offset=zone,
+            asd / f"{paint}.asd",
+            by_asd[index],
+            by_asd[0],
+            stamp=target,
+            utc_offset=zone,
             reference_stamp=panel,
-        )  # fmt: skip
+        )
 
 
+#: Points of the pavement, as a GNSS receiver on a pole would log them.
 SURVEY = "survey.csv"
-"""Points of the pavement, as a GNSS receiver on a pole would log them."""
 
+#: Files and folders of a simulated collect.
 PARTS = (
-    "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", REGIONS,
-    SURVEY, "collect.toml",
-)  # fmt: skip
-"""Files and folders of a simulated collect."""
+    "flight",
+    "dark",
+    "asd",
+    SVC_FOLDER,
+    ASD_FOLDER,
+    "lab",
+    "calibration.zarr",
+    "truth.zarr",
+    REGIONS,
+    SURVEY,
+    "collect.toml",
+)
 
+#: Opens the ``collect.toml`` of a simulated collect.
 MARKER = "# simulated by hyperpaint"
-"""Opens the ``collect.toml`` of a simulated collect."""
 
 _UNFINISHED = f"{MARKER}: not finished\n"
 
+#: Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
+#: field spectrometer's simulated files, and in the regions for what made them.
 CAMERA_SOFTWARE = "hyperpaint simulation"
-"""Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
-field spectrometer's simulated files, and in the regions for what made them."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
@@ -351,9 +369,11 @@ def _write_flight(
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     _write_settings_file(folder, settings)
     since = np.arange(
-        -_NAVIGATION_MARGIN, int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
-        10**9 // settings.navigation_rate, dtype=np.int64,
-    )  # fmt: skip
+        -_NAVIGATION_MARGIN,
+        int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
+        10**9 // settings.navigation_rate,
+        dtype=np.int64,
+    )
     utc = (flight.start + since).astype("datetime64[ns]")
     pose = flight.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)

@@ -61,8 +61,8 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     return clear
 
 
+#: Pixel pitch over focal length [rad].
 PIXEL_ANGLE = 7.4e-6 / 12e-3
-"""Pixel pitch over focal length [rad]."""
 
 # keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
 # what is flown over stand in the modules of those flights
@@ -105,13 +105,17 @@ class Lines:
         """Return the rows ``start`` to ``stop``, without a copy."""
         rows = slice(start, stop)
         return Lines(
-            self.surface[rows], self.glint[rows], self.counts[rows], self.radiance[rows],
-            self.reflectance[rows], {name: values[rows] for name, values in self.layers.items()},
-        )  # fmt: skip
+            self.surface[rows],
+            self.glint[rows],
+            self.counts[rows],
+            self.radiance[rows],
+            self.reflectance[rows],
+            {name: values[rows] for name, values in self.layers.items()},
+        )
 
 
 class Seen(NamedTuple):
-    """Scan lines, and a function from a row to pi INT L R of its elements (band, column), to overwrite."""
+    """Scan lines, and a function from a row to pi INT L R of its elements (band, column)."""
 
     lines: Lines
     elements: Callable[[int], Floats]
@@ -316,7 +320,7 @@ class Flight(abc.ABC):
         return seen.lines
 
     def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
-        """Record ``lines`` of the scan lines from ``first`` on, through the optics, and return them."""
+        """Record ``lines`` through the optics, of scan lines from ``first`` on, and return them."""
         factor = self.imager.element_factor
 
         def common(row: int) -> Floats:
@@ -333,7 +337,7 @@ class Flight(abc.ABC):
         return seen.lines.part(lines.start - first, lines.stop - first)
 
     def _factors(self, start: int, stop: int) -> Floats:
-        """Return factors of direct and diffuse light at mid exposure of scan lines, shape (2, along_track)."""
+        """Return factors of direct and diffuse light at mid exposure, shape (2, along_track)."""
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
+#: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
-"""Wavelengths of the simulated spectrometer [nm]."""
 
+#: Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum.
 ASD_INTEGRATION_MS, ASD_AVERAGES = 34, 20
-"""Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum."""
 
 _CALIBRATION_MS = 136
 _GPS_EPOCH = np.datetime64("1980-01-06T00:00:00", "ns")
@@ -237,9 +237,13 @@ class _AsdClock:
 
 
 def _write_asd(
-    path: Path, kind: _AsdKind, counts: Floats, reference: Floats, clock: _AsdClock,
+    path: Path,
+    kind: _AsdKind,
+    counts: Floats,
+    reference: Floats,
+    clock: _AsdClock,
     blocks: Sequence[tuple[int, bytes, Floats]] = (),
-) -> None:  # fmt: skip
+) -> None:
     zone = clock.utc_offset
     parts = [
         _asd_header(kind, len(counts), clock),
@@ -294,10 +298,16 @@ def _c_time(local: int) -> tuple[int, ...]:
     year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
     seconds = int((moment - day).astype(np.int64))
     return (
-        seconds % 60, seconds // 60 % 60, seconds // 3600, int((day - month).astype(np.int64)) + 1,
-        int(month.astype(np.int64)) % 12, int(year.astype(np.int64)) + 70,
-        (int(day.astype(np.int64)) + 4) % 7, int((day - year).astype(np.int64)), 0,
-    )  # fmt: skip
+        seconds % 60,
+        seconds // 60 % 60,
+        seconds // 3600,
+        int((day - month).astype(np.int64)) + 1,
+        int(month.astype(np.int64)) % 12,
+        int(year.astype(np.int64)) + 70,
+        (int(day.astype(np.int64)) + 4) % 7,
+        int((day - year).astype(np.int64)),
+        0,
+    )
 
 
 def _ole(local: int) -> float:
@@ -345,12 +355,12 @@ class SvcDetector:
         return np.asarray(np.round(self.first + self.first_step * place - bend * place**2, 1))
 
 
+#: Silicon and two of InGaAs.
 SVC_DETECTORS = (
     SvcDetector(512, 338.5, 1010.3, 1.47, 3.5),
     SvcDetector(256, 963.9, 1912.0, 3.72, 9.5),
     SvcDetector(256, 1891.3, 2513.2, 2.85, 6.5),
 )
-"""Silicon and two of InGaAs."""
 
 
 def svc_wavelengths() -> Floats:
@@ -395,9 +405,12 @@ def write_svc(
 
 
 def _header(
-    name: str, stamps: tuple[int, int], utc_offset: int, position: tuple[float, float],
+    name: str,
+    stamps: tuple[int, int],
+    utc_offset: int,
+    position: tuple[float, float],
     sun: tuple[float, float],
-) -> dict[str, str]:  # fmt: skip
+) -> dict[str, str]:
     latitude = _degrees_and_minutes(position[0], 2, "NS")
     longitude = _degrees_and_minutes(position[1], 3, "EW")
     times = [np.datetime64(stamp, "s").item() for stamp in stamps]

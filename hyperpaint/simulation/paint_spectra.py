@@ -93,6 +93,7 @@ class Plain:
         return np.asarray(total)
 
 
+#: A dozen car paints.
 CAR_PAINTS: dict[str, Paint] = {
     "white": Paint(0.006, [Edge(405.0, -5.0, 4.0), Bump(930.0, 40.0, 0.003)]),
     "silver": Paint(0.10, [Edge(420.0, -12.0, 0.25), Bump(820.0, 70.0, 0.02)]),
@@ -107,13 +108,13 @@ CAR_PAINTS: dict[str, Paint] = {
     "yellow": Paint(0.02, [Edge(508.0, -7.0, 6.0)]),
     "orange": Paint(0.025, [Edge(562.0, -8.0, 7.0)]),
 }
-"""A dozen car paints."""
 
+#: Reflectance factors of the grey panels, the same at every wavelength.
 PANELS = (0.05, 0.20, 0.50, 0.90)
-"""Reflectance factors of the grey panels, the same at every wavelength."""
 
 _VEGETATION: list[Feature] = [Bump(552.0, 28.0, 0.075), Edge(716.0, 12.0, 0.40), Bump(968.0, 22.0, -0.05)]
 
+#: Every material of a scene; its place in this table is its class.
 MATERIALS: dict[str, Paint | Plain] = {
     "asphalt": Plain(0.085, 0.08, [Edge(430.0, 30.0, 0.01)]),
     "painted_line": Paint(0.03, [Edge(410.0, -8.0, 3.0)]),
@@ -124,7 +125,6 @@ MATERIALS: dict[str, Paint | Plain] = {
     **{f"panel_{round(100 * level):02d}": Plain(level) for level in PANELS},
     **CAR_PAINTS,
 }
-"""Every material of a scene; its place in this table is its class."""
 
 
 def reflectance(names: Sequence[str], wavelength: Floats) -> Floats:

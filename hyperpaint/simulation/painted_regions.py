@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from .flight import Flight, Lines
 
+#: The file.
 REGIONS = "regions.geojson"
-"""The file."""
 
 #: Rise over run between neighbouring pixels; roofs and bonnets are below, doors and flanks above.
 _STEEPEST = 0.1
@@ -102,9 +102,11 @@ class PaintedRectangles:
         first, last, left, right = first + margin, last - margin, left + margin, right - margin
         ring = [[left, first], [right, first], [right, last], [left, last], [left, first]]
         properties: Mapping[str, str] = {
-            "name": paint, "flightline": flightline, "reference": paint,
+            "name": paint,
+            "flightline": flightline,
+            "reference": paint,
             **self._flight.paint_properties(paint),
-        }  # fmt: skip
+        }
         return {
             "type": "Feature",
             "properties": dict(properties),

@@ -38,8 +38,8 @@ from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
 from .transport.texturing import Texture
 
+#: Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint.
 GLINT = 0.02
-"""Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint."""
 
 _LONGEST = 2000.0  # m of car park that are built
 _BEFORE = 3.0  # m of car park before and behind what is seen
@@ -90,10 +90,16 @@ class RenderedFlight(Flight):
         direct, diffuse = self.sky
         spread = clear_spread(self.grid, direct, self.settings.sun[0])
         return Atmosphere(
-            self.grid, direct / self._cosine, diffuse, 0.0 * self.grid, 0.0 * self.grid, *self.settings.sun,
+            self.grid,
+            direct / self._cosine,
+            diffuse,
+            0.0 * self.grid,
+            0.0 * self.grid,
+            *self.settings.sun,
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
-            molecular=spread.molecular, aureole=spread.aureole,
-        )  # fmt: skip
+            molecular=spread.molecular,
+            aureole=spread.aureole,
+        )
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
@@ -171,9 +177,11 @@ class RenderedFlight(Flight):
         block = self._trace(start, stop)
         factors = self._factors(start, stop)
         record = Lines(
-            self._surface[block.material], self._glint(block, factors), *self._cubes(stop - start, into),
+            self._surface[block.material],
+            self._glint(block, factors),
+            *self._cubes(stop - start, into),
             self._label(block),
-        )  # fmt: skip
+        )
         # on its way to counts, INT L R stands where the radiance will be
         self._shine(block, factors, record.radiance)
         per_element = np.pi * self.imager.element_factor
@@ -194,10 +202,14 @@ class RenderedFlight(Flight):
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
         return {
-            **self._scene.labels.layers(block.material, block.instance), "purity": block.purity,
-            "shadow": 1.0 - block.sun_visibility[:, 0], "east": east, "north": north, "height": height,
+            **self._scene.labels.layers(block.material, block.instance),
+            "purity": block.purity,
+            "shadow": 1.0 - block.sun_visibility[:, 0],
+            "east": east,
+            "north": north,
+            "height": height,
             "up": block.position[:, 2],
-        }  # fmt: skip
+        }
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
         """Return which pixels have `GLINT` or more of the sun's mirror image, shape (line, column)."""

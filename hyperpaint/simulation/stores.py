@@ -26,7 +26,7 @@ from hyperpaint.base.schema import (
     TIME_UNITS,
     VARIABLES,
     Variable,
-)  # fmt: skip
+)
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
@@ -37,8 +37,8 @@ from .trajectories import CONVENTION
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
+#: Opens the names of what a real sweep would not know.
 TRUTH = "true_"
-"""Opens the names of what a real sweep would not know."""
 
 _MASKS = {
     "saturated": "True where the converter was full in any band",
@@ -156,12 +156,16 @@ class TruthStore:
             **_line_coords(flight),
         }
         attrs = {
-            "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
-            "srf_shape": settings.srf_shape, "irradiance_srf_shape": "gaussian", "crs": flight.plane.crs,
-            "ground": flight.frame.height, "boresight": list(flight.trajectory.boresight),
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": "truth of a simulated collect",
+            "srf_shape": settings.srf_shape,
+            "irradiance_srf_shape": "gaussian",
+            "crs": flight.plane.crs,
+            "ground": flight.frame.height,
+            "boresight": list(flight.trajectory.boresight),
             "lever_arm": list(flight.trajectory.lever_arm),
             "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-        }  # fmt: skip
+        }
         head = xr.Dataset(_corners(flight), coords, attrs)
         time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
         _write_small(head, path, time=time)
@@ -199,17 +203,28 @@ def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
 
 
 def _create_array(
-    group: zarr.Group, name: str, shape: tuple[int, ...], *, dims: tuple[str, ...], dtype: str,
-    attrs: dict[str, Any], chunk_length: int = CHUNK_LINES,
-) -> Any:  # fmt: skip
+    group: zarr.Group,
+    name: str,
+    shape: tuple[int, ...],
+    *,
+    dims: tuple[str, ...],
+    dtype: str,
+    attrs: dict[str, Any],
+    chunk_length: int = CHUNK_LINES,
+) -> Any:
     """Create an array to be filled block by block, in chunks of ``chunk_length`` along its first dim."""
     kind = np.dtype(dtype)
     return group.create_array(
-        name, shape=shape, chunks=(min(chunk_length, shape[0]), *shape[1:]), dtype=dtype,
+        name,
+        shape=shape,
+        chunks=(min(chunk_length, shape[0]), *shape[1:]),
+        dtype=dtype,
         compressors=[BloscCodec(typesize=kind.itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
-        fill_value=np.nan if kind.kind == "f" else kind.type(0), dimension_names=dims, attributes=attrs,
+        fill_value=np.nan if kind.kind == "f" else kind.type(0),
+        dimension_names=dims,
+        attributes=attrs,
         config={"write_empty_chunks": True},
-    )  # fmt: skip
+    )
 
 
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
@@ -304,11 +319,16 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     imager = camera.imager
     seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
-        "radiance_gain": camera.radiance_gain(), "responsivity": seen, "wavelength": imager.wavelength,
-        "wavelength_shift": imager.wavelength_shift, "fwhm": imager.band_fwhm, "dark_bias": camera.dark_bias,
-        "dark_rate": camera.dark_rate, "electrons_per_count": camera.electrons_per_count,
+        "radiance_gain": camera.radiance_gain(),
+        "responsivity": seen,
+        "wavelength": imager.wavelength,
+        "wavelength_shift": imager.wavelength_shift,
+        "fwhm": imager.band_fwhm,
+        "dark_bias": camera.dark_bias,
+        "dark_rate": camera.dark_rate,
+        "electrons_per_count": camera.electrons_per_count,
         "read_noise": camera.read_noise,
-    }  # fmt: skip
+    }
     variables = {name: labelled(VARIABLES[name], value) for name, value in values.items()}
     # of the gain every digit: a calibration is to be compared with it to 1e-3 and better
     variables["radiance_gain"] = variables["radiance_gain"].copy(data=values["radiance_gain"])

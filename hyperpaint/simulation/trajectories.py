@@ -186,12 +186,16 @@ _ALPHA = tuple(
 _SCALE = 0.9996 * _A / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64 + _N**6 / 256)
 
 
+#: What angles, heights and columns of a simulated flight mean.
 CONVENTION = {
-    "roll_positive": "right_wing_down", "pitch_positive": "nose_up", "heading_positive": "clockwise",
-    "heading_reference": "true", "euler_order": "ZYX", "height_reference": "ellipsoid",
+    "roll_positive": "right_wing_down",
+    "pitch_positive": "nose_up",
+    "heading_positive": "clockwise",
+    "heading_reference": "true",
+    "euler_order": "ZYX",
+    "height_reference": "ellipsoid",
     "column_order": "left_to_right",
-}  # fmt: skip
-"""What angles, heights and columns of a simulated flight mean."""
+}
 
 _STREAM = 20  # key of the random stream
 _SINES = 12
@@ -260,9 +264,11 @@ _SPREADS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 def _motions(settings: SimulationSettings) -> dict[str, Motion]:
     if settings.wobble == "slow":
         return {
-            "roll": Motion.slow(0.4, 3.1, 0.3), "pitch": Motion.slow(0.3, 4.7, 1.1),
-            "heading": Motion.slow(0.2, 7.9, 0.0, mean=0.5), "altitude": Motion.slow(0.1, 11.0, 0.0),
-        }  # fmt: skip
+            "roll": Motion.slow(0.4, 3.1, 0.3),
+            "pitch": Motion.slow(0.3, 4.7, 1.1),
+            "heading": Motion.slow(0.2, 7.9, 0.0, mean=0.5),
+            "altitude": Motion.slow(0.1, 11.0, 0.0),
+        }
     rng = np.random.default_rng([settings.seed, _STREAM])
     spreads = _SPREADS.get(settings.wobble, {})
     return {name: Motion.random(*pair, rng) for name, pair in spreads.items()}
@@ -304,9 +310,14 @@ class Trajectory:
         first, second, third = settings.boresight
         forward, right, down = settings.lever_arm
         return cls(
-            frame, float(settings.course), speed, altitude, (float(first), float(second), float(third)),
-            (float(forward), float(right), float(down)), _motions(settings),
-        )  # fmt: skip
+            frame,
+            float(settings.course),
+            speed,
+            altitude,
+            (float(first), float(second), float(third)),
+            (float(forward), float(right), float(down)),
+            _motions(settings),
+        )
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
         """Return position and attitude of the navigation system [degree, m]; heading from 0 to 360."""

@@ -66,6 +66,7 @@ class CarShape:
     rails: bool = False
 
 
+#: The kinds of car there are.
 CAR_TYPES: dict[str, CarShape] = {
     "sedan": CarShape(
         (4.45, 4.75), (1.78, 1.86), (1.42, 1.47), 0.285, 0.42, 0.68, 0.835,
@@ -104,7 +105,6 @@ CAR_TYPES: dict[str, CarShape] = {
         0.72, ((0.41, 0.43), (0.54, 0.60)), (0.315, 0.42, 0.545), bed=(0.605, 0.965),
     ),
 }  # fmt: skip
-"""The kinds of car there are."""
 
 #: Half width of the plan outline: fraction of the length, share of the half width.
 _PLAN = (
@@ -185,9 +185,12 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
     seam = _SEAM / 0.905
     inner = []
     for share, inset, drop in (
-        (0.86, 0.0, 0.10), (0.86 - seam, _SEAM, 0.094), (0.78, 0.075, 0.045), (0.40, 0.5 * roof, 0.010),
+        (0.86, 0.0, 0.10),
+        (0.86 - seam, _SEAM, 0.094),
+        (0.78, 0.075, 0.045),
+        (0.40, 0.5 * roof, 0.010),
         (0.0, roof, 0.0),
-    ):  # fmt: skip
+    ):
         low = edge + 0.004 + 0.05 * (1 - (share / 0.9) ** 2) * np.clip(rise / 0.5, 0, 1)
         across = share * half + raised * (roof - inset - share * half)
         inner.append((across, low + raised * (top - drop - low)))

@@ -31,8 +31,8 @@ from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
 from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 
+#: What may stand around the cars.
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
-"""What may stand around the cars."""
 
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
@@ -190,8 +190,8 @@ class _Choices:
         return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
 
 
+#: Different cars of a fleet: more than a car park has bays.
 _FLEET_SIZE = 5000
-"""Different cars of a fleet: more than a car park has bays."""
 
 
 def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
@@ -202,6 +202,8 @@ def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
 
 
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
+
+#: What all that is no car paint is made of, by the words that meshes use.
 _SURROUNDINGS = {
     name: Material(name, spectrum, kind, coat)
     for name, spectrum, kind, coat in (
@@ -223,8 +225,8 @@ _SURROUNDINGS = {
         ("steel", "steel", "other", None),
     )
 }
-"""What all that is no car paint is made of, by the words that meshes use."""
 
+#: The same after some years, and leaves that light shines through.
 _WORN = {
     **_SURROUNDINGS,
     **{
@@ -239,7 +241,6 @@ _WORN = {
     },
     "leaf": replace(_SURROUNDINGS["leaf"], transmittance="leaf_through"),
 }
-"""The same after some years, and leaves that light shines through."""
 
 
 def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:

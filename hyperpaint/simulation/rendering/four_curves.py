@@ -405,11 +405,15 @@ class Atmosphere:
             before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
             path = self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
         return replace(
-            self, sun=sun, sky=sky, path_radiance=path,
+            self,
+            sun=sun,
+            sky=sky,
+            path_radiance=path,
             overcast_share=(1.0 - hidden) * self.overcast_share + hidden * CIE_OVERCAST_SHARE,
-            molecular=(1.0 - hidden) * self.molecular, aureole=(1.0 - hidden) * self.aureole,
+            molecular=(1.0 - hidden) * self.molecular,
+            aureole=(1.0 - hidden) * self.aureole,
             name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
-        )  # fmt: skip
+        )
 
     def to_dataset(self) -> xr.Dataset:
         """Return the curves as labelled variables on ``wavelength``, with CF units."""
@@ -467,8 +471,8 @@ class Atmosphere:
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
 
 
+#: The three atmospheres of the paper.
 PRESETS = ("noon", "near_sunset", "cloudy")
-"""The three atmospheres of the paper."""
 
 
 @functools.cache

@@ -23,11 +23,11 @@ from .weathering import MEASURED
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %.
 MOST_MEMBERS = 512
-"""Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %."""
 
+#: How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light.
 _NOISE = 0.05
-"""How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light."""
 
 _MOST_SHOWN = 6
 

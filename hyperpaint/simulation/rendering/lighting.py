@@ -42,8 +42,8 @@ from .scene_record import TraceSettings, sun_vectors
 if TYPE_CHECKING:
     from hyperpaint.simulation.transport.texturing import Texture
 
+#: Layers that say where the light of a pixel came from.
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
-"""Layers that say where the light of a pixel came from."""
 
 _SAME_DIRECTION = 0.01  # degree
 
@@ -92,9 +92,11 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
     sun = traced_sun(atmosphere, settings)
     first = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
-        SKY: atmosphere.uniform, OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
-        first: atmosphere.molecular, first + 1: atmosphere.aureole,
-    }  # fmt: skip
+        SKY: atmosphere.uniform,
+        OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
+        first: atmosphere.molecular,
+        first + 1: atmosphere.aureole,
+    }
     skies = {number: atmosphere.sky * share for number, share in shares.items() if share.any()}
     return {**skies, FIRST_SUN + sun: atmosphere.sun}
 
@@ -139,7 +141,7 @@ class Lighting:
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN (sky) is no distance."""
+        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
         from hyperpaint.simulation.transport.mixing import through_air
@@ -256,9 +258,15 @@ class ProductTable:
     """
 
     def __init__(
-        self, bands: BandSet, codes: PathCodes, wavelength: Floats, sources: Mapping[int, Floats],
-        factors: Callable[[Floats], Floats], *, normalise: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        bands: BandSet,
+        codes: PathCodes,
+        wavelength: Floats,
+        sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats],
+        *,
+        normalise: bool = True,
+    ) -> None:
         self.bands, self.codes = bands, codes
         covered = float(wavelength[0]), float(wavelength[-1])
         responses = BandResponses(bands, covered, normalise=normalise)

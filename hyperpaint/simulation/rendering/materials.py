@@ -28,11 +28,22 @@ from hyperpaint.simulation.setting_checks import check_choice, check_number
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
+#: Semantic classes; the place in this tuple is the number in ``surface_class``.
 KINDS = (
-    "asphalt", "paint", "glass", "tyre", "trim", "lamp", "line", "concrete", "grass", "leaf", "wall", "panel",
+    "asphalt",
+    "paint",
+    "glass",
+    "tyre",
+    "trim",
+    "lamp",
+    "line",
+    "concrete",
+    "grass",
+    "leaf",
+    "wall",
+    "panel",
     "other",
-)  # fmt: skip
-"""Semantic classes; the place in this tuple is the number in ``surface_class``."""
+)
 
 
 @dataclass(frozen=True)

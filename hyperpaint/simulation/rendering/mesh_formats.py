@@ -395,10 +395,15 @@ class _GlbCheck:
         room = view["byteLength"] - begin
         most = (room - size) // (view.get("byteStride") or size) + 1 if room >= size else 0
         self.places[number, kind] = len(self.accessors)
-        self.accessors.append({
-            "bufferView": place, "byteOffset": begin, "componentType": component,
-            "count": self.whole(given, "count", most), "type": kind,
-        })  # fmt: skip
+        self.accessors.append(
+            {
+                "bufferView": place,
+                "byteOffset": begin,
+                "componentType": component,
+                "count": self.whole(given, "count", most),
+                "type": kind,
+            }
+        )
         return self.places[number, kind]
 
     def stripped(self) -> tuple[dict[str, Any], int]:

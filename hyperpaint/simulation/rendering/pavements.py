@@ -12,8 +12,8 @@ from hyperpaint.base.errors import SchemaError
 
 from .primitives import Mesh, cuboid, polygon, put_together, uniform
 
+#: Length and width of a bay [m].
 BAY = (5.0, 2.5)
-"""Length and width of a bay [m]."""
 
 _GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of what lies west of the first row [m]
 _AISLE, _WIDEST_AISLE = 4.5, 6.5

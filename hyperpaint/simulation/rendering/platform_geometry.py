@@ -23,14 +23,14 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.setting_checks import finite_floats
 
+#: Sizes of a flight that are taken; poses are held in memory, 200 bytes a line.
 MOST_LINES, MOST_COLUMNS = 1_000_000, 20_000
-"""Sizes of a flight that are taken; poses are held in memory, 200 bytes a line."""
 
+#: UTC at mid exposure of the first line, where nothing else is said.
 START = np.datetime64("2021-07-20T17:10:00", "ns")
-"""UTC at mid exposure of the first line, where nothing else is said."""
 
+#: Tangent of the steepest view that is taken.
 STEEPEST = float(np.tan(np.radians(85.0)))
-"""Tangent of the steepest view that is taken."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,8 @@ from .platform_geometry import (
     turns,
 )
 
+#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
 IFOV = 7.4e-6 / 12e-3
-"""Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad]."""
 
 _WOBBLE = 16  # key of the random stream
 _WOBBLE_RATES = np.geomspace(0.15, 6.0, 9)  # Hz
@@ -106,11 +106,22 @@ def pushbroom(
     """
     start_time = _moment(start_time)
     given = {
-        "lines": lines, "columns": columns, "altitude": altitude, "ground_sample": ground_sample,
-        "ifov": ifov, "speed": speed, "line_spacing": line_spacing, "centre": centre, "start": start,
-        "heading": heading, "exposure_time": exposure_time, "frame_period": frame_period, "wobble": wobble,
-        "sway": sway, "seed": seed,
-    }  # fmt: skip
+        "lines": lines,
+        "columns": columns,
+        "altitude": altitude,
+        "ground_sample": ground_sample,
+        "ifov": ifov,
+        "speed": speed,
+        "line_spacing": line_spacing,
+        "centre": centre,
+        "start": start,
+        "heading": heading,
+        "exposure_time": exposure_time,
+        "frame_period": frame_period,
+        "wobble": wobble,
+        "sway": sway,
+        "seed": seed,
+    }
     _check_pushbroom(given)
     angle = _pixel_angle(given)
     if speed is None:
@@ -303,10 +314,16 @@ def platform_from_poses(
     poses = {
         name: finite_floats(values, name, problems)
         for name, values in (
-            ("east", east), ("north", north), ("up", up), ("roll", roll), ("pitch", pitch),
-            ("heading", heading), ("boresight", boresight), ("lever_arm", lever_arm),
+            ("east", east),
+            ("north", north),
+            ("up", up),
+            ("roll", roll),
+            ("pitch", pitch),
+            ("heading", heading),
+            ("boresight", boresight),
+            ("lever_arm", lever_arm),
         )
-    }  # fmt: skip
+    }
     _check_poses(poses, seconds, problems)
     check_whole(problems, "columns", columns, 1, MOST_COLUMNS)
     check_number(problems, "ifov", ifov, *_RANGES["ifov"])

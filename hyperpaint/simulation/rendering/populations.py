@@ -22,11 +22,11 @@ from .weathering import Octaves
 if TYPE_CHECKING:
     from hyperpaint.simulation.transport.texturing import Grain, Texture
 
+#: Mean below which a member is not divided by it [1].
 _DARKEST = 1e-4
-"""Mean below which a member is not divided by it [1]."""
 
+#: Member over mean at the most: noise about a mean of nearly nothing [1].
 _BRIGHTEST = 50.0
-"""Member over mean at the most: noise about a mean of nearly nothing [1]."""
 
 
 class Populations(NamedTuple):

@@ -214,8 +214,8 @@ def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.ob
     return Mesh(grid.reshape(-1, 3), faces, numbers.repeat(2), tuple(words), parts.repeat(2))
 
 
+#: Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred.
 MOST_AROUND = 256
-"""Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred."""
 
 
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:

@@ -42,10 +42,19 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _PATHS = ("transport_weight", "transport_path", "distance")
+
+#: Layers of the traced dataset that no light changes.
 _UNLIT_LAYERS = (
-    "material", "instance", "surface_class", "car_id", "purity", "distance", "east", "north", "up",
-)  # fmt: skip
-"""Layers of the traced dataset that no light changes."""
+    "material",
+    "instance",
+    "surface_class",
+    "car_id",
+    "purity",
+    "distance",
+    "east",
+    "north",
+    "up",
+)
 
 _COVERED = 1.5  # full widths around the bands' centres that an atmosphere must cover
 
@@ -240,9 +249,20 @@ def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...])
     times = da.asarray(seconds).rechunk((chunks,))
     columns = places[0].shape[1]
     return da.blockwise(
-        _factors_task, "lvx", clouds, None, places[0], "lx", places[1], "lx", times, "l",
-        new_axes={"v": 2}, dtype=np.float64, meta=np.empty((0, 2, columns)),
-    )  # fmt: skip
+        _factors_task,
+        "lvx",
+        clouds,
+        None,
+        places[0],
+        "lx",
+        places[1],
+        "lx",
+        times,
+        "l",
+        new_axes={"v": 2},
+        dtype=np.float64,
+        meta=np.empty((0, 2, columns)),
+    )
 
 
 def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Array) -> Array:
@@ -340,9 +360,14 @@ def _surface_task(
 
 
 def _radiance_task(
-    light: Lighting, weight: Any, code: Any, variation: Any, rows: Any, populations: Populations | None,
+    light: Lighting,
+    weight: Any,
+    code: Any,
+    variation: Any,
+    rows: Any,
+    populations: Populations | None,
     distance: Array,
-) -> Array:  # fmt: skip
+) -> Array:
     surface = _surface_task(light, weight, code, variation, rows, populations)
     return light.at_sensor(surface, distance, in_place=True)
 
@@ -387,9 +412,12 @@ def _dataset(
             line[name] = traced[name].variable
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
-            tables.paint_id.__getitem__, traced["material"].reset_coords(drop=True), dask="parallelized",
-            output_dtypes=[dtype_of("paint_id")], keep_attrs=True,
-        )  # fmt: skip
+            tables.paint_id.__getitem__,
+            traced["material"].reset_coords(drop=True),
+            dask="parallelized",
+            output_dtypes=[dtype_of("paint_id")],
+            keep_attrs=True,
+        )
         line["paint_id"] = label(paint_id, "paint_id", **tables.attrs("paint_id"))
     return line
 
@@ -402,9 +430,12 @@ _MOST_TIMES = 2000
 
 
 def _irradiance_record(
-    traced: xr.Dataset, atmosphere: Atmosphere, sun_cosine: float, bands: BandSet,
+    traced: xr.Dataset,
+    atmosphere: Atmosphere,
+    sun_cosine: float,
+    bands: BandSet,
     variation: Floats | BrokenClouds | None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
 
     It is cut around the bands, begins before the flight and ends after it; where the light varies from line

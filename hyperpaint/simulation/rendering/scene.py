@@ -17,14 +17,30 @@ from hyperpaint.simulation.setting_checks import check_choice
 
 from .materials import Material
 
+#: What a thing in a scene can be.
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
-"""What a thing in a scene can be."""
 
+#: Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part.
 PARTS = (
-    "", "roof", "bonnet", "boot", "door", "wing", "bumper", "pillar", "windscreen", "rear_window",
-    "side_window", "bed", "seam", "wheel", "lamp", "mirror", "plate", "underbody",
-)  # fmt: skip
-"""Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part."""
+    "",
+    "roof",
+    "bonnet",
+    "boot",
+    "door",
+    "wing",
+    "bumper",
+    "pillar",
+    "windscreen",
+    "rear_window",
+    "side_window",
+    "bed",
+    "seam",
+    "wheel",
+    "lamp",
+    "mirror",
+    "plate",
+    "underbody",
+)
 
 _SMALLEST_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
 

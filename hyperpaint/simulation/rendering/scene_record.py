@@ -27,8 +27,9 @@ from .scene import Factor, Instance, Scene
 from .scene_spectra import FOURTEEN
 
 _MOST_SLOTS = 4096
+
+#: Angular radius of the sun [degree].
 SUN_RADIUS_DEG = 0.267
-"""Angular radius of the sun [degree]."""
 
 
 @dataclass(frozen=True)

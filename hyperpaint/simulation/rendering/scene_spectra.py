@@ -33,11 +33,23 @@ from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
 from .weathering import WEATHERED, Weathered, leaf_transmittance
 
+#: What a paint looks like when one walks around it.
 FINISHES = ("solid", "metallic", "pearl")
-"""What a paint looks like when one walks around it."""
 
-_ADJECTIVES = ("Arctic", "Alpine", "Baltic", "Desert", "Harbour", "Imperial", "Lunar", "Monsoon", "Nordic",
-               "Polar", "Solar", "Tundra")  # fmt: skip
+_ADJECTIVES = (
+    "Arctic",
+    "Alpine",
+    "Baltic",
+    "Desert",
+    "Harbour",
+    "Imperial",
+    "Lunar",
+    "Monsoon",
+    "Nordic",
+    "Polar",
+    "Solar",
+    "Tundra",
+)
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
 _FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
 _TURNED = ":turned"  # behind the name of the spectrum of flakes
@@ -112,8 +124,8 @@ _CATALOGUE = {
     )
 }
 
+#: Names of fourteen plausible car paints, those of the paper's figure of one car park under three skies.
 FOURTEEN = tuple(_CATALOGUE)
-"""Names of fourteen plausible car paints, those of the paper's figure of one car park under three skies."""
 
 
 def paint_spec(name: str) -> PaintSpec:
@@ -266,8 +278,8 @@ def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
     return flakes_of_flop(flop, paint, grid, body, pigments.flakes(grid), nearest=True)
 
 
+#: Reflectance factor, 0 to 1, by wavelength [nm].
 Spectrum = Callable[[Floats], Floats]
-"""Reflectance factor, 0 to 1, by wavelength [nm]."""
 
 
 def _without_mirror(paint: Paint) -> Spectrum:
@@ -283,6 +295,7 @@ _LEAF = Plain(0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bu
 _RED_LENS = Plain(0.03, 0.0, [Edge(606.0, 7.0, 0.35)])
 _REFLECTOR = Plain(0.30, 0.05)  # behind a clear lens
 
+#: The named spectra; generated paints are reached by `spectrum_of` alone.
 SPECTRA: dict[str, Spectrum] = {
     **MATERIALS,
     **{name: _without_mirror(paint) for name, paint in {**CAR_PAINTS, **_MORE_PAINTS}.items()},
@@ -303,7 +316,6 @@ SPECTRA: dict[str, Spectrum] = {
     "patch": Plain(0.055, 0.05),
     **WEATHERED,
 }
-"""The named spectra; generated paints are reached by `spectrum_of` alone."""
 
 
 def spectrum_of(name: str) -> Spectrum:

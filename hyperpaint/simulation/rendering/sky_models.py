@@ -184,8 +184,8 @@ def clear_spread(
     return Spread(molecular, aureole)
 
 
+#: Share of the cosine part in the diffuse irradiance of a CIE overcast sky.
 CIE_OVERCAST_SHARE = 4.0 / 7.0
-"""Share of the cosine part in the diffuse irradiance of a CIE overcast sky."""
 
 _CLOUD_REFERENCE_NM = 490.0
 
@@ -350,5 +350,5 @@ def _backward_share(g: float) -> float:
     return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
 
 
+#: Usual clear air: a visibility of 23 km.
 HAZE = Haze()
-"""Usual clear air: a visibility of 23 km."""

@@ -44,15 +44,15 @@ class Octaves:
     is_averaged: bool = True
 
 
+#: Of the members of a library: a third each of dirt and curvature over a panel, of patches, and of noise.
 MEASURED = Octaves((0.20, 0.05, 0.0125), (1 / 3, 1 / 3, 1 / 3), is_averaged=False)
-"""Of the members of a library: a third each of dirt and curvature over a panel, of patches, and of noise."""
 
 
+#: Reflectance of mineral dust: brownish, brighter in the near infrared.
 DUST = Plain(0.24, 0.20, [Edge(530.0, 60.0, 0.05)])
-"""Reflectance of mineral dust: brownish, brighter in the near infrared."""
 
+#: Of a weathered surface.
 MEMBERS = 96
-"""Of a weathered surface."""
 
 _DRY = Plain(0.26, 0.40, [Edge(680.0, 40.0, 0.03), Bump(968.0, 22.0, -0.02)])  # blades
 _PATCH = Plain(0.055, 0.05)  # mended asphalt, young
@@ -98,8 +98,8 @@ class Weathered:
         return np.asarray(self.population(grid.ravel()).mean(axis=0).reshape(grid.shape))
 
 
+#: Refractive index of leaf tissue, and how many plates a leaf is like.
 LEAF_INDEX, LEAF_LAYERS = 1.42, 1.55
-"""Refractive index of leaf tissue, and how many plates a leaf is like."""
 
 
 def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Floats]:
@@ -188,6 +188,7 @@ def _grass(wavelength: Floats) -> Floats:
 _SLABS = Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
 _STONES = Octaves((3.0, 1.0, 0.35, 0.12, 0.04, 0.012), (0.14, 0.08, 0.06, 0.07, 0.15, 0.50))
 
+#: Weathered surfaces by the names of their spectra.
 WEATHERED: dict[str, Weathered] = {
     "worn_asphalt": Weathered(_asphalt(MATERIALS["asphalt"], 1), _STONES),
     "worn_patch": Weathered(_asphalt(_PATCH, 2), _STONES),
@@ -197,4 +198,3 @@ WEATHERED: dict[str, Weathered] = {
     ),
     "mixed_grass": Weathered(_grass, Octaves((2.0, 0.60, 0.20, 0.06, 0.02), (0.20, 0.15, 0.15, 0.25, 0.25))),
 }
-"""Weathered surfaces by the names of their spectra."""

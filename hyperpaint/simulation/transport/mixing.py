@@ -206,9 +206,15 @@ def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> 
 
 @borrowing_kernel
 def _mix_shifted(
-    weight: Array, index: Array, table: Array, node: Array, node_weight: Array, texture: Texture,
-    sums: Array, out: Array,
-) -> None:  # fmt: skip
+    weight: Array,
+    index: Array,
+    table: Array,
+    node: Array,
+    node_weight: Array,
+    texture: Texture,
+    sums: Array,
+    out: Array,
+) -> None:
     """Compute `mix_shifted`; ``sums`` (2, column, band) holds the constant and the population term."""
     columns = out.shape[2]
     for line in range(out.shape[0]):

@@ -22,26 +22,26 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
+#: Numbers of the sources.
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
-"""Numbers of the sources."""
 
+#: Suns that one trace holds.
 MOST_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
-"""Suns that one trace holds."""
 
+#: Functions of the clear sky of a sun, beside the uniform one.
 CLEAR_SKY_FUNCTIONS = 2
-"""Functions of the clear sky of a sun, beside the uniform one."""
 
+#: Bits of the source; a trace says so in its attributes, since there were 3 once.
 SOURCE_BITS = 5
-"""Bits of the source; a trace says so in its attributes, since there were 3 once."""
 
+#: Numbers that a source may have.
 SOURCES = 1 << SOURCE_BITS
-"""Numbers that a source may have."""
 
+#: Bits of the flags.
 MIRROR, INDIRECT = 1 << SOURCE_BITS, 2 << SOURCE_BITS
-"""Bits of the flags."""
 
+#: Lowest bit of the first digit, and bits of a code that is not negative.
 FIRST_DIGIT, USABLE_BITS = SOURCE_BITS + 2, 63
-"""Lowest bit of the first digit, and bits of a code that is not negative."""
 
 
 def source_of(codes: Ints) -> Ints:

@@ -163,8 +163,12 @@ def _smooth(t: float) -> float:
 def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
     """Return the normal number of a lattice corner (Box & Muller 1958)."""
     a, b, _, _ = philox(
-        np.uint64(int(i) & _MASK), np.uint64(int(j) & _MASK), np.uint64(int(k) & _MASK),
-        np.uint64(octave), np.uint64(int(instance) & _MASK), np.uint64(seed),
-    )  # fmt: skip
+        np.uint64(int(i) & _MASK),
+        np.uint64(int(j) & _MASK),
+        np.uint64(int(k) & _MASK),
+        np.uint64(octave),
+        np.uint64(int(instance) & _MASK),
+        np.uint64(seed),
+    )
     radius = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP))
     return radius * math.cos(2.0 * math.pi * (np.float64(b) + 0.5) * _STEP)
