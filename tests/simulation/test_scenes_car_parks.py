@@ -7,9 +7,8 @@ import pytest
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES, car_body
-from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS, car_park
+from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS, car_park, paved, strips_across, worn
 from hyperpaint.simulation.rendering.materials import Coat
-from hyperpaint.simulation.rendering.pavements import paved, strips_across, worn
 from hyperpaint.simulation.rendering.primitives import Mesh
 from hyperpaint.simulation.rendering.scene import PARTS, Scene
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of

@@ -15,8 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Material
-from hyperpaint.simulation.rendering.mesh_files import read_mesh
-from hyperpaint.simulation.rendering.mesh_formats import check_ply, parse_obj, strip_glb
+from hyperpaint.simulation.rendering.mesh_files import check_ply, parse_obj, read_mesh, strip_glb
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red paint", "red", "paint")

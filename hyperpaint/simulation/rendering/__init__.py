@@ -10,8 +10,7 @@ another:
 
 What is seen
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;
-    `primitives`, `car_bodies` and `pavements`, of which `car_parks` makes a scene;
-    `mesh_files` reads one, with `mesh_formats`.
+    `primitives` and `car_bodies`, of which `car_parks` makes a scene; `mesh_files` reads one.
 The light
     `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
 The camera
