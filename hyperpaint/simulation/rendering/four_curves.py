@@ -12,10 +12,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
@@ -34,9 +35,6 @@ from .sky_models import (
     cloud_transmittance,
     spectrl2_sky,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
@@ -417,7 +415,6 @@ class Atmosphere:
 
     def to_dataset(self) -> xr.Dataset:
         """Return the curves as labelled variables on ``wavelength``, with CF units."""
-        import xarray as xr
 
         def attrs(row: tuple[str, str]) -> dict[str, str]:
             return {"units": row[0], "long_name": row[1]}

@@ -14,13 +14,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.transport.mixing import index_paths, integrate_bands, mix, mix_shifted, through_air
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     FIRST_CLEAR_SKY,
@@ -34,13 +35,11 @@ from hyperpaint.simulation.transport.path_codes import (
     is_mirrored,
     source_of,
 )
+from hyperpaint.simulation.transport.texturing import Texture
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
 from .scene_record import TraceSettings, sun_vectors
-
-if TYPE_CHECKING:
-    from hyperpaint.simulation.transport.texturing import Texture
 
 #: Layers that say where the light of a pixel came from.
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
@@ -144,8 +143,6 @@ class Lighting:
         """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
-        from hyperpaint.simulation.transport.mixing import through_air
-
         out = surface if in_place else np.empty_like(surface)
         through_air(surface, self.extinction, self.path_radiance, distance, out)
         return out
@@ -162,8 +159,6 @@ class Lighting:
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
         """Return the shares of the light by source, (line, share, column); see `SHARES`."""
-        from hyperpaint.simulation.transport.mixing import index_paths, mix
-
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
@@ -350,8 +345,6 @@ class ProductTable:
         texture
             Members of populations that pixels show; None for the means.
         """
-        from hyperpaint.simulation.transport.mixing import index_paths, mix_shifted
-
         distinct, index = index_paths(codes)
         lit = self._row_of_source[source_of(distinct)] >= 0
         if not lit.all():  # slots of dark sources are passed over
@@ -371,8 +364,6 @@ class ProductTable:
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
-        from hyperpaint.simulation.transport.mixing import integrate_bands
-
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
         if chosen.max(initial=-1) >= len(self._factors):

@@ -8,19 +8,17 @@ the surface gives the rank, so that each is equally likely and neighbours resemb
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
+from hyperpaint.simulation.transport.texturing import Grain, Texture, member_rows
 
 from .camera_bands import BandSet
 from .painting import FactorSpectra
 from .scene_record import SceneRecord
 from .weathering import Octaves
-
-if TYPE_CHECKING:
-    from hyperpaint.simulation.transport.texturing import Grain, Texture
 
 #: Mean below which a member is not divided by it [1].
 _DARKEST = 1e-4
@@ -38,14 +36,10 @@ class Populations(NamedTuple):
 
     def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
         """Return the members of pixels at places (3, line, column) [m]; see `texturing.member_rows`."""
-        from hyperpaint.simulation.transport.texturing import member_rows
-
         return self.of_rows(member_rows(material, instance, place, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
         """Return the members of pixels, by rows (line, column)."""
-        from hyperpaint.simulation.transport.texturing import Texture
-
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
@@ -54,8 +48,6 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 
     The mean over the members of a population is the spectrum itself, in every band.
     """
-    from hyperpaint.simulation.transport.texturing import Grain
-
     count = np.zeros((2, len(record.materials)), np.int64)
     members: list[tuple[Octaves, int, int, Floats]] = []
     for place, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
@@ -97,6 +89,4 @@ def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
     """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
-    from hyperpaint.simulation.transport.texturing import member_rows
-
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+import dask
+import dask.array as da
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
@@ -36,10 +39,6 @@ from .lighting import SHARES, Lighting, make_lighting, traced_sun
 from .painting import FactorSpectra, factor_spectra
 from .populations import Populations, populations_of, rows_of_pixels
 from .scene_record import LabelTables, SceneRecord, TraceSettings
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 
@@ -241,8 +240,6 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 
 
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
-    import dask.array as da
-
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
     seconds = (traced["time"].data - first) / np.timedelta64(1, "s")
@@ -273,8 +270,6 @@ def _lighting(
     bands: BandSet, record: SceneRecord, settings: TraceSettings, sky: Atmosphere, painted: FactorSpectra
 ) -> Any:
     """Return the `Lighting` that all tasks share, lazily: one node of the graph."""
-    import dask
-
     factors = painted(BandResponses(bands).grid)
     return dask.delayed(make_lighting, pure=True)(bands, record.codes(settings), sky, settings, factors)
 
@@ -294,9 +289,6 @@ def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
     """Return the population member of every pixel (lazily, row of a table), and the table."""
-    import dask
-    import dask.array as da
-
     populations = populations_of(record, painted, bands)
     if populations is None:
         return None
@@ -319,8 +311,6 @@ def _lazy_cubes(
     truth: bool,
 ) -> dict[str, da.Array]:
     """Return radiance, reflectance and shares; without truth, radiance needs one task per block."""
-    import dask.array as da
-
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
     if isinstance(variation, da.Array):
@@ -391,8 +381,6 @@ def _tables(record: SceneRecord, painted: FactorSpectra) -> LabelTables:
 def _dataset(
     cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
 ) -> xr.Dataset:
-    import xarray as xr
-
     variables = {
         name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
         for name, array in cubes.items()
@@ -441,8 +429,6 @@ def _irradiance_record(
     It is cut around the bands, begins before the flight and ends after it; where the light varies from line
     to line, (line, 2), it follows, lazily.
     """
-    import xarray as xr
-
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
     times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -499,9 +485,6 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
 
 
 def _varied(traced: xr.Dataset, times: Any, variation: Floats, spectra: Floats) -> Any:
-    import dask
-    import dask.array as da
-
     line_times = traced["time"].data
     shape = (times.size, spectra.shape[1])
     values = dask.delayed(_at_times, pure=True)(line_times, times, variation, spectra)

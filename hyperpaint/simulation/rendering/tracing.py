@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
+from numcodecs.blosc import SHUFFLE, Blosc
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
@@ -28,21 +32,16 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.sky_functions import function_shapes
+from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
+from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.path_codes import PathCodes
+from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 from .four_curves import Atmosphere, preset_atmosphere
+from .platform_geometry import Platform
+from .scene import Scene
 from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSettings, sun_vectors
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
-
-    from hyperpaint.simulation.transport.hierarchy import Geometry
-    from hyperpaint.simulation.transport.path_blocks import Block, Sources
-    from hyperpaint.simulation.transport.surfaces import Surfaces
-
-    from .platform_geometry import Platform
-    from .scene import Scene
 
 Sun = tuple[float, float] | Atmosphere | str
 
@@ -60,9 +59,6 @@ class PreparedScene(NamedTuple):
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     """Build the hierarchy of a scene's triangles, and the tables of its surfaces."""
-    from hyperpaint.simulation.transport.hierarchy import build_geometry
-    from hyperpaint.simulation.transport.path_blocks import Sources
-
     record = SceneRecord.of(scene)
     geometry = build_geometry(
         scene.vertices, scene.faces, scene.normals, scene.face_material, scene.face_instance
@@ -77,8 +73,6 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
 
 
 def _surfaces(record: SceneRecord) -> Surfaces:
-    from hyperpaint.simulation.transport.surfaces import surfaces_of
-
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     base_factor = np.full(len(coats), -1, np.int32)
@@ -110,9 +104,6 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
 def _trace_rays(
     prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
 ) -> Block:
-    from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
-    from hyperpaint.simulation.transport.paths import trace_lines
-
     chosen = prepared.settings
     numbers = Settings(first_line, chosen.samples, chosen.depth, prepared.codes.digit_bits, chosen.seed)
     block = Block.empty(len(origin), chosen.slot_count, edges[0].size - 1, len(chosen.suns))
@@ -252,9 +243,6 @@ def _lazy_arrays(
     scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
 ) -> dict[str, da.Array]:
     """Return every variable as a dask array; one task a block computes all."""
-    import dask
-    import dask.array as da
-
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
     packed = dask.delayed(_packed(scene), name=name, traverse=False)
@@ -277,14 +265,10 @@ def _lazy_arrays(
 
 def _packed(scene: Scene) -> bytes:
     """Return a compressed scene for the graph: dask warns above 10 MB."""
-    from numcodecs.blosc import SHUFFLE, Blosc
-
     return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
 
 
 def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
-    from numcodecs.blosc import Blosc
-
     return prepare_scene(pickle.loads(Blosc().decode(packed)), settings)
 
 
@@ -320,8 +304,6 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
 def _labelled(
     arrays: dict[str, da.Array], record: SceneRecord, platform: Platform, settings: TraceSettings
 ) -> xr.Dataset:
-    import xarray as xr
-
     labels = LabelTables.of(record)
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
