@@ -21,8 +21,8 @@ from .flight import Flight, Lines
 REGIONS = "regions.geojson"
 
 #: Rise over run between neighbouring pixels; roofs and bonnets are below, doors and flanks above.
-_STEEPEST = 0.1
-_FEWEST = 6  # pixels along the shorter side
+_MAX_SLOPE = 0.1
+_MIN_SIDE_PIXELS = 6  # pixels along the shorter side
 _MARGIN = 8  # parts of the shorter side; one is left free at each edge
 
 #: First and last line, first and last column.
@@ -46,7 +46,7 @@ class PaintedRectangles:
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
-        self._step = _STEEPEST * flight.ground_sample
+        self._step = _MAX_SLOPE * flight.ground_sample
         self._best: dict[int, tuple[str, _Box]] = {}
         self._areas: dict[int, int] = {}
         self.begin("")
@@ -67,7 +67,7 @@ class PaintedRectangles:
             same = (label == self._label) & (np.abs(up - self._up) <= self._step)
             self._tall = np.where(label < 0, 0, np.where(same, self._tall + 1, 1))
             self._label, self._up = label, up
-            if (self._tall >= _FEWEST).any():
+            if (self._tall >= _MIN_SIDE_PIXELS).any():
                 self._search()
             self._line += 1
 
@@ -77,19 +77,19 @@ class PaintedRectangles:
             paint = int(self._label[begin]) % len(self._flight.paints)
             for tall, first, last in _rectangles(self._tall[begin:end].tolist()):
                 wide = last - first
-                if min(tall, wide) >= _FEWEST and tall * wide > self._areas.get(paint, 0):
+                if min(tall, wide) >= _MIN_SIDE_PIXELS and tall * wide > self._areas.get(paint, 0):
                     self._areas[paint] = tall * wide
                     box = (self._line - tall + 1, self._line, begin + first, begin + last - 1)
                     self._best[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         """Yield bounds of columns that may hold a rectangle: one label, level, and tall enough."""
-        enough = self._tall >= _FEWEST
+        enough = self._tall >= _MIN_SIDE_PIXELS
         joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         joined &= np.abs(np.diff(self._up)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
         for begin, end in edges.reshape(-1, 2).tolist():
-            if end + 1 - begin >= _FEWEST:
+            if end + 1 - begin >= _MIN_SIDE_PIXELS:
                 yield begin, end + 1
 
     def features(self) -> list[dict[str, Any]]:

@@ -41,11 +41,11 @@ from .transport.texturing import Texture
 #: Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint.
 GLINT = 0.02
 
-_LONGEST = 2000.0  # m of car park that are built
-_BEFORE = 3.0  # m of car park before and behind what is seen
-_PERIOD = 30.0  # m after which its grey panels come again; a flight soon sees its first
+_MAX_LENGTH_M = 2000.0  # m of car park that are built
+_MARGIN_BEFORE_M = 3.0  # m of car park before and behind what is seen
+_PANEL_PERIOD_M = 30.0  # m after which its grey panels come again; a flight soon sees its first
 _MARGIN = 30.0  # m of ground around it
-_STEEPEST = 0.5  # degrees that the camera leans from the vertical, at least
+_MIN_LEAN_DEG = 0.5  # degrees that the camera leans from the vertical, at least
 _LINES_AT_ONCE = 4  # of a thread
 
 
@@ -131,12 +131,12 @@ class RenderedFlight(Flight):
         """Return a car park that begins before the first line's view and ends behind the last one's."""
         settings = self.settings
         ahead, before = self._seen_ahead()
-        start = np.ceil((before + ahead) / _PERIOD) * _PERIOD - ahead
+        start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
-        if length > _LONGEST:
+        if length > _MAX_LENGTH_M:
             raise SchemaError(
                 f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
-                expected=f"at most {_LONGEST:g} m",
+                expected=f"at most {_MAX_LENGTH_M:g} m",
                 mend="take fewer lines, more columns, or scene='plan'",
                 code="flight-too-long",
             )
@@ -157,10 +157,10 @@ class RenderedFlight(Flight):
     def _seen_ahead(self) -> tuple[float, float]:
         """Return how far ahead the camera may look, and the length of car park before its view [m]."""
         path = self.trajectory
-        lean = float(np.tan(np.radians(max(_STEEPEST, path.steepest))))
+        lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
         ahead = lean * self.ground_sample / PIXEL_ANGLE
-        turned = float(np.sin(np.radians(path.most_yaw))) * SWATH_M / 2
-        return ahead, ahead + max(_BEFORE, turned + 1.0) + max(map(abs, path.lever_arm))
+        turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        return ahead, ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
 
     @cached_property
     def platform(self) -> Platform:

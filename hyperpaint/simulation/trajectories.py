@@ -243,7 +243,7 @@ class Motion:
         return motion
 
     @property
-    def most(self) -> float:
+    def peak(self) -> float:
         """Largest possible magnitude."""
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
@@ -354,16 +354,16 @@ class Trajectory:
     @property
     def steepest(self) -> float:
         """Angle by which the camera's axis can lean from the vertical, along or across the track [degree]."""
-        tilt = max(self._most("roll"), self._most("pitch"))
+        tilt = max(self._peak("roll"), self._peak("pitch"))
         return tilt + max(map(abs, self.boresight[:2]))
 
     @property
-    def most_yaw(self) -> float:
+    def max_yaw(self) -> float:
         """Angle by which the camera can be turned from its course [degree]."""
-        return self._most("heading") + abs(self.boresight[2])
+        return self._peak("heading") + abs(self.boresight[2])
 
     def _motion(self, name: str, seconds: Floats) -> Floats:
         return self.motions[name].at(seconds) if name in self.motions else np.zeros_like(seconds)
 
-    def _most(self, name: str) -> float:
-        return self.motions[name].most if name in self.motions else 0.0
+    def _peak(self, name: str) -> float:
+        return self.motions[name].peak if name in self.motions else 0.0

@@ -343,7 +343,7 @@ def test_a_mesh_of_another_world_is_refused(tmp_path: Path, options: dict[str, A
 
 
 def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
-    from hyperpaint.simulation.rendering.primitives import MOST_AROUND, Mesh, smoothed
+    from hyperpaint.simulation.rendering.primitives import MAX_FACES_AROUND, Mesh, smoothed
 
     count = 20_000  # held against one another they would take minutes
     around = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
@@ -354,7 +354,7 @@ def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
     began = time.process_time()
     mesh = smoothed(cone)
     assert time.process_time() - began < 5.0
-    assert count > MOST_AROUND
+    assert count > MAX_FACES_AROUND
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
     tip = mesh.vertices[:, 2] == 1.0
     # each triangle at the tip has its own, between those of its two neighbours

@@ -202,7 +202,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     assert len(pickle.dumps(table)) == empty
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)).rows(codes), rows)
     # and what does not fit is made again each time
-    monkeypatch.setattr(lighting, "_LARGEST_CACHE", 100 * 272 * 4)
+    monkeypatch.setattr(lighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
         part = codes[start : start + 30]

@@ -196,19 +196,6 @@ class BandSet:
         first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(place - first - 1)
 
-    def line_shapes(self, offset: Floats, step: float) -> Floats:
-        """Return line shape x responsivity [nm-1] at distances from the bands' own centres.
-
-        Parameters
-        ----------
-        offset : (band, point)
-            [nm], on an even grid of ``step`` nm.
-        """
-        rows = zip(offset, self.fwhm, self.spacing, strict=True)
-        return np.stack(
-            [line_shape(row, float(fwhm), float(spacing), self.shape, step) for row, fwhm, spacing in rows]
-        )
-
     def lowest(self) -> float:
         """Return the lowest wavelength at which any element responds [nm]."""
         return float(self.wavelength[0] + self.nodes.min() - self.reach)
@@ -218,8 +205,8 @@ class BandSet:
         return float(self.wavelength[-1] + self.nodes.max() + self.reach)
 
 
-_FACTOR_STEP = 0.5  # nm between the points at which products of reflectances are taken
-_FINEST_STEP = 0.05  # nm at which responses are taken, or a hundredth of the sharpest
+_FACTOR_STEP_NM = 0.5  # nm between the points at which products of reflectances are taken
+_MAX_FINE_STEP_NM = 0.05  # nm at which responses are taken, or a hundredth of the sharpest
 
 
 class BandResponses:
@@ -250,17 +237,17 @@ class BandResponses:
         self, bands: BandSet, covered: tuple[float, float] = (0.0, np.inf), *, normalise: bool = True
     ) -> None:
         self.bands, self._normalise = bands, normalise
-        finest = min(_FINEST_STEP, float(bands.fwhm.min()) / 100.0)
-        self._cell = max(1, round(_FACTOR_STEP / finest))
-        self._fine_step = _FACTOR_STEP / self._cell
-        low = int(np.floor(bands.lowest() / _FACTOR_STEP)) - 1
+        finest = min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)
+        self._cell = max(1, round(_FACTOR_STEP_NM / finest))
+        self._fine_step = _FACTOR_STEP_NM / self._cell
+        low = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
         nodes = bands.nodes
-        starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP).astype(np.int64)
+        starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP_NM).astype(np.int64)
         self._starts = starts - low
-        self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP)) + 1
+        self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
         points = int(self._starts[-1]) + self._cells + 2
-        self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP, np.float64)
-        fine = low * _FACTOR_STEP + np.arange(points * self._cell) * self._fine_step
+        self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
+        fine = low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step
         self.fine: Floats = np.asarray(fine, np.float64)
         self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
         # cells reach one point back and two points on, by the cubic
@@ -274,7 +261,13 @@ class BandResponses:
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        response = bands.line_shapes(offset, self._fine_step)
+        rows = zip(offset, bands.fwhm, bands.spacing, strict=True)
+        response = np.stack(
+            [
+                line_shape(row, float(fwhm), float(spacing), bands.shape, self._fine_step)
+                for row, fwhm, spacing in rows
+            ]
+        )
         if bands.responsivity is not None:
             response = response * np.asarray(bands.responsivity(self.fine))[points]
         response = response * (self._inside[points] * self._fine_step)

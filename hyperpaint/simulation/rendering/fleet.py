@@ -65,7 +65,7 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
 FLOPS = (5.0, 16.0)
 
 _MEAN_AGE = 9.0  # years of a car on the road
-_COVER, _COVER_SPREAD, _MOST_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
+_COVER, _COVER_SPREAD, _MAX_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
 _DIRTY, _DIRT = 0.08, 0.10  # cars that have not been washed for long, and what lies on them more
 _MEMBERS = 64
 
@@ -140,7 +140,7 @@ def fleet_paint(number: int) -> FleetPaint:
         flake_share=share if has_flakes else 0.0,
         flop=flop if has_flakes else 0.0,
         age=age,
-        cover=float(min(cover, _MOST_COVER)),
+        cover=float(min(cover, _MAX_COVER)),
         index=float(rng.uniform(1.48, 1.55)),
     )
 

@@ -52,7 +52,7 @@ _NUMBERS = {
     "overcast_share": ("1", "Share of skylight whose radiance goes with the cosine of the zenith angle"),
 }
 _RANGE = (340.0, 1100.0)  # nm, of the built-in sky
-_LOWEST_SUN = 89.0  # degree; below, neither air mass nor four curves mean much
+_MAX_SUN_ZENITH_DEG = 89.0  # degree; below, neither air mass nor four curves mean much
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Atmosphere:
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
-        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
+        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _MAX_SUN_ZENITH_DEG)
         if not np.isfinite(self.sun_azimuth):
             problems.add(
                 f"sun_azimuth={self.sun_azimuth!r}",
@@ -415,16 +415,13 @@ class Atmosphere:
 
     def to_dataset(self) -> xr.Dataset:
         """Return the curves as labelled variables on ``wavelength``, with CF units."""
-
-        def attrs(row: tuple[str, str]) -> dict[str, str]:
-            return {"units": row[0], "long_name": row[1]}
-
         variables = {
-            **{
-                name: ("wavelength", getattr(self, name), attrs(row))
-                for name, row in (_CURVES | _SHARES).items()
-            },
-            **{name: ((), np.float64(getattr(self, name)), attrs(row)) for name, row in _NUMBERS.items()},
+            name: (
+                () if name in _NUMBERS else "wavelength",
+                np.asarray(getattr(self, name), np.float64),
+                {"units": units, "long_name": text},
+            )
+            for name, (units, text) in (_CURVES | _SHARES | _NUMBERS).items()
         }
         grid = ("wavelength", self.wavelength, {"units": "nm", "long_name": "Wavelength"})
         haze = "" if self.haze is None else json.dumps(asdict(self.haze))

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %.
-MOST_MEMBERS = 512
+MAX_MEMBERS = 512
 
 #: How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light.
 _NOISE = 0.05
 
-_MOST_SHOWN = 6
+_MAX_RANGES_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,9 +314,9 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
 def _thinned(members: Floats) -> Floats:
     """Return at most `MAX_MEMBERS` members with values, evenly spaced."""
     used = members[np.isfinite(members).any(axis=1)]
-    if len(used) <= MOST_MEMBERS:
+    if len(used) <= MAX_MEMBERS:
         return used
-    return np.asarray(used[np.linspace(0, len(used) - 1, MOST_MEMBERS).round().astype(np.int64)])
+    return np.asarray(used[np.linspace(0, len(used) - 1, MAX_MEMBERS).round().astype(np.int64)])
 
 
 def _whole(members: Floats) -> Floats | None:
@@ -330,7 +330,7 @@ def _runs(wavelength: Floats, missing: Bools) -> str:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
     texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]
-    return ", ".join(texts[:_MOST_SHOWN]) + (", ..." if len(texts) > _MOST_SHOWN else "")
+    return ", ".join(texts[:_MAX_RANGES_SHOWN]) + (", ..." if len(texts) > _MAX_RANGES_SHOWN else "")
 
 
 def some_names(names: Iterable[str]) -> str:

@@ -162,23 +162,17 @@ class Lighting:
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
-        parts = _share_weights(distinct, level.astype(np.float32))
+        # weight of every path in all light, and in each of `SHARES`
+        sun, mirrored, indirect = is_direct(distinct), is_mirrored(distinct), is_indirect(distinct)
+        mirror_image = mirrored & ~indirect
+        everything = np.ones(distinct.shape, bool)
+        members = [everything, sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
+        parts = np.stack([np.where(part, level.astype(np.float32), 0.0) for part in members], axis=1)
         sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
-        mix(_varied(weight, code, variation), index, parts, sums)
+        mix(_varied(weight, code, variation), index, parts.astype(np.float32), sums)
         whole = sums[:, :1]
         dark = np.full_like(sums[:, 1:], np.nan)
         return np.divide(sums[:, 1:], whole, out=dark, where=whole > 0)
-
-
-def _share_weights(codes: Ints, level: Floats32) -> Floats32:
-    """Return the weight of a path in all light and in each of `SHARES`, (path, 1 + share).
-
-    ``level`` is the mean product of every path over the bands, (path,).
-    """
-    sun, mirrored, indirect = is_direct(codes), is_mirrored(codes), is_indirect(codes)
-    mirror_image = mirrored & ~indirect
-    parts = [np.ones(codes.shape, bool), sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
-    return np.stack([np.where(part, level, 0.0) for part in parts], axis=1).astype(np.float32)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
@@ -209,7 +203,7 @@ def make_lighting(
     return Lighting(table, np.asarray(direct), np.asarray(diffuse), extinction, path)
 
 
-_LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made again each time
+_MAX_CACHE_BYTES = 96 * 2**20  # bytes of products that are kept; more are made again each time
 
 
 class ProductTable:
@@ -378,7 +372,7 @@ class ProductTable:
 
     def _keep(self, codes: Ints, products: NDArray[np.float32]) -> None:
         with self._lock:
-            if self._products.nbytes + products.nbytes > _LARGEST_CACHE:
+            if self._products.nbytes + products.nbytes > _MAX_CACHE_BYTES:
                 return
             new = _lookup(self._cached_codes, codes) < 0  # another thread may have made them meanwhile
             all_codes = np.concatenate([self._cached_codes, codes[new]])

@@ -295,7 +295,20 @@ def measured_factor(
     >>> measured_factor([0.5]).round(4)
     array([0.4927])
     """
-    measured = _checked(reflectance)
+    measured = np.asarray(reflectance, dtype=np.float64)
+    if missing := int((~np.isfinite(measured)).sum()):
+        raise SchemaError(
+            f"{missing} of {measured.size} measured reflectances are not finite",
+            mend="fill the gaps",
+            code="not-finite",
+        )
+    if measured.size and measured.max() > 2.0:
+        raise SchemaError(
+            f"a measured reflectance reaches {measured.max():.4g}",
+            expected="a fraction",
+            mend="divide per cent by 100",
+            code="value-out-of-range",
+        )
     if specular_included:
         if geometry == "0/45":
             raise SchemaError(
@@ -316,25 +329,6 @@ def measured_factor(
         )
         warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
     return np.clip(factor, 0.0, 1.0)
-
-
-def _checked(reflectance: npt.ArrayLike) -> Floats:
-    measured = np.asarray(reflectance, dtype=np.float64)
-    problems = Problems("a measured reflectance cannot be used", SchemaError)
-    missing = int((~np.isfinite(measured)).sum())
-    if missing:
-        problems.add(
-            f"{missing} of {measured.size} values are not finite", mend="fill the gaps", code="not-finite"
-        )
-    elif measured.size and measured.max() > 2.0:
-        problems.add(
-            f"it reaches {measured.max():.4g}",
-            expected="a fraction",
-            mend="divide per cent by 100",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
-    return measured
 
 
 def base_albedo(

@@ -24,10 +24,10 @@ from .sky_models import Spread, check_curves, check_wavelengths
 if TYPE_CHECKING:
     import xarray as xr
 
-_MOST_BYTES = 16 * 2**20
-_MOST_LINES = 200_000
-_MOST_PROBLEMS = 10
-_MISFIT = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
+_MAX_BYTES = 16 * 2**20
+_MAX_LINES = 200_000
+_MAX_PROBLEMS = 10
+_MAX_RESIDUAL = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
 _NOISE = 0.01  # of the largest irradiance
 _HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
 _UNITS = {
@@ -111,7 +111,7 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
 def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], Spread | None]:
     """Return the curves of a table from `hyperpaint.io.skies`, and the spread of its radiance, if any.
 
-    Warns where the functions of the clear sky miss the radiance by more than `_MISFIT`.
+    Warns where the functions of the clear sky miss the radiance by more than `_MAX_RESIDUAL`.
     """
     curves = {
         name: np.asarray(convert(table[there].reset_coords(drop=True), _UNITS[name]).values, np.float64)
@@ -121,7 +121,7 @@ def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], S
         return curves, None
     fit = fit_sky(table, sun_zenith)
     worst = float(fit["misfit"].max())
-    if worst > _MISFIT:
+    if worst > _MAX_RESIDUAL:
         source = table.attrs.get("source", "the table")
         msg = f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}"
         warnings.warn(PaintWarning(msg, code="sky-fit-poor"), stacklevel=3)
@@ -147,9 +147,9 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
     """Return the headings and the numbers of a text file, shape (row, column)."""
-    content = read_limited(path, _MOST_BYTES, "the table of an atmosphere")
-    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MOST_LINES:
-        problems.add(f"{count} lines", expected=f"at most {_MOST_LINES}", code="file-too-large")
+    content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
+    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
+        problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
         problems.raise_if_any()
     try:
         text = content.decode("utf-8-sig")
@@ -182,7 +182,7 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
                 expected=f"{len(headings)} numbers",
                 code="number-unreadable",
             )
-            if len(problems) == _MOST_PROBLEMS:
+            if len(problems) == _MAX_PROBLEMS:
                 break
     return headings, np.array(rows, dtype=np.float64).reshape(len(rows), len(headings))
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
@@ -33,9 +33,9 @@ from .primitives import Mesh, smoothed
 from .scene import Instance, Scene, has_area, warn_of_dropped
 
 _MAX_TRIANGLES = 50_000_000
-_LARGEST_INDEX = 2**40
+_MAX_VERTEX_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")
-_LONGEST_LINE = 2**20
+_MAX_LINE_CHARS = 2**20
 
 
 class RawTriangles(NamedTuple):
@@ -83,10 +83,10 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     material, thing = "", ""
     group = -1
     for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
-        if match.end() - match.start() > _LONGEST_LINE:
+        if match.end() - match.start() > _MAX_LINE_CHARS:
             raise FormatError(
                 f"{where}: line {number} is too long",
-                expected=f"at most {_LONGEST_LINE} characters",
+                expected=f"at most {_MAX_LINE_CHARS} characters",
                 code="line-too-long",
             )
         line = match[0]
@@ -105,7 +105,7 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             if group < 0:
                 group = groups.setdefault((material, thing), len(groups))
             indices = _numbers(int, [word.partition("/")[0] for word in words[1:]])
-            if len(indices) < 3 or not all(0 < abs(index) < _LARGEST_INDEX for index in indices):
+            if len(indices) < 3 or not all(0 < abs(index) < _MAX_VERTEX_INDEX for index in indices):
                 raise FormatError(
                     f"{where}: {_line(number, words)}",
                     expected="'f' and three or more numbers of vertices, counted from 1",
@@ -504,10 +504,8 @@ class _GlbCheck:
 
 
 def _trimesh(where: str) -> Any:
-    try:
+    with needs_extra("trimesh", "mesh", f"reading {where}"):
         return importlib.import_module("trimesh")
-    except ImportError as error:
-        raise MissingExtraError.of("trimesh", "mesh", f"reading {where}") from error
 
 
 def _loaded(load: Callable[..., Any], data: bytes, kind: str, where: str, **options: Any) -> Any:
@@ -533,7 +531,7 @@ def _named(names: tuple[str, ...], number: str | None) -> str:
 
 
 _MAX_BYTES = 2**30
-_FARTHEST_M = 1e8
+_MAX_DISTANCE_M = 1e8
 #: Turns the axis that points up into z, and keeps the axes right-handed.
 _UPRIGHT = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -608,13 +606,16 @@ def read_mesh(
             expected="one of x, y, z and a number of metres above 0",
             code="value-out-of-range",
         )
-    raw = readers[suffix](_contents(file), file.name)
+    data = read_limited(file, _MAX_BYTES, "a mesh")
+    if not data.strip():
+        raise FormatError(f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
+    raw = readers[suffix](data, file.name)
     _check(raw, file.name)
     farthest = float(np.abs(raw.vertices).max(initial=0.0))
-    if not farthest < _FARTHEST_M / unit:
+    if not farthest < _MAX_DISTANCE_M / unit:
         raise FormatError(
             f"{file.name}: a vertex is {farthest:.3g} units of {unit:g} m from the origin",
-            expected=f"at most {_FARTHEST_M:g} m",
+            expected=f"at most {_MAX_DISTANCE_M:g} m",
             mend="mend the mesh, or pass unit=",
             code="vertex-too-far",
         )
@@ -634,13 +635,6 @@ def read_mesh(
     return Scene.from_arrays(
         vertices, faces, chosen, face_material=surface, normals=normals, instance=thing, name=file.stem
     )
-
-
-def _contents(file: Path) -> bytes:
-    data = read_limited(file, _MAX_BYTES, "a mesh")
-    if not data.strip():
-        raise FormatError(f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
-    return data
 
 
 def _check(raw: RawTriangles, where: str) -> None:

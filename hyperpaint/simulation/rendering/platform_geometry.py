@@ -24,13 +24,13 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.setting_checks import finite_floats
 
 #: Sizes of a flight that are taken; poses are held in memory, 200 bytes a line.
-MOST_LINES, MOST_COLUMNS = 1_000_000, 20_000
+MAX_LINES, MAX_COLUMNS = 1_000_000, 20_000
 
 #: UTC at mid exposure of the first line, where nothing else is said.
 START = np.datetime64("2021-07-20T17:10:00", "ns")
 
 #: Tangent of the steepest view that is taken.
-STEEPEST = float(np.tan(np.radians(85.0)))
+MAX_VIEW_TANGENT = float(np.tan(np.radians(85.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,9 @@ class Platform:
             object.__setattr__(self, name, finite_floats(getattr(self, name), name, problems))
         problems.raise_if_any()
         lines = len(self.origin) if self.origin.ndim else 0
-        if not 1 <= lines <= MOST_LINES:
-            problems.add(f"{lines} lines", expected=f"1 to {MOST_LINES}", code="value-out-of-range")
-        self._check_shapes(lines, problems)
-        problems.raise_if_any()
-        self._check_values(problems)
-        problems.raise_if_any()
-
-    def _check_shapes(self, lines: int, problems: Problems) -> None:
+        if not 1 <= lines <= MAX_LINES:
+            problems.add(f"{lines} lines", expected=f"1 to {MAX_LINES}", code="value-out-of-range")
+        # shapes
         expected = {
             "origin": (lines, 2, 3),
             "rotation": (lines, 2, 3, 3),
@@ -94,10 +89,10 @@ class Platform:
             if actual != shape:
                 problems.add(f"{name} has shape {actual}", expected=f"{shape}", code="dims-wrong")
         edges = self.column_edges.shape
-        if len(edges) != 1 or not 2 <= edges[0] <= MOST_COLUMNS + 1:
+        if len(edges) != 1 or not 2 <= edges[0] <= MAX_COLUMNS + 1:
             problems.add(
                 f"column_edges has shape {edges}",
-                expected=f"(columns + 1,) with 1 to {MOST_COLUMNS} columns",
+                expected=f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
                 code="dims-wrong",
             )
         if np.asarray(self.time).dtype != np.int64:
@@ -106,14 +101,14 @@ class Platform:
                 expected="int64 nanoseconds after the first line",
                 code="type-wrong",
             )
-
-    def _check_values(self, problems: Problems) -> None:
+        problems.raise_if_any()
+        # values
         turned = self.rotation @ self.rotation.swapaxes(-1, -2)
         if not np.allclose(turned, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
             problems.add("rotation contains matrices that are not rotations", code="rotation-invalid")
         for name in ("column_edges", "along_edges"):
             edges = getattr(self, name)
-            if not (np.diff(edges) > 0).all() or np.abs(edges).max() > STEEPEST:
+            if not (np.diff(edges) > 0).all() or np.abs(edges).max() > MAX_VIEW_TANGENT:
                 problems.add(
                     f"{name} do not increase, or exceed 85 degrees",
                     expected="tangents of view angles",
@@ -125,6 +120,7 @@ class Platform:
                 expected="a number of seconds from 0 to below 3600",
                 code="value-out-of-range",
             )
+        problems.raise_if_any()
 
     @property
     def lines(self) -> int:

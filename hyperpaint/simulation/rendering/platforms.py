@@ -20,10 +20,10 @@ from hyperpaint.simulation.setting_checks import (
 )
 
 from .platform_geometry import (
-    MOST_COLUMNS,
-    MOST_LINES,
+    MAX_COLUMNS,
+    MAX_LINES,
+    MAX_VIEW_TANGENT,
     START,
-    STEEPEST,
     Platform,
     interpolate,
     matrices,
@@ -163,8 +163,8 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
 
 def _check_pushbroom(given: dict[str, Any]) -> None:
     problems = Problems("the flight cannot be flown", SchemaError)
-    check_whole(problems, "lines", given["lines"], 1, MOST_LINES)
-    check_whole(problems, "columns", given["columns"], 1, MOST_COLUMNS)
+    check_whole(problems, "lines", given["lines"], 1, MAX_LINES)
+    check_whole(problems, "columns", given["columns"], 1, MAX_COLUMNS)
     check_whole(problems, "seed", given["seed"], 0)
     for name, (lowest, highest) in _RANGES.items():
         if given[name] is not None:
@@ -192,7 +192,7 @@ def _check_pushbroom(given: dict[str, Any]) -> None:
             code="exposure-too-long",
         )
     angle = _pixel_angle(given)
-    if angle * given["columns"] / 2 > STEEPEST:
+    if angle * given["columns"] / 2 > MAX_VIEW_TANGENT:
         aside = np.degrees(np.arctan(angle * given["columns"] / 2))
         problems.add(
             f"{given['columns']} columns reach {aside:.1f} degrees from nadir",
@@ -325,7 +325,7 @@ def platform_from_poses(
         )
     }
     _check_poses(poses, seconds, problems)
-    check_whole(problems, "columns", columns, 1, MOST_COLUMNS)
+    check_whole(problems, "columns", columns, 1, MAX_COLUMNS)
     check_number(problems, "ifov", ifov, *_RANGES["ifov"])
     check_number(problems, "exposure_time", exposure_time, *_RANGES["exposure_time"])
     problems.raise_if_any()
@@ -413,5 +413,5 @@ def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, p
             expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
             code="lines-outside-poses",
         )
-    if len(at) > MOST_LINES:
-        problems.add(f"{len(at)} lines", expected=f"at most {MOST_LINES}", code="size-too-large")
+    if len(at) > MAX_LINES:
+        problems.add(f"{len(at)} lines", expected=f"at most {MAX_LINES}", code="size-too-large")

@@ -21,10 +21,10 @@ from .scene_record import SceneRecord
 from .weathering import Octaves
 
 #: Mean below which a member is not divided by it [1].
-_DARKEST = 1e-4
+_MIN_MEAN = 1e-4
 
 #: Member over mean at the most: noise about a mean of nearly nothing [1].
-_BRIGHTEST = 50.0
+_MAX_RATIO = 50.0
 
 
 class Populations(NamedTuple):
@@ -78,10 +78,10 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 def _over_mean(rows: Floats) -> Floats:
     """Return members (member, band) over their mean, darkest first."""
     mean = rows.mean(axis=0)
-    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _DARKEST)
-    ratio = np.minimum(ratio, _BRIGHTEST)
+    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN)
+    ratio = np.minimum(ratio, _MAX_RATIO)
     # what was cut off below 0 or above 1 must not change the mean
-    ratio /= np.maximum(ratio.mean(axis=0), _DARKEST)
+    ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
     return np.asarray(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
 
 

@@ -215,7 +215,7 @@ def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.ob
 
 
 #: Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred.
-MOST_AROUND = 256
+MAX_FACES_AROUND = 256
 
 
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
@@ -225,8 +225,8 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     lie within ``crease`` of its own, weighted by their angles there, so that it does not matter how a
     surface is cut into triangles (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several
     normals becomes several vertices. Vertices must be shared, as `lattice` shares them. Triangles without
-    area are dropped. Where more than `MOST_AROUND` triangles meet, each keeps its own normal: they hardly
-    bend from one to the next, and every one would be held against all others.
+    area are dropped. Where more than `MAX_FACES_AROUND` triangles meet, each keeps its own normal: they bend
+    little from one to the next, and comparing all pairs would take long.
 
     Examples
     --------
@@ -236,7 +236,14 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     """
     with_area = has_area(mesh.vertices, mesh.faces)
     faces = mesh.faces[with_area]
-    unit, angle = _directions_and_angles(mesh.vertices[faces])
+    # unit normals of the triangles, and the angles at their corners
+    corners = mesh.vertices[faces]
+    to_next = np.roll(corners, -1, axis=1) - corners
+    to_last = -np.roll(to_next, 1, axis=1)
+    turned = np.cross(to_next, to_last)
+    sine = np.linalg.norm(turned, axis=2)
+    angle = np.arctan2(sine, (to_next * to_last).sum(axis=2)).reshape(-1)
+    unit = turned[:, 0] / sine[:, :1]
     vertex = faces.reshape(-1)
     order = np.argsort(vertex, kind="stable")
     counts = np.bincount(vertex, minlength=len(mesh.vertices))
@@ -245,7 +252,7 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     place = np.arange(len(order)) - starts
     own = unit[order // 3]
     total = np.zeros((len(order), 3))
-    crowded = sizes > MOST_AROUND
+    crowded = sizes > MAX_FACES_AROUND
     total[crowded] = own[crowded]
     left = np.flatnonzero(~crowded)
     for step in range(int(sizes[left].max(initial=0))):  # corner against the step-th next around its vertex
@@ -264,16 +271,6 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
         part=mesh.part[with_area],
         normals=normals[first],
     )
-
-
-def _directions_and_angles(corners: Floats) -> tuple[Floats, Floats]:
-    """Return unit normals of triangles (face, 3, 3), and the angles at their corners, shape (face * 3,)."""
-    to_next = np.roll(corners, -1, axis=1) - corners
-    to_last = -np.roll(to_next, 1, axis=1)
-    turned = np.cross(to_next, to_last)
-    sine = np.linalg.norm(turned, axis=2)
-    angle = np.arctan2(sine, (to_next * to_last).sum(axis=2)).reshape(-1)
-    return turned[:, 0] / sine[:, :1], angle
 
 
 def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:

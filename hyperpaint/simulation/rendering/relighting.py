@@ -414,7 +414,7 @@ _FWHM, _STEP = 3.0, 1.0  # nm, of the field spectrometer
 _GRID_STEP = 0.05  # nm
 _REACH = 3.3  # full widths of its line shape
 _MARGIN = np.timedelta64(10**9, "ns")  # how far the record goes beyond the lines
-_MOST_TIMES = 2000
+_MAX_TIMES = 2000
 
 
 def _irradiance_record(
@@ -479,7 +479,7 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
     between = np.empty(0, "datetime64[ns]")
     if lines:
         span = int(np.asarray(last - first, "timedelta64[ns]").astype(np.int64))
-        steps = np.linspace(0, span, min(max(lines, 2), _MOST_TIMES)).astype(np.int64)
+        steps = np.linspace(0, span, min(max(lines, 2), _MAX_TIMES)).astype(np.int64)
         between = first + np.unique(steps).astype("timedelta64[ns]")
     return np.concatenate([[first - _MARGIN], between, [last + _MARGIN]]).astype("datetime64[ns]")
 

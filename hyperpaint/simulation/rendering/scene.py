@@ -42,7 +42,7 @@ PARTS = (
     "underbody",
 )
 
-_SMALLEST_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
+_MIN_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
 
 
 @dataclass(frozen=True)
@@ -446,7 +446,7 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which triangles have an area, shape (face,); thinner ones have no direction."""
     edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     longest = (edges**2).sum(axis=2).max(axis=1)
-    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _SMALLEST_SHAPE * longest)
+    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _MIN_SHAPE * longest)
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:

@@ -17,7 +17,7 @@ from hyperpaint.simulation.setting_checks import check_number, check_whole
 from hyperpaint.simulation.settings import MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
-    MOST_SUNS,
+    MAX_SUNS,
     SOURCE_BITS,
     PathCodes,
 )
@@ -26,7 +26,7 @@ from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
 from .scene_spectra import FOURTEEN
 
-_MOST_SLOTS = 4096
+_MAX_SLOTS = 4096
 
 #: Angular radius of the sun [degree].
 SUN_RADIUS_DEG = 0.267
@@ -60,8 +60,8 @@ class TraceSettings:
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
-        if not 1 <= len(self.suns) <= MOST_SUNS:
-            problems.add(f"{len(self.suns)} suns", expected=f"1 to {MOST_SUNS}", code="sun-number")
+        if not 1 <= len(self.suns) <= MAX_SUNS:
+            problems.add(f"{len(self.suns)} suns", expected=f"1 to {MAX_SUNS}", code="sun-number")
         for number, sun in enumerate(self.suns):
             if len(sun) != 2 or not all(np.isfinite(sun)):
                 problems.add(
@@ -77,7 +77,7 @@ class TraceSettings:
         check_whole(problems, "depth", self.depth, 1, 32)
         check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
         if self.slots is not None:
-            check_whole(problems, "slots", self.slots, 1, _MOST_SLOTS)
+            check_whole(problems, "slots", self.slots, 1, _MAX_SLOTS)
         check_number(problems, "sun_radius", self.sun_radius, 0.0, 45.0)
         problems.raise_if_any()
 
@@ -88,7 +88,7 @@ class TraceSettings:
             return self.slots
         clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
         sources = len(self.suns) + 1 + self.overcast + clear
-        return min(_MOST_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
+        return min(_MAX_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
 
     @classmethod
     def of(cls, suns: Any, **settings: Any) -> TraceSettings:
@@ -210,7 +210,8 @@ class SceneRecord:
             instances = tuple(Instance(**each) for each in texts["instances"])
             factors = tuple(Factor(**each) for each in texts["factors"])
             record = cls(str(attrs.get("scene", "")), materials, instances, members, factors)
-            record._check_numbers()
+            for number in (*(factor.material for factor in factors), *(n for part in members for n in part)):
+                materials[number]  # an IndexError is damage
             settings = TraceSettings.of(
                 texts["suns"],
                 samples=int(attrs["samples"]),
@@ -226,10 +227,6 @@ class SceneRecord:
                 code="metadata-damaged",
             ) from error
         return record, settings
-
-    def _check_numbers(self) -> None:
-        for number in (*(factor.material for factor in self.factors), *(n for m in self.members for n in m)):
-            self.materials[number]
 
     def codes(self, settings: TraceSettings) -> PathCodes:
         """Return the layout of the trace's path codes."""

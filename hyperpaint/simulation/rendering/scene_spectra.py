@@ -96,31 +96,30 @@ class PaintSpec:
         return Material(name or self.name, self.name, "paint", self.coat, self.flakes)
 
 
-def _solid(name: str, colour: str, trade_name: str) -> PaintSpec:
-    return PaintSpec(name, "solid", colour, trade_name)
-
-
-def _metallic(name: str, colour: str, trade_name: str, share: float) -> PaintSpec:
-    return PaintSpec(name, "metallic", colour, trade_name, flakes=Flakes(share))
-
-
+#: Name, colour, trade name and flake share of the paints of the catalogue.
 _CATALOGUE = {
-    spec.name: spec
-    for spec in (
-        _solid("white", "white", "Polar White"),
-        _metallic("silver", "silver", "Lunar Silver", 0.5),
-        _metallic("grey", "grey", "Harbour Grey", 0.3),
-        _solid("black", "black", "Carbon Black"),
-        _solid("ir_black", "black", "Night Glass Black"),
-        _solid("red", "red", "Signal Red"),
-        _solid("dark_red", "dark red", "Garnet Red"),
-        _metallic("blue", "blue", "Baltic Blue", 0.15),
-        _solid("light_blue", "light blue", "Alpine Blue"),
-        _metallic("green", "green", "Tundra Green", 0.15),
-        _solid("yellow", "yellow", "Solar Yellow"),
-        _solid("orange", "orange", "Desert Orange"),
-        _solid("beige", "beige", "Dune Beige"),
-        _metallic("brown", "brown", "Umber Brown", 0.2),
+    name: PaintSpec(
+        name,
+        "metallic" if share else "solid",
+        colour,
+        trade_name,
+        flakes=Flakes(share) if share else None,
+    )
+    for name, colour, trade_name, share in (
+        ("white", "white", "Polar White", 0.0),
+        ("silver", "silver", "Lunar Silver", 0.5),
+        ("grey", "grey", "Harbour Grey", 0.3),
+        ("black", "black", "Carbon Black", 0.0),
+        ("ir_black", "black", "Night Glass Black", 0.0),
+        ("red", "red", "Signal Red", 0.0),
+        ("dark_red", "dark red", "Garnet Red", 0.0),
+        ("blue", "blue", "Baltic Blue", 0.15),
+        ("light_blue", "light blue", "Alpine Blue", 0.0),
+        ("green", "green", "Tundra Green", 0.15),
+        ("yellow", "yellow", "Solar Yellow", 0.0),
+        ("orange", "orange", "Desert Orange", 0.0),
+        ("beige", "beige", "Dune Beige", 0.0),
+        ("brown", "brown", "Umber Brown", 0.2),
     )
 }
 

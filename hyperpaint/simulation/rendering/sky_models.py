@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.setting_checks import check_number
@@ -146,11 +146,8 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     """
     check_wavelengths(wavelength)
     mass = relative_air_mass(sun_zenith)
-    try:
+    with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
         from pvlib.spectrum import spectrl2
-    except ImportError as error:
-        needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
-        raise needed from error
     angles = {"apparent_zenith": sun_zenith, "aoi": sun_zenith, "surface_tilt": 0.0, "relative_airmass": mass}
     table = spectrl2(**angles, **air)
     coarse = np.asarray(table["wavelength"], dtype=np.float64)

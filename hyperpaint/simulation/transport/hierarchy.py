@@ -17,9 +17,9 @@ from hyperpaint.base.jit import borrowing_kernel
 from .vectors import Vector
 
 _BINS = 16
-_LARGEST_LEAF = 4
+_MAX_LEAF_TRIANGLES = 4
 _TRAVERSAL = 1.5  # cost of a node, in tests of a triangle
-_DEEPEST_BY_COST = 56  # below it a run is halved by count: at most 31 levels more
+_MAX_LEVELS_BY_COST = 56  # below it a run is halved by count: at most 31 levels more
 _WHOLE, _SWEPT, _CENTRES = 3 * _BINS, 3 * _BINS + 1, 3 * _BINS + 2  # boxes behind those of the bins
 
 
@@ -189,11 +189,11 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _R
         for k in range(6):
             nodes[child, k] = room.boxes[_WHOLE, k]
         cost, axis, first_high = np.inf, 0, 0
-        if count > 1 and level < _DEEPEST_BY_COST:
+        if count > 1 and level < _MAX_LEVELS_BY_COST:
             _fill_bins(boxes, order, start, stop, room)
             cost, axis, first_high = _best_split(count, room)
         own = _measure(room.boxes, _WHOLE, 0.0)
-        if count <= _LARGEST_LEAF and count * own <= cost + _TRAVERSAL * own:
+        if count <= _MAX_LEAF_TRIANGLES and count * own <= cost + _TRAVERSAL * own:
             links[child] = -(16 * start + count) - 1
             continue
         cut = (start + stop) // 2
@@ -210,7 +210,7 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _R
 STACK = 96
 
 #: Coordinates beyond this [m] are refused: products of lengths must not overflow.
-_LARGEST = 1e9
+_MAX_COORDINATE_M = 1e9
 
 _0, _1, _2, _3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _4, _5, _6, _9, _12 = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(9), np.uint64(12)
@@ -293,8 +293,8 @@ def build_geometry(
         raise ValueError(f"{len(shading)} normals for {len(points)} vertices")
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
         raise ValueError(f"faces number corners {corners.min()} to {corners.max()} of {len(points)} vertices")
-    if not (np.abs(points) <= _LARGEST).all():
-        raise ValueError(f"vertices must be finite and within {_LARGEST:g} m")
+    if not (np.abs(points) <= _MAX_COORDINATE_M).all():
+        raise ValueError(f"vertices must be finite and within {_MAX_COORDINATE_M:g} m")
 
     triangles = points[corners]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])

@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 from .hierarchy import Geometry
-from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MOST_SUNS, USABLE_BITS
+from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MAX_SUNS, USABLE_BITS
 from .surfaces import Surfaces
 
 
@@ -158,9 +158,9 @@ def check(
     if seed >= 2**63 or max(first_line + len(rays.origin), samples) > 2**32:
         wrong.append("seed must fit 63 bits, the numbers of lines and samples 32")
     suns = len(sources.suns)
-    if suns > MOST_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
+    if suns > MAX_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
         wrong.append(
-            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MOST_SUNS}"
+            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}"
         )
     elif np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8):
         wrong.append(f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns")

@@ -26,7 +26,7 @@ from hyperpaint.base.errors import SchemaError
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
 
 #: Suns that one trace holds.
-MOST_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
+MAX_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
 
 #: Functions of the clear sky of a sun, beside the uniform one.
 CLEAR_SKY_FUNCTIONS = 2

@@ -31,8 +31,8 @@ from .surfaces import (
     COAT,
     ENDED,
     FLAKES,
+    MIN_ALPHA,
     RECYCLED,
-    SMALLEST_ALPHA,
     TWICE,
     WAVINESS,
     WIDENED_ALPHA,
@@ -374,9 +374,7 @@ def _trace_sample(
     material = geometry.face_material[face]
     hit, point = hit_at(geometry, face, weights, direction, surfaces.numbers[material, WAVINESS])
     back = (-direction[0], -direction[1], -direction[2])
-    lobes = lobes_at(
-        surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), SMALLEST_ALPHA
-    )
+    lobes = lobes_at(surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), MIN_ALPHA)
     _record_first(sources, room, distance, point, hit.frame[2])
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
     _record_suns(scene, room, hit, lobes, codes, 1.0, place, 0)

@@ -24,7 +24,7 @@ from hyperpaint.base.jit import borrowing_kernel
 from .vectors import Vector, dot, unit
 
 #: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
-SMALLEST_ALPHA = 5e-4
+MIN_ALPHA = 5e-4
 
 #: Nodes of the tables of lost light, evenly over the square root of the cosine: losses are at grazing angles.
 _NODES = 32
@@ -268,8 +268,8 @@ def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, 
     return Lobes(
         material,
         index,
-        max(numbers[material, _ALPHA], SMALLEST_ALPHA),
-        max(numbers[material, _FLAKE_ALPHA], SMALLEST_ALPHA),
+        max(numbers[material, _ALPHA], MIN_ALPHA),
+        max(numbers[material, _FLAKE_ALPHA], MIN_ALPHA),
         least_alpha,
         share,
         view,
@@ -457,7 +457,7 @@ def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> 
     the columns of a material from the transmission of diffuse light on.
     """
     single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
-    alpha, count = max(alpha, SMALLEST_ALPHA), _DRAWS * _DRAWS
+    alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
     for node in range(_NODES):
         cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
         view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
@@ -473,7 +473,7 @@ def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> 
         total = 0.0
         for i in range(count):
             u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
-            out, weight = _leave_flakes(view, index, max(flake_alpha, SMALLEST_ALPHA), u, v)
+            out, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
             if weight > 0.0:
                 total += weight * (1.0 - fresnel(out[2], index) * _between(row, single, out[2]))
         row[lost + node] = max(0.0, 1.0 - total / count)
