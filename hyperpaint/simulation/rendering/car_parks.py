@@ -92,11 +92,6 @@ class Layout:
         """Line of trees in the west, just outside the park."""
         return -0.5 * self.width - 0.3
 
-    @property
-    def lamps(self) -> float:
-        """Line of lamps in the west."""
-        return -0.5 * self.width + 0.6
-
     def is_island(self, bay: int, row: int) -> bool:
         """Return whether an island takes the place of a bay; those of two rows back to back lie together."""
         return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
@@ -361,8 +356,11 @@ def car_park(
     >>> sorted({one.kind for one in park.instances})
     ['car', 'ground', 'panel']
     """
+    if paints is None:
+        first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
+        paints = fleet_names(first, _FLEET_SIZE) if fleet == "real" else FOURTEEN
     chosen = _Choices(
-        _paints_of_fleet(fleet, seed) if paints is None else tuple(paints),
+        tuple(paints),
         tuple(CAR_TYPES) if types is None else tuple(types),
         seed,
         occupancy,
@@ -434,13 +432,6 @@ class _Choices:
 
 #: Different cars of a fleet: more than a car park has bays.
 _FLEET_SIZE = 5000
-
-
-def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
-    """Return the paints of a fleet; a real one in an order with its shares in every stretch."""
-    if fleet != "real":
-        return FOURTEEN
-    return fleet_names(int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)), _FLEET_SIZE)
 
 
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
@@ -539,7 +530,11 @@ def _trees(layout: Layout, chosen: _Choices, leaves: int) -> Iterator[Scene]:
 def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> Iterator[Scene]:
     """Yield the wall in the east, and the hedge behind the trees in the west."""
     if "walls" in neighbours:
-        wall = _brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
+        # 1.6 m high, 0.24 m thick, with a coping
+        length = layout.length
+        body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
+        coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
+        wall = put_together([body, coping]).shifted((layout.wall, 0.0, 0.0))
         yield wall.scene(chosen.surroundings, Instance("wall", "wall"))
     if "hedges" in neighbours:
         rng = np.random.default_rng([chosen.seed, _TREES])
@@ -549,9 +544,16 @@ def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> I
 
 
 def _lamps(layout: Layout) -> Iterator[Scene]:
+    # 6 m high, the arm to the east
+    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
+    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
+    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
+    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
+    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
+    lamp = put_together([post, beam, head, glass, foot])
     for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
-        post = _lamp_post().shifted((layout.lamps, float(north), 0.0))
-        yield post.scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
+        at = (-0.5 * layout.width + 0.6, float(north), 0.0)
+        yield lamp.shifted(at).scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
 
 
 def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
@@ -586,23 +588,6 @@ def _hedge(rng: np.random.Generator, length: float) -> Mesh:
     places = np.where(outward != 0, outward * rng.uniform(0.85, 1.0, (count, 1)), inside)
     places = 0.5 * places * (thickness, length, height) + (0.0, 0.5 * length, 0.5 * height)
     return put_together([_foliage(rng, places, outward), core])
-
-
-def _brick_wall(length: float) -> Mesh:
-    """Return a wall with a coping from the origin to the north, 1.6 m high and 0.24 m thick."""
-    body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
-    coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
-    return put_together([body, coping])
-
-
-def _lamp_post() -> Mesh:
-    """Return a lamp that stands on the origin, 6 m high, its arm to the east."""
-    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
-    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
-    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
-    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
-    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
-    return put_together([post, beam, head, glass, foot])
 
 
 def _directions(rng: np.random.Generator, count: int) -> Floats:

@@ -38,7 +38,7 @@ from .four_curves import Atmosphere, preset_atmosphere
 from .lighting import SHARES, Lighting, make_lighting, traced_sun
 from .painting import FactorSpectra, factor_spectra
 from .populations import Populations, populations_of, rows_of_pixels
-from .scene_record import LabelTables, SceneRecord, TraceSettings
+from .scene_record import LabelTables, SceneRecord
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 
@@ -159,7 +159,13 @@ def relight(
     """
     record, settings = SceneRecord.from_attrs(traced.attrs)
     variables = require(traced, _PATHS, "radiance from traced paths")
-    sky = _atmosphere(atmosphere)
+    sky = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
+    if not isinstance(sky, Atmosphere):
+        raise SchemaError(
+            f"atmosphere is {type(sky).__name__}",
+            expected="an Atmosphere or the name of a preset",
+            code="type-wrong",
+        )
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     _check(camera, sky, columns)
@@ -167,14 +173,20 @@ def relight(
     painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    light = _lighting(camera, record, settings, sky, painted)
+    # light and camera are one node of the graph, shared by all tasks
+    shared = (camera, record.codes(settings), sky, settings, painted(BandResponses(camera).grid))
+    light = dask.delayed(make_lighting, pure=True)(*shared)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
     varied: Any = factors
     if isinstance(variation, BrokenClouds):
         varied = _shadowed(traced, variation, paths[0].chunks[0])
     cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
-    line = _dataset(cubes, traced, camera, _tables(record, painted))
+    names = [""] * len(record.materials)  # spectra of the bases
+    for factor, name in zip(record.factors, painted.names, strict=True):
+        if not (factor.flakes or factor.through):
+            names[factor.material] = name
+    line = _dataset(cubes, traced, camera, LabelTables.of(record, names))
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
@@ -190,17 +202,6 @@ def relight(
         **series.attrs,
     }
     return line.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
-
-
-def _atmosphere(atmosphere: Any) -> Atmosphere:
-    light = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
-    if not isinstance(light, Atmosphere):
-        raise SchemaError(
-            f"atmosphere is {type(light).__name__}",
-            expected="an Atmosphere or the name of a preset",
-            code="type-wrong",
-        )
-    return light
 
 
 def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
@@ -264,14 +265,6 @@ def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...])
 
 def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Array) -> Array:
     return np.moveaxis(clouds.factors(east, north, seconds[:, None]), 0, 1)
-
-
-def _lighting(
-    bands: BandSet, record: SceneRecord, settings: TraceSettings, sky: Atmosphere, painted: FactorSpectra
-) -> Any:
-    """Return the `Lighting` that all tasks share, lazily: one node of the graph."""
-    factors = painted(BandResponses(bands).grid)
-    return dask.delayed(make_lighting, pure=True)(bands, record.codes(settings), sky, settings, factors)
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
@@ -370,14 +363,6 @@ def _shares_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Arr
     return light.shares(_only(weight), _only(code), _only(variation))
 
 
-def _tables(record: SceneRecord, painted: FactorSpectra) -> LabelTables:
-    names = [""] * len(record.materials)
-    for factor, name in zip(record.factors, painted.names, strict=True):
-        if not (factor.flakes or factor.through):
-            names[factor.material] = name
-    return LabelTables.of(record, names)
-
-
 def _dataset(
     cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
 ) -> xr.Dataset:
@@ -436,7 +421,8 @@ def _irradiance_record(
         seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
         values = (variation.factors(*variation.station, seconds).T @ spectra).astype(np.float32)
     elif variation is not None:
-        values = _varied(traced, times, variation, spectra)
+        record = dask.delayed(_at_times, pure=True)(traced["time"].data, times, variation, spectra)
+        values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
     gap = np.diff(times).max() / np.timedelta64(1, "s")
     variables = {
         "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
@@ -482,13 +468,6 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
         steps = np.linspace(0, span, min(max(lines, 2), _MAX_TIMES)).astype(np.int64)
         between = first + np.unique(steps).astype("timedelta64[ns]")
     return np.concatenate([[first - _MARGIN], between, [last + _MARGIN]]).astype("datetime64[ns]")
-
-
-def _varied(traced: xr.Dataset, times: Any, variation: Floats, spectra: Floats) -> Any:
-    line_times = traced["time"].data
-    shape = (times.size, spectra.shape[1])
-    values = dask.delayed(_at_times, pure=True)(line_times, times, variation, spectra)
-    return da.from_delayed(values, shape, dtype=dtype_of("irradiance"))
 
 
 def _at_times(line_times: Any, times: Any, variation: Floats, spectra: Floats) -> NDArray[np.float32]:
