@@ -225,7 +225,16 @@ def simulate_collect(
         (root / "lab").mkdir()
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
-    _write_survey(flight, root / SURVEY)
+    # places of the ground under the first, middle and last scan line; heights above the ellipsoid
+    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
+    ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
+    ground[:, 2] = 0.0
+    points = zip(*flight.frame.geodetic(ground), strict=True)
+    rows = "".join(
+        f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
+        for number, (latitude, longitude, height) in enumerate(points, start=1)
+    )
+    (root / SURVEY).write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{rows}", encoding="ascii")
     path = root / "collect.toml"
     # a reader that finds this file finds all the others whole
     path.write_text(_collect_text(flight, lab is not None), encoding="utf-8")
@@ -256,7 +265,15 @@ def _prepare(root: Path, overwrite: bool) -> Path:
                 option=mend.format("--overwrite"),
                 code="folder-not-empty",
             )
-        _check_simulated(root)
+        # a collect, or parts of one, that no simulation wrote is not replaced
+        parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
+        if parts and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode():
+            raise StoreError(
+                f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
+                expected="an earlier simulated collect",
+                mend="name another folder; nothing was removed",
+                code="folder-foreign",
+            )
         (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
         for part in PARTS[:-1]:
             target = root / part
@@ -269,19 +286,6 @@ def _prepare(root: Path, overwrite: bool) -> Path:
     # whose the folder is, also where this run does not come to its end
     (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
     return root
-
-
-def _check_simulated(root: Path) -> None:
-    """Refuse to replace a collect that no simulation wrote."""
-    toml = root / "collect.toml"
-    parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
-    if parts and not (head_of(toml, len(MARKER)) == MARKER.encode()):
-        raise StoreError(
-            f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
-            expected="an earlier simulated collect",
-            mend="name another folder; nothing was removed",
-            code="folder-foreign",
-        )
 
 
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -378,19 +382,6 @@ def _write_flight(
     pose = flight.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
     write_sbet(folder / "trajectory.sbet", pose, utc)
-
-
-def _write_survey(flight: Flight, path: Path) -> None:
-    """Write ground points under the first, middle and last scan line; heights above the ellipsoid."""
-    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
-    places = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
-    places[:, 2] = 0.0
-    rows = zip(*flight.frame.geodetic(places), strict=True)
-    text = "".join(
-        f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
-        for number, (latitude, longitude, height) in enumerate(rows, start=1)
-    )
-    path.write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{text}", encoding="ascii")
 
 
 def _collect_text(flight: Flight, with_sweep: bool) -> str:

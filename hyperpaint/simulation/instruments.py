@@ -245,8 +245,31 @@ def _write_asd(
     blocks: Sequence[tuple[int, bytes, Floats]] = (),
 ) -> None:
     zone = clock.utc_offset
+    header = bytearray(484)
+    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
+        (0, "3s", (b"as7",)),
+        (3, "157s", (kind.comment,)),
+        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
+        (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
+        (182, "i", (clock.reference_stamp,)),
+        (186, "B", (kind.number,)),
+        (187, "i", (clock.reference_stamp,)),
+        (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
+        (199, "B", (2,)),  # float64
+        (204, "H", (len(counts),)),
+        (390, "I", (ASD_INTEGRATION_MS,)),
+        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
+        (398, "HH", (1, 18875)),
+        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (418, "H", (16,)),
+        (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
+        (431, "B", (2,)),  # LSVNIR
+        (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
+    )
+    for offset, layout, values in fields:
+        struct.pack_into("<" + layout, header, offset, *values)
     parts = [
-        _asd_header(kind, len(counts), clock),
+        bytes(header),
         counts.astype("<f8").tobytes(),
         struct.pack("<Hdd", 0xFFFF, _ole(clock.reference_stamp + zone), _ole(clock.stamp + zone)),
         struct.pack("<H", 0),
@@ -262,33 +285,6 @@ def _write_asd(
 
 # two codes, twenty empty strings, no constituents, an array of no dims
 _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
-
-
-def _asd_header(kind: _AsdKind, channels: int, clock: _AsdClock) -> bytes:
-    header = bytearray(484)
-    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
-        (0, "3s", (b"as7",)),
-        (3, "157s", (kind.comment,)),
-        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
-        (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
-        (182, "i", (clock.reference_stamp,)),
-        (186, "B", (kind.number,)),
-        (187, "i", (clock.reference_stamp,)),
-        (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
-        (199, "B", (2,)),  # float64
-        (204, "H", (channels,)),
-        (390, "I", (ASD_INTEGRATION_MS,)),
-        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
-        (398, "HH", (1, 18875)),
-        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
-        (418, "H", (16,)),
-        (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
-        (431, "B", (2,)),  # LSVNIR
-        (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
-    )
-    for offset, layout, values in fields:
-        struct.pack_into("<" + layout, header, offset, *values)
-    return bytes(header)
 
 
 def _c_time(local: int) -> tuple[int, ...]:

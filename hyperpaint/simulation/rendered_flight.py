@@ -36,7 +36,6 @@ from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
-from .transport.texturing import Texture
 
 #: Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint.
 GLINT = 0.02
@@ -75,31 +74,30 @@ class RenderedFlight(Flight):
         self._scene: PreparedScene = prepare_scene(scene, trace)
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
-        self.paints = tuple(sorted({each.spectrum for each in record.materials if each.kind == "paint"}))
+        paint_names = {material.spectrum for material in record.materials if material.kind == "paint"}
+        self.paints = tuple(sorted(paint_names))
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         bands = BandSet.of(self.imager)
-        light = source_spectra(self._atmosphere(overcast), trace)
-        factors = factor_spectra(record, bands)
-        self._populations = populations_of(record, factors, bands)
-        self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
-
-    def _atmosphere(self, overcast: bool) -> Atmosphere:
-        """Return the light, without air before the camera."""
+        # the light, without air before the camera
         direct, diffuse = self.sky
-        spread = clear_spread(self.grid, direct, self.settings.sun[0])
-        return Atmosphere(
+        spread = clear_spread(self.grid, direct, settings.sun[0])
+        atmosphere = Atmosphere(
             self.grid,
             direct / self._cosine,
             diffuse,
             0.0 * self.grid,
             0.0 * self.grid,
-            *self.settings.sun,
+            *settings.sun,
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
             molecular=spread.molecular,
             aureole=spread.aureole,
         )
+        light = source_spectra(atmosphere, trace)
+        factors = factor_spectra(record, bands)
+        self._populations = populations_of(record, factors, bands)
+        self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
@@ -130,7 +128,12 @@ class RenderedFlight(Flight):
     def _car_park(self) -> Scene:
         """Return a car park that begins before the first line's view and ends behind the last one's."""
         settings = self.settings
-        ahead, before = self._seen_ahead()
+        # how far ahead the camera may look, and length of park before its view [m]
+        path = self.trajectory
+        lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
+        ahead = lean * self.ground_sample / PIXEL_ANGLE
+        turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        before = ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
         if length > _MAX_LENGTH_M:
@@ -154,14 +157,6 @@ class RenderedFlight(Flight):
         )
         return park.moved((0.0, -float(start), 0.0))
 
-    def _seen_ahead(self) -> tuple[float, float]:
-        """Return how far ahead the camera may look, and the length of car park before its view [m]."""
-        path = self.trajectory
-        lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
-        ahead = lean * self.ground_sample / PIXEL_ANGLE
-        turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
-        return ahead, ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
-
     @cached_property
     def platform(self) -> Platform:
         """Camera poses at begin and end of every exposure."""
@@ -183,7 +178,13 @@ class RenderedFlight(Flight):
             self._label(block),
         )
         # on its way to counts, INT L R stands where the radiance will be
-        self._shine(block, factors, record.radiance)
+        direct, diffuse = factors[:, :, None, None]
+        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
+        texture = None
+        if self._populations is not None:
+            place = np.moveaxis(block.position, 1, 0)
+            texture = self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return Seen(record, lambda row: record.radiance[row] * per_element)
 
@@ -219,19 +220,6 @@ class RenderedFlight(Flight):
         normal = self._incident[0].mean() / self._cosine * factors[0]
         return np.asarray(weight * (normal / level)[:, None] > GLINT)
 
-    def _shine(self, block: Block, factors: Floats, out: NDArray[np.float32]) -> None:
-        """Write INT L R of every element without its own factor, shape (line, band, column)."""
-        direct, diffuse = factors[:, :, None, None]
-        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        self._products.mix(weight, block.code, out, self._texture(block))
-
-    def _texture(self, block: Block) -> Texture | None:
-        """Return the population members of pixels; None without populations."""
-        if self._populations is None:
-            return None
-        labels, place = (block.material, block.instance), np.moveaxis(block.position, 1, 0)
-        return self._populations.texture(*labels, place, self.settings.seed)
-
 
 def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
     meters = {
@@ -248,9 +236,11 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         "shadow": ("float32", {"long_name": "Share of the pixel that does not see the sun", "units": "1"}),
         **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
     }
-    return {name: Layer(dtype, _plain(attrs)) for name, (dtype, attrs) in described.items()}
-
-
-def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes with arrays as lists, for JSON."""
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in attrs.items()}
+    # attributes become JSON: lists, no arrays
+    plain = {
+        name: {
+            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()
+        }
+        for name, (_, attrs) in described.items()
+    }
+    return {name: Layer(dtype, plain[name]) for name, (dtype, _) in described.items()}

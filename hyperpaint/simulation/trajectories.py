@@ -113,10 +113,6 @@ class LocalFrame:
         """Return latitude, longitude [degree] and height [m] of x, y, z (..., 3)."""
         return geodetic(self._origin + place @ self.axes.T)
 
-    def from_north_east_down(self, latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-        """Return rotations from north, east, down at places to this frame (..., 3, 3)."""
-        return np.asarray(self.axes.T @ north_east_down(latitude, longitude))
-
 
 @dataclass(frozen=True)
 class TransverseMercator:
@@ -347,7 +343,7 @@ class Trajectory:
         """
         pose = self.pose(seconds)
         place = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
-        down = self.frame.from_north_east_down(pose["latitude"], pose["longitude"])
+        down = np.asarray(self.frame.axes.T @ north_east_down(pose["latitude"], pose["longitude"]))
         body = down @ turns(quaternions(pose["roll"], pose["pitch"], pose["heading"]))
         return place + body @ np.array(self.lever_arm), body @ turns(quaternions(*self.boresight))
 
