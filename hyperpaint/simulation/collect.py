@@ -289,7 +289,6 @@ def _prepare(root: Path, overwrite: bool) -> Path:
 
 
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return microseconds of the instrument's clock at nanoseconds after the first scan line."""
     return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
 
 

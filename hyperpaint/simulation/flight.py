@@ -278,7 +278,6 @@ class Flight(abc.ABC):
         """Return scan lines with empty counts, radiance and reflectance, and their element radiance."""
 
     def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
-        """Return memory for counts, radiance and reflectance of a number of scan lines."""
         if into is None or len(into.counts) < number:
             shape = (number, self.settings.bands, self.settings.columns)
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -337,7 +336,6 @@ class Flight(abc.ABC):
         return seen.lines.part(lines.start - first, lines.stop - first)
 
     def _factors(self, start: int, stop: int) -> Floats:
-        """Return factors of direct and diffuse light at mid exposure, shape (2, along_track)."""
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:

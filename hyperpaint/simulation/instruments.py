@@ -94,7 +94,6 @@ class BilWriter:
 
 
 def write_settings(path: Path, settings: Mapping[str, object]) -> None:
-    """Write ``settings.txt``: lines ``key = value``."""
     path.write_text("".join(f"{key} = {value}\n" for key, value in settings.items()), encoding="ascii")
 
 

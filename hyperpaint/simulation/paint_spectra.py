@@ -33,7 +33,6 @@ class Edge:
     height: float
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the step at ``wavelength`` [nm]."""
         return np.asarray(self.height * 0.5 * (1.0 + np.tanh((wavelength - self.centre) / (2 * self.width))))
 
 
@@ -46,7 +45,6 @@ class Bump:
     height: float
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the bump at ``wavelength`` [nm]."""
         return np.asarray(self.height * np.exp(-0.5 * ((wavelength - self.centre) / self.width) ** 2))
 
 
@@ -86,7 +84,6 @@ class Plain:
     features: Sequence[Feature] = ()
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance factor at ``wavelength`` [nm]."""
         total = self.level + self.slope * (wavelength - 550.0) / 1000.0
         for feature in self.features:
             total = total + feature(wavelength)

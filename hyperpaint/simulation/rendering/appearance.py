@@ -135,10 +135,14 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
     return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], part)
 
 
-def _added_up(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
+def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
     """Return the reflectance factor of a paint with a share of flakes."""
     again = share * metal + (1.0 - share) * pigment
     return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
+
+
+def _share_and_alpha(material: Material) -> tuple[float, float]:
+    return (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
 
 
 def reflectance_factor(
@@ -177,13 +181,11 @@ def reflectance_factor(
     True
     """
     index = None if material.coat is None else material.coat.index
-    share, alpha = (
-        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
-    )
+    share, alpha = _share_and_alpha(material)
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
-    seen = _added_up(lobes, share, measured_factor(body, index), metal)
+    seen = _factor_with_flakes(lobes, share, measured_factor(body, index), metal)
     return np.asarray(seen + share * lobes.flakes * (mixed - metal))
 
 
@@ -214,16 +216,13 @@ def flop_index(
     """
     curves = _paint_curves(material, wavelength, body, flakes)
     index = 0.0 if material.coat is None else material.coat.index
-    share, alpha = (
-        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
-    )
+    share, alpha = _share_and_alpha(material)
     return _flop(_three_geometries(index, alpha), share, *curves)
 
 
 def _paint_curves(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
-    """Return the factors of base and flakes at the wavelengths of D65."""
     grid = np.linspace(380.0, 780.0, len(_D65))
     pigment, metal = (
         np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
@@ -246,7 +245,7 @@ def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats
     seen = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
     lightness = []
     for lobes in geometries:
-        luminance = float((seen * _added_up(lobes, share, pigment, metal)).sum() / seen.sum())
+        luminance = float((seen * _factor_with_flakes(lobes, share, pigment, metal)).sum() / seen.sum())
         above = luminance > 216 / 24389
         lightness.append(116.0 * np.cbrt(luminance) - 16.0 if above else 24389 / 27 * luminance)
     near, face, far = lightness

@@ -319,7 +319,6 @@ def _ends(sections: Floats) -> list[Mesh]:
 
 
 def _wheels(length: float, width: float) -> list[Mesh]:
-    """Return the wheels, and the dark arches they turn in."""
     radius, thick = _WHEEL
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     pieces = []

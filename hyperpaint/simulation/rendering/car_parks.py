@@ -218,7 +218,6 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
 
 
 def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
-    """Yield the strips between the rows: aisles and gutters."""
     for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
         if end[0] - begin[1] > 1e-6:
             yield begin[1], end[0]
@@ -241,7 +240,6 @@ def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -
 
 
 def _island(bay: int, begin: float, end: float) -> Iterator[Mesh]:
-    """Yield a kerbed island that fills a bay."""
     at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
     length, wide = end - begin - 0.1, BAY[1] - 0.3
     yield cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03))
@@ -249,7 +247,6 @@ def _island(bay: int, begin: float, end: float) -> Iterator[Mesh]:
 
 
 def _arrows(layout: Layout) -> Iterator[Mesh]:
-    """Yield the painted arrows of the aisles, 4 mm thick."""
     outline = [
         [[-0.09, -1.2], [0.09, -1.2], [0.09, 0.4], [-0.09, 0.4]],
         [[-0.32, 0.4], [0.32, 0.4], [0.0, 1.2]],
@@ -528,7 +525,6 @@ def _trees(layout: Layout, chosen: _Choices, leaves: int) -> Iterator[Scene]:
 
 
 def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> Iterator[Scene]:
-    """Yield the wall in the east, and the hedge behind the trees in the west."""
     if "walls" in neighbours:
         # 1.6 m high, 0.24 m thick, with a coping
         length = layout.length

@@ -53,7 +53,6 @@ class Table:
     octaves = MEASURED
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance at ``wavelength`` [nm]."""
         return np.interp(wavelength, self.wavelength, self.reflectance)
 
     def population(self, wavelength: Floats) -> Floats | None:

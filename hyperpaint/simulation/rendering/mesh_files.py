@@ -280,7 +280,6 @@ def strip_glb(data: bytes, where: str) -> Stripped:
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON header and the binary chunk of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise FormatError(
             f"{where}: it begins with {data[:4]!r}",
@@ -416,7 +415,6 @@ class _GlbCheck:
         return self.places[number, kind]
 
     def stripped(self) -> tuple[dict[str, Any], int]:
-        """Return the stripped header, and the number of triangles of all nodes."""
         meshes = [self.mesh(mesh, number) for number, mesh in enumerate(self.many("meshes"))]
         nodes = [self.node(node, number) for number, node in enumerate(self.many("nodes"))]
         roots = self.roots(nodes)
@@ -662,7 +660,6 @@ def _check(raw: RawTriangles, where: str) -> None:
 def _assigned(
     raw: RawTriangles, materials: Mapping[str, Material], default: Material | None, where: str
 ) -> tuple[tuple[Material, ...], NDArray[np.int64]]:
-    """Return the materials, and the material number of every triangle."""
     chosen: dict[Material, int] = {}
     numbers = np.zeros(len(raw.groups), np.int64)
     missing = []

@@ -214,7 +214,6 @@ def _exchange_flakes(
 
 
 def _flakes_of(name: str) -> Flakes | None:
-    """Return the flakes of a built-in paint; None for paints without flakes and other spectra."""
     try:
         return paint_spec(name).flakes
     except SchemaError:

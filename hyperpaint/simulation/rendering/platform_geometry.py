@@ -124,12 +124,10 @@ class Platform:
 
     @property
     def lines(self) -> int:
-        """Scan lines."""
         return len(self.origin)
 
     @property
     def columns(self) -> int:
-        """Columns of the camera."""
         return len(self.column_edges) - 1
 
     @property

@@ -104,7 +104,15 @@ def pushbroom(
     >>> flight.position[0].round(3), flight.column_edges[[0, -1]].round(4)
     (array([ 0.  , -4.95, 15.  ]), array([-0.2133,  0.2133]))
     """
-    start_time = _moment(start_time)
+    # "now" would be another flight at every call
+    is_word = isinstance(start_time, str) and not start_time[:1].isdigit()
+    moment_of_start = moment_of("NaT" if is_word else start_time)
+    if not np.datetime64("1980-01-01") <= moment_of_start < np.datetime64("2100-01-01"):
+        raise SchemaError(
+            f"start_time={start_time!r:.60}",
+            expected="a UTC time such as '2021-07-20T17:10:00'",
+            code="time-unreadable",
+        )
     given = {
         "lines": lines,
         "columns": columns,
@@ -144,7 +152,8 @@ def pushbroom(
     )
     rotation = matrices(quaternions(turned[0], turned[1], turned[2] + heading))
     edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * angle)
-    return Platform(origin, rotation, edges, np.array([-0.5, 0.5]) * angle, time, exposure_time, start_time)
+    along = np.array([-0.5, 0.5]) * angle
+    return Platform(origin, rotation, edges, along, time, exposure_time, moment_of_start)
 
 
 def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats:
@@ -224,18 +233,6 @@ _RANGES = {
 
 def _is_tuple(value: Any, length: int) -> bool:
     return isinstance(value, Sequence) and len(value) == length and all(map(is_number, value))
-
-
-def _moment(value: np.datetime64 | str) -> np.datetime64:
-    # "now" would be another flight at every call
-    moment = moment_of("NaT" if isinstance(value, str) and not value[:1].isdigit() else value)
-    if not np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"):
-        raise SchemaError(
-            f"start_time={value!r:.60}",
-            expected="a UTC time such as '2021-07-20T17:10:00'",
-            code="time-unreadable",
-        )
-    return moment
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------
@@ -329,7 +326,16 @@ def platform_from_poses(
     check_number(problems, "ifov", ifov, *_RANGES["ifov"])
     check_number(problems, "exposure_time", exposure_time, *_RANGES["exposure_time"])
     problems.raise_if_any()
-    _check_lines(seconds, at, exposure_time, line_time is None, problems)
+    slack = exposure_time / 2 if line_time is None else 1e-9
+    early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
+    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
+        problems.add(
+            f"lines are exposed from {early:.6f} to {late:.6f} s",
+            expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
+            code="lines-outside-poses",
+        )
+    if len(at) > MAX_LINES:
+        problems.add(f"{len(at)} lines", expected=f"at most {MAX_LINES}", code="size-too-large")
     problems.raise_if_any()
     moment = at[:, None] + exposure_time * np.array([-0.5, 0.5])
     before = np.clip(np.searchsorted(seconds, moment, side="right") - 1, 0, len(seconds) - 2)
@@ -402,16 +408,3 @@ def _check_poses(poses: dict[str, Floats], seconds: Floats, problems: Problems) 
             f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
             code="turn-too-large",
         )
-
-
-def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, problems: Problems) -> None:
-    slack = exposure_time / 2 if own else 1e-9
-    early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
-    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
-        problems.add(
-            f"lines are exposed from {early:.6f} to {late:.6f} s",
-            expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
-            code="lines-outside-poses",
-        )
-    if len(at) > MAX_LINES:
-        problems.add(f"{len(at)} lines", expected=f"at most {MAX_LINES}", code="size-too-large")

@@ -225,7 +225,6 @@ def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
 
 
 def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
-    """Return factors (line, 2); None for ones."""
     if variation is None:
         return None
     factors = np.asarray(variation, np.float64)

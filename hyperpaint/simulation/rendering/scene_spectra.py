@@ -190,8 +190,6 @@ def _fleet_spec(number: int) -> PaintSpec:
 
 
 def _fleet_base(car: FleetPaint) -> Weathered:
-    """Return the base of a car between its flakes, with dust on it."""
-
     def members(wavelength: Floats) -> Floats:
         return car.weathered(coated_reflectance(car.pigments.albedo(wavelength), car.index), wavelength)
 
@@ -264,7 +262,6 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
 
 
 def _flakes_of(name: str, finish: str, share: float) -> Flakes:
-    """Return the flakes of a generated paint, before their lobe is fitted."""
     spectrum = f"{name}:flakes"
     return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED if finish == "pearl" else "")
 

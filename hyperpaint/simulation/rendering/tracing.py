@@ -69,10 +69,6 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
         shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
         sources = sources._replace(shapes=shapes)
     labels = LabelTables.of(record)
-    return PreparedScene(geometry, _surfaces(record), sources, record.codes(settings), settings, labels)
-
-
-def _surfaces(record: SceneRecord) -> Surfaces:
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     base_factor = np.full(len(coats), -1, np.int32)
@@ -81,7 +77,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         plate = through_factor if factor.through else base_factor
         metal = turned_factor if factor.turned else flake_factor
         (metal if factor.flakes else plate)[factor.material] = number
-    return surfaces_of(
+    surfaces = surfaces_of(
         np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
         np.radians([0.0 if coat is None else coat.waviness for coat in coats]),
@@ -92,6 +88,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         through_factor,
         turned_factor=turned_factor,
     )
+    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, labels)
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:

@@ -65,7 +65,6 @@ def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
 
 @borrowing_kernel
 def _sort(table: PathTable, count: int, by_weight: bool) -> None:
-    """Sort the places in use (Shell's sort: short lists, no memory)."""
     places = table.used
     gap = 1
     while gap < count // 3:

@@ -130,7 +130,6 @@ def _mixed(x: Any) -> Any:
 
 @borrowing_kernel
 def _reversed(x: Any) -> Any:
-    """Return a word with its 32 bits in opposite order."""
     x = ((x >> _1) & _ODD) | ((x & _ODD) << _1)
     x = ((x >> _2) & _PAIRS) | ((x & _PAIRS) << _2)
     x = ((x >> _4) & _NIBBLES) | ((x & _NIBBLES) << _4)

@@ -24,8 +24,6 @@ _WHOLE, _SWEPT, _CENTRES = 3 * _BINS, 3 * _BINS + 1, 3 * _BINS + 2  # boxes behi
 
 
 class _Room(NamedTuple):
-    """Memory of a build."""
-
     boxes: Array  # (3 bins + 3, 6): of the bins of the three axes, and three more
     counts: Array  # (3 bins,) triangles in the bins
     costs: Array  # (bins,) of all bins from one on
@@ -140,7 +138,6 @@ def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
 
 @borrowing_kernel
 def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
-    """Compute the box of a run and the box of its centres."""
     _clear(room.boxes, _WHOLE)
     _clear(room.boxes, _CENTRES)
     for i in range(start, stop):
@@ -168,8 +165,7 @@ def _partition(
 
 
 @borrowing_kernel
-def _await(room: _Room, size: int, start: int, stop: int, level: int, child: int) -> int:
-    """Push a run on the stack; return the stack's new size."""
+def _push(room: _Room, size: int, start: int, stop: int, level: int, child: int) -> int:
     room.waiting[size, 0], room.waiting[size, 1] = start, stop
     room.waiting[size, 2], room.waiting[size, 3] = level, child
     return size + 1
@@ -179,7 +175,7 @@ def _await(room: _Room, size: int, start: int, stop: int, level: int, child: int
 def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Room) -> int:
     """Write nodes and links, sort ``order`` by leaf, and return the number of nodes."""
     used = 1
-    size = _await(room, 0, 0, order.size, 0, 0) if order.size > 0 else 0
+    size = _push(room, 0, 0, order.size, 0, 0) if order.size > 0 else 0
     while size > 0:
         size -= 1
         start, stop = room.waiting[size, 0], room.waiting[size, 1]
@@ -200,8 +196,8 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _R
         if cost < np.inf:
             cut = _partition(boxes, order, start, stop, axis, first_high, room)
         links[child] = used
-        size = _await(room, size, start, cut, level + 1, 2 * used)
-        size = _await(room, size, cut, stop, level + 1, 2 * used + 1)
+        size = _push(room, size, start, cut, level + 1, 2 * used)
+        size = _push(room, size, cut, stop, level + 1, 2 * used + 1)
         used += 1
     return used
 

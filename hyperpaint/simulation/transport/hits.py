@@ -80,7 +80,6 @@ def _corner(array: Array, face: int, corner: int) -> Vector:
 
 @borrowing_kernel
 def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
-    """Return the weighted mean of the vectors at the corners."""
     point = along((0.0, 0.0, 0.0), _corner(array, face, 0), weights[0])
     point = along(point, _corner(array, face, 1), weights[1])
     return along(point, _corner(array, face, 2), weights[2])

@@ -135,10 +135,19 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    _check(weight, index, spectra.shape[1:], out)
+    # refuse what the loops would read or write outside of
+    lines, _, columns = weight.shape
+    shape = spectra.shape[1:]
+    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
+        raise ValueError(
+            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
+        )
+    if out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
+    if index.size and int(index.max()) >= shape[0]:
+        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
     first = np.ascontiguousarray(node, np.int64)
     share = np.ascontiguousarray(node_weight, np.float32)
-    columns = out.shape[2]
     if first.shape != (columns,) or share.ndim != 2 or len(share) != columns:
         raise ValueError(f"nodes {first.shape} and weights {share.shape} for {columns} columns")
     if columns and not (first.min() >= 0 and first.max() + share.shape[1] <= len(spectra)):
@@ -153,19 +162,6 @@ def mix_shifted(
         raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
     _mix_shifted(weights, rows, spectra, first, share, texture, sums, out)
-
-
-def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> None:
-    """Refuse shapes and indices beyond the bounds of the loops."""
-    lines, _, columns = weight.shape
-    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
-        raise ValueError(
-            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
-        )
-    if out.dtype != np.float32 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
-    if index.size and int(index.max()) >= shape[0]:
-        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
 
 
 @borrowing_kernel
@@ -183,7 +179,6 @@ def _add_row(sums: Array, at: int, table: Array, node: int, row: int, weight: An
 
 @borrowing_kernel
 def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> None:
-    """Write the spectra of columns ``first`` to ``last`` band by band."""
     for band in range(out.shape[1]):
         for column in range(first, last):
             out[line, band, column] = sums[column - first, band]

@@ -12,7 +12,7 @@ added up.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,8 +94,6 @@ _LOBES = 6  # codes that a sun adds at a surface
 
 
 class _Room(NamedTuple):
-    """Memory for one pixel."""
-
     stack: Array  # (STACK,) nodes of a traversal
     entries: Array  # (STACK,) and where the ray enters them
     table: PathTable
@@ -107,8 +105,6 @@ class _Room(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """Geometry, surfaces and light sources."""
-
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
@@ -283,7 +279,6 @@ def _vote(label: int, distinct: int, room: _Room) -> int:
 def _write_pixel(
     block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Room
 ) -> None:
-    """Write the label layers and means of the first hits."""
     best = 0
     for i in range(1, distinct):
         more = room.votes[i] > room.votes[best]
@@ -304,7 +299,6 @@ def _write_pixel(
 
 @borrowing_kernel
 def _camera_ray(rays: Rays, line: int, column: int, u: float, v: float, w: float) -> tuple[Vector, Vector]:
-    """Return a ray through a pixel during the exposure; attitude and position change evenly."""
     right = rays.column_edges[column] + u * (rays.column_edges[column + 1] - rays.column_edges[column])
     forward = rays.along_edges[0] + v * (rays.along_edges[1] - rays.along_edges[0])
     a = _camera_axes(rays, line, 0, forward, right)
@@ -316,7 +310,6 @@ def _camera_ray(rays: Rays, line: int, column: int, u: float, v: float, w: float
 
 @borrowing_kernel
 def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) -> Vector:
-    """Return a direction of the camera in the scene's axes, at one end of the exposure."""
     r = rays.rotation[line, end]
     return (
         r[0, 0] * forward + r[0, 1] * right + r[0, 2],
@@ -327,7 +320,6 @@ def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) 
 
 @borrowing_kernel
 def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
-    """Return a direction to a random point of a sun's disc, even over its solid angle."""
     middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
@@ -340,12 +332,6 @@ def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vect
     across = math.sqrt(fall * (2.0 - fall))
     angle = 2.0 * math.pi * v
     return from_frame(frame_of(middle), (across * math.cos(angle), across * math.sin(angle), 1.0 - fall))
-
-
-@borrowing_kernel
-def _as_label(material: Any, instance: Any) -> Any:
-    """Return two labels as one number, sorted by material first."""
-    return np.int64(material) << 32 | np.int64(instance)
 
 
 @borrowing_kernel
@@ -402,7 +388,8 @@ def _trace_sample(
         _follow(
             scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), place, settings, 0
         )
-    label: int = _as_label(material, geometry.face_instance[face])
+    # two labels as one number, which sorts by material first
+    label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])
     return label
 
 

@@ -13,13 +13,11 @@ Frame: TypeAlias = tuple[Vector, Vector, Vector]
 
 @borrowing_kernel
 def dot(a: Vector, b: Vector) -> float:
-    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @borrowing_kernel
 def along(origin: Vector, direction: Vector, distance: float) -> Vector:
-    """Return origin + distance x direction."""
     return (
         origin[0] + distance * direction[0],
         origin[1] + distance * direction[1],
@@ -29,7 +27,6 @@ def along(origin: Vector, direction: Vector, distance: float) -> Vector:
 
 @borrowing_kernel
 def unit(a: Vector) -> Vector:
-    """Return a vector of length 1 in the same direction."""
     scale = 1.0 / math.sqrt(dot(a, a))
     return scale * a[0], scale * a[1], scale * a[2]
 
@@ -48,7 +45,6 @@ def frame_of(z: Vector) -> Frame:
 
 @borrowing_kernel
 def in_frame(frame: Frame, a: Vector) -> Vector:
-    """Return a vector's components along the axes of a frame."""
     return dot(frame[0], a), dot(frame[1], a), dot(frame[2], a)
 
 
