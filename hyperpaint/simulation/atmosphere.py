@@ -2,11 +2,11 @@
 
 The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Their level is that
 of `hyperpaint.light.clear_sky`, a table at 1 nm; here it gets lines far narrower than the instruments, as in
-nature: shared interpolation cannot hide a mismatch. Lines: the oxygen A and B bands from the rotational
-constants of O2 (Herzberg 1950), so that the sharp band head is where it belongs; water and the weak solar
-lines at random positions that never change; the strong Fraunhofer lines where they are. In every cell of
-1 nm they are scaled such that its mean is the table's: the solar lines leave its sunlight, and the bands let
-through at an air mass of 1.5 what they let through in ASTM G173. At other air masses lines saturate.
+nature, so that a mismatch cannot hide behind shared interpolation. The oxygen A and B bands follow from the
+rotational constants of O2 (Herzberg 1950), with the sharp band head at its place; water lines and weak solar
+lines have random, fixed positions; strong Fraunhofer lines have their true ones. Every cell of 1 nm is scaled
+to the mean of the table: to its sunlight, and to the transmittance of ASTM G173 at an air mass of 1.5. At
+other air masses absorption lines saturate.
 """
 
 from __future__ import annotations

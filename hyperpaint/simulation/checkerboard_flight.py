@@ -87,9 +87,9 @@ class Checkerboard:
         middle = self.numbers(*place)
         ways = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
         bright = np.zeros(middle.shape[1:])
-        for each in weights:
+        for step_weights in weights:
             here = middle.copy()
-            for weight, way in zip(each.tolist(), ways, strict=True):
+            for weight, way in zip(step_weights.tolist(), ways, strict=True):
                 here += weight * way
             bright += _is_odd(*np.floor(here))
         return bright / len(weights)

@@ -69,7 +69,7 @@ def write_references(flight: Flight, folder: Path) -> None:
     # the white panel first
     spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
     by_svc = np.concatenate(
-        [convolve_gaussian(spectra, grid, each.wavelength, each.fwhm) for each in SVC_DETECTORS], axis=1
+        [convolve_gaussian(spectra, grid, part.wavelength, part.fwhm) for part in SVC_DETECTORS], axis=1
     )
     by_asd = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
     zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9

@@ -40,7 +40,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     ----------
     sky
         One of `hyperpaint.simulation.settings.SKIES`. Under an overcast one a quarter of the clear sky's
-        light is left, slightly bluer (`rendering.sky_models`), and none of the sun.
+        light is left, slightly bluer (`rendering.sky_models`), without sun.
     sun_zenith
         [degree]
     wavelength

@@ -317,10 +317,10 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
-    seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
+    responsivity = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
         "radiance_gain": camera.radiance_gain(),
-        "responsivity": seen,
+        "responsivity": responsivity,
         "wavelength": imager.wavelength,
         "wavelength_shift": imager.wavelength_shift,
         "fwhm": imager.band_fwhm,

@@ -1,8 +1,7 @@
 """The flight of a drone over the earth: a straight course, and deviations by wind and propellers.
 
-The earth's figure is WGS-84 by closed formulas, its map that of one UTM zone. What a flight is simulated on
-must not be what it is located with: nothing here is from a library of geodesy, nor shared with the part of
-the package that places pixels.
+The earth's figure is WGS-84 by closed formulas, its map one UTM zone. Simulation and geolocation must be
+independent: nothing here comes from a library of geodesy, or from the part of the package that places pixels.
 
 Angles are those of ISO 1151-2: heading clockwise from true north, pitch with the nose up, roll with the right
 wing down, turned in this order; heights are above the ellipsoid. A wobble is a sum of sines whose frequencies

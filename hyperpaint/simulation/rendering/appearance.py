@@ -41,10 +41,10 @@ class _Lobes(NamedTuple):
 def gloss_units(coat: Coat) -> float:
     """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
 
-    The flux that a coat sends into the receptor over that of the glass (ISO 2813). The receptor sees 1.8
+    The flux of the coat in the receptor over the flux of the glass (ISO 2813). The receptor sees 1.8
     degrees in the plane of incidence and 3.6 across, the image of the source is 0.75 by 2.5 degrees. Facets
     have the slopes of GGX, and orange peel, which is smaller than the spot of the instrument, adds Gaussian
-    ones. What the paint under the coat reflects is left out, as on a black paint.
+    ones. Light reflected by the paint under the coat is left out, as on a black paint.
 
     Parameters
     ----------
@@ -67,10 +67,11 @@ def gloss_units(coat: Coat) -> float:
     across = radius[:, None] * np.sin(angle)
     cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
     caught = 0.0
-    for one, its in zip(tilt, weight, strict=True):
-        for other, others in zip(tilt, weight, strict=True):
-            within = _overlap(2.0 * (slopes + one), 0) * _overlap(2.0 * cosine * (across + other), 1)
-            caught += its * others * float(within.mean())
+    for tilt_along, weight_along in zip(tilt, weight, strict=True):
+        for tilt_across, weight_across in zip(tilt, weight, strict=True):
+            along = _overlap(2.0 * (slopes + tilt_along), 0)
+            within = along * _overlap(2.0 * cosine * (across + tilt_across), 1)
+            caught += weight_along * weight_across * float(within.mean())
     mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
     return float(100.0 * caught * mirrors[0] / mirrors[1])
 

@@ -2,10 +2,10 @@
 
     INT E(lambda) rho(lambda) R_b(lambda) d lambda,   rho(lambda) = sum_k rho(lambda_k) phi_k(lambda)
 
-A source has lines far narrower than any band, a product of reflectances has not: on points ``lambda_k``
-0.5 nm apart it is its own cubic interpolation to 1e-6 and better. What is left of the integral for each band
-and point, INT E phi_k R_b, is made once for a source, on a grid as fine as its lines; after that a path costs
-a short sum for each point.
+The spectrum E of a source has absorption lines far narrower than any band. A product of reflectances rho is
+smooth: cubic interpolation between points ``lambda_k`` 0.5 nm apart reproduces it to 1e-6. The integral
+INT E phi_k R_b of every band and point is computed once for a source, on a grid as fine as its absorption
+lines; after that a path costs a short sum.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class BandSet:
     Raises
     ------
     SchemaError
-        What no camera can have; all problems are listed.
+        Shapes or values that no camera has; all problems are listed.
 
     Examples
     --------
@@ -219,7 +219,7 @@ class BandResponses:
     covered
         First and last wavelength at which sources are known [nm]; responses end there.
     normalise
-        Integrals become means over the response; else they are INT L R d lambda as it is.
+        Divide integrals by INT R d lambda, so that they are means over the response.
 
     Attributes
     ----------

@@ -2,9 +2,9 @@
 
 The park lies between x = -width/2 (west) and +width/2 (east), and from y = 0 northwards, so that a flight
 line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and then rows of bays and aisles in
-turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall. What
-chance decides is drawn from a generator keyed by (seed, bay, row), so that a longer park of the same seed
-holds the cars of the shorter one, under the same names.
+turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall.
+Random numbers come from generators keyed by (seed, bay, row), so that a longer park of the same seed contains
+the cars of the shorter one, under the same names.
 
 A crown is a cloud of leaves: two triangles each, bent along the midrib, most of them near the surface of a
 few overlapping blobs and turned any way around facing outwards. Leaves are Lambert and let no light through.
@@ -314,7 +314,7 @@ def car_park(
     types
         Which `CAR_TYPES` there are; all unless given.
     seed
-        Chooses everything that chance decides.
+        Of all random numbers.
     neighbours
         Which of `NEIGHBOURS` there are.
     panels
@@ -374,8 +374,8 @@ def car_park(
     check_whole(problems, "leaves", leaves, 0, 100_000)
     check_whole(problems, "seed", seed, 0)
     for what, names, allowed in (("neighbours", neighbours, NEIGHBOURS), ("types", chosen.types, CAR_TYPES)):
-        for one in names:
-            check_choice(problems, what, one, allowed)
+        for name_in_list in names:
+            check_choice(problems, what, name_in_list, allowed)
     if not chosen.paints or not chosen.types:
         problems.add("paints or types are empty", expected="at least one name of each", code="empty-input")
     problems.raise_if_any()

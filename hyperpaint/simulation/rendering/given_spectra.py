@@ -75,7 +75,7 @@ def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
     Raises
     ------
     SchemaError
-        It is none, its paints have no names, or two have the same.
+        It is not a library, its paints have no names, or two share a name.
     """
     library = with_new_names(library) if is_library(library) else library
     if not is_library(library) or SIGNATURE not in library.variables:

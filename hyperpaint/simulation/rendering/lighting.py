@@ -1,8 +1,8 @@
 """Light, spectra and camera of one relighting, and the radiance of a block of traced lines.
 
 A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
-part depends on nothing but the path's code, of which a scene has some thousands: it is made once for every
-code, for whole bands, and kept.
+part depends only on the path's code, of which a scene has some thousands: it is computed once for every code
+and band, and cached.
 
 Shares are those of the light that the scene sends to the camera, before the air between: of radiance, mean
 over all bands at the wavelengths of the centre column. Light of the sun and of the sky add up to 1; glint,
@@ -292,7 +292,7 @@ class ProductTable:
         Parameters
         ----------
         codes : (path,)
-            Different from one another, none of them empty.
+            Distinct, without empty slots.
 
         Raises
         ------

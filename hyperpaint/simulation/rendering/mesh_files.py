@@ -1,7 +1,7 @@
 """Scenes from mesh files: Wavefront OBJ, binary glTF (GLB) and PLY.
 
 OBJ files are read here; GLB and PLY files through trimesh (``pip install 'hyperpaint[mesh]'``), after their
-declared sizes have been held against the file. Nothing outside the file itself is opened, be it named inside.
+declared sizes have been compared with the file. Files named inside are never opened.
 
 Of OBJ only ``v``, ``f`` and the names after ``usemtl``, ``o`` and ``g`` are read. A GLB file is first
 stripped to nodes, meshes, positions, indices and the numbers of materials, so that trimesh meets no picture,
@@ -420,7 +420,7 @@ class _GlbCheck:
         roots = self.roots(nodes)
         own = []
         for mesh in meshes:
-            places = [one.get("indices", one["attributes"]["POSITION"]) for one in mesh["primitives"]]
+            places = [part.get("indices", part["attributes"]["POSITION"]) for part in mesh["primitives"]]
             own.append(sum(self.accessors[place]["count"] // 3 for place in places))
         return {
             "asset": {"version": "2.0"},
@@ -627,7 +627,7 @@ def read_mesh(
     if crease is not None:
         vertices, faces = _welded(vertices, faces)
         mesh = smoothed(
-            Mesh(vertices, faces, surface, tuple(one.name for one in chosen), 0 * surface), crease
+            Mesh(vertices, faces, surface, tuple(material.name for material in chosen), 0 * surface), crease
         )
         vertices, faces, normals, surface = mesh.vertices, mesh.faces, mesh.normals, mesh.surface
     return Scene.from_arrays(

@@ -26,7 +26,7 @@ from hyperpaint.simulation.setting_checks import finite_floats
 #: Sizes of a flight that are taken; poses are held in memory, 200 bytes a line.
 MAX_LINES, MAX_COLUMNS = 1_000_000, 20_000
 
-#: UTC at mid exposure of the first line, where nothing else is said.
+#: UTC at mid exposure of the first scan line, by default.
 START = np.datetime64("2021-07-20T17:10:00", "ns")
 
 #: Tangent of the steepest view that is taken.

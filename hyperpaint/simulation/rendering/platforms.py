@@ -164,9 +164,9 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
     weights = _WOBBLE_RATES**-0.5
     weights *= np.sqrt(2.0 / (weights**2).sum())
     oscillations = np.zeros((number, *moment.shape))
-    for one, (rate, phase) in zip(oscillations, zip(rates, phases, strict=True), strict=True):
+    for oscillation, (rate, phase) in zip(oscillations, zip(rates, phases, strict=True), strict=True):
         for weight, r, p in zip(weights, rate, phase, strict=True):
-            one += weight * np.sin(2.0 * np.pi * r * moment + p)
+            oscillation += weight * np.sin(2.0 * np.pi * r * moment + p)
     return oscillations
 
 
@@ -185,15 +185,15 @@ def _check_pushbroom(given: dict[str, Any]) -> None:
                 f"{name}={value!r:.60}", expected="east and north within 1e6 m", code="value-out-of-range"
             )
     several = given["wobble"] if _is_tuple(given["wobble"], 3) else (given["wobble"],)
-    if not all(is_number(each) and 0 <= each <= 20 for each in several):
+    if not all(is_number(angle) and 0 <= angle <= 20 for angle in several):
         problems.add(
             f"wobble={given['wobble']!r:.60}",
             expected="one number or three from 0 to 20 degrees",
             code="value-out-of-range",
         )
-    for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
-        if given[one] is not None and given[other] is not None:
-            problems.add(f"both {one} and {other} are given", mend="keep one", code="option-conflict")
+    for first, second in (("ground_sample", "ifov"), ("speed", "line_spacing")):
+        if given[first] is not None and given[second] is not None:
+            problems.add(f"both {first} and {second} are given", mend="keep one", code="option-conflict")
     problems.raise_if_any()
     if given["exposure_time"] > given["frame_period"]:
         problems.add(
@@ -379,7 +379,7 @@ def _clock(
             problems.raise_if_any()
         base = poses[0].astype("datetime64[ns]")
         poses, lines = (
-            (each.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for each in (poses, lines)
+            (times.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for times in (poses, lines)
         )
     return base, finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
 

@@ -206,9 +206,9 @@ class SceneRecord:
         problems.raise_if_any()
         try:
             materials = tuple(map(_material, texts["materials"]))
-            members = tuple(tuple(map(int, each.pop("materials"))) for each in texts["instances"])
-            instances = tuple(Instance(**each) for each in texts["instances"])
-            factors = tuple(Factor(**each) for each in texts["factors"])
+            members = tuple(tuple(map(int, fields.pop("materials"))) for fields in texts["instances"])
+            instances = tuple(Instance(**fields) for fields in texts["instances"])
+            factors = tuple(Factor(**fields) for fields in texts["factors"])
             record = cls(str(attrs.get("scene", "")), materials, instances, members, factors)
             for number in (*(factor.material for factor in factors), *(n for part in members for n in part)):
                 materials[number]  # an IndexError is damage
@@ -273,14 +273,14 @@ class LabelTables:
         record
             The scene.
         names
-            Spectrum of every material, where it is not that of the scene.
+            Spectrum of every material; None for the spectra of the scene.
         """
-        given = [material.spectrum for material in record.materials] if names is None else list(names)
+        spectra = [material.spectrum for material in record.materials] if names is None else list(names)
         is_paint = [material.kind == "paint" for material in record.materials]
         # built-in paints first, all of them: a number means the same paint in every scene of a training set
-        others = {name for name, paint in zip(given, is_paint, strict=True) if paint}.difference(FOURTEEN)
+        others = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(FOURTEEN)
         paints = (*FOURTEEN, *sorted(others))
-        number = [paints.index(name) if paint else -1 for name, paint in zip(given, is_paint, strict=True)]
+        number = [paints.index(name) if paint else -1 for name, paint in zip(spectra, is_paint, strict=True)]
         cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
         return cls(
             np.append(record.kinds, -1).astype(np.int16),

@@ -206,7 +206,7 @@ def trace(
             f"chunk_lines={chunk_lines!r}", expected="a whole number above 0", code="value-out-of-range"
         )
     record = SceneRecord.of(scene)
-    record.codes(settings)  # whether they fit is said now, not in a task
+    record.codes(settings)  # raises here, before any task, if they do not fit
     arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
     return _labelled(arrays, record, platform, settings)
 

@@ -44,7 +44,7 @@ class Octaves:
     is_averaged: bool = True
 
 
-#: Of the members of a library: a third each of dirt and curvature over a panel, of patches, and of noise.
+#: Of the members of a library: a third each of dirt and curvature over a body part, of patches, and of noise.
 MEASURED = Octaves((0.20, 0.05, 0.0125), (1 / 3, 1 / 3, 1 / 3), is_averaged=False)
 
 

@@ -93,7 +93,7 @@ def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
     for i in range(count - 1, -1, -1):
         rest += sums[places[i]]
     exact = 0
-    # a code heavier than an even share of the rest is always taken: as it is
+    # a code heavier than an even share of the rest is always kept, with its weight
     while exact < slots and sums[places[exact]] * (slots - exact) > rest:
         rest -= sums[places[exact]]
         exact += 1

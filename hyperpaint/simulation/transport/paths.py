@@ -249,7 +249,7 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Bl
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
             scale = 1.0 / max(room.first[0], 1.0)
             write_paths(room.table, scale, draw, block.weight, block.code, line, column)
-            if room.first[0] == 0.0:  # nothing is met: nothing can be said
+            if room.first[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 
 
@@ -389,7 +389,7 @@ def _trace_sample(
             scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), place, settings, 0
         )
     # two labels as one number, which sorts by material first
-    label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])
+    label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])  # type: ignore[assignment]
     return label
 
 

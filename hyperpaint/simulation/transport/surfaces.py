@@ -331,7 +331,7 @@ def sun_weights(
     Parameters
     ----------
     numbers, lobes
-        Of the materials, and of one as it is seen.
+        Of all materials, and lobes of one in the viewing direction.
     light, mirrored
         Towards the sun, in the frame of the surface and in that of its coat.
     radius
