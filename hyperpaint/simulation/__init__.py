@@ -1,13 +1,13 @@
-"""A simulator of whole collects with known truth; of the processing chain it shares the sky and nothing else.
+"""A simulator of whole collects with known truth; it shares only the sky models of `light` with the chain.
 
-Settings go in; the instruments' own files, or flight lines in memory, come out with their truth. Tests, the
-demonstration and `hyperpaint render` call it. Its own physics in float64 from the sky to the converter, and
-its own writers: a chain that recovers the truth from them has shown something. `atmosphere` makes the light,
-`paint_spectra` the surfaces, `camera` the camera, `trajectories` how it wobbles over the earth, `flight` what
-they do line by line: over a flat picture of a car park (`plan_flight`), over one of triangles
-(`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`). `instruments`
-writes the files, `stores` truth and sweeps, `painted_regions` where the paints are, `collect` the whole;
-`sweep` shines a monochromator into the same camera.
+Settings go in; instrument files, or flight lines in memory, come out with their truth. Tests, the
+demonstration and `hyperpaint render` call it. Physics in float64 and file writers are its own, so that the
+chain is tested against independent code. `atmosphere` has the light, `paint_spectra` the surfaces, `camera`
+the camera, `trajectories` the motion of the platform. `flight` combines them scan line by scan line: over a
+flat picture of a car park (`plan_flight`), a car park of triangles (`rendered_flight`, `rendering`) or a
+checkerboard (`checkerboard_flight`). `instruments` writes the instrument files, `stores` truth and sweeps,
+`painted_regions` the regions of the paints, `collect` everything; `sweep` is a monochromator sweep of the
+same camera.
 """
 
 import lazy_loader

@@ -2,11 +2,11 @@
 
 The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Their level is that
 of `hyperpaint.light.clear_sky`, a table at 1 nm; here it gets lines far narrower than the instruments, as in
-nature: shared interpolation cannot hide a mismatch. Lines: the oxygen A and B bands from the rotational
-constants of O2 (Herzberg 1950), so that the sharp band head is where it belongs; water and the weak solar
-lines at random positions that never change; the strong Fraunhofer lines where they are. In every cell of
-1 nm they are scaled such that its mean is the table's: the solar lines leave its sunlight, and the bands let
-through at an air mass of 1.5 what they let through in ASTM G173. At other air masses lines saturate.
+nature, so that a mismatch cannot hide behind shared interpolation. The oxygen A and B bands follow from the
+rotational constants of O2 (Herzberg 1950), with the sharp band head at its place; water lines and weak solar
+lines have random, fixed positions; strong Fraunhofer lines have their true ones. Every cell of 1 nm is scaled
+to the mean of the table: to its sunlight, and to the transmittance of ASTM G173 at an air mass of 1.5. At
+other air masses absorption lines saturate.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
 
+#: Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line.
 GRID_STEP = 0.05
-"""Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line."""
 
 _LINE_WIDTH = 0.12  # nm, full width of an atmospheric line
 _NATURE = 19590  # the same lines in every simulation, whatever its seed
@@ -101,7 +101,7 @@ def solar_irradiance(wavelength: Floats) -> Floats:
 
 
 class _FineStructure(NamedTuple):
-    """What the table of 1 nm does not have; every part has shape (wavelength,)."""
+    """Spectral structure below 1 nm; every part has shape (wavelength,)."""
 
     wavelength: Floats  # steps of `GRID_STEP` where there are lines, those of the table elsewhere
     lines: Floats  # of the sun: a factor whose mean over 1 nm is 1
@@ -114,7 +114,7 @@ _LINED = (300.0, 1100.0)  # nm
 
 @functools.cache
 def _fine_structure() -> _FineStructure:
-    """Return the lines, scaled cell by cell to the table."""
+    """Return the absorption lines, scaled cell by cell to the table."""
     table = sunlight_table()
     per_cell = round(1.0 / GRID_STEP)
     first, last = _LINED
@@ -141,7 +141,7 @@ def _fine_structure() -> _FineStructure:
 
 
 def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
-    """Return optical depths (cell, point) whose mean transmittance in every cell is that of ``depth``.
+    """Return optical depths (cell, point) whose mean transmittance in every cell equals that of ``depth``.
 
     ``lines`` (cell, point) says how the depth is spread; a tenth of its mean is a continuum, so that there is
     an answer where a cell has no line. Transmittances are those at the air mass of the table. Bisection.
@@ -157,7 +157,7 @@ def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
 
 
 def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:
-    """Return the optical depth of narrow Gaussian lines; each touches only its neighbourhood."""
+    """Return the optical depth of narrow Gaussian absorption lines; each affects only its neighbourhood."""
     total = np.zeros_like(wavelength)
     starts = np.searchsorted(wavelength, centres - 4 * width)
     stops = np.searchsorted(wavelength, centres + 4 * width)
@@ -198,7 +198,7 @@ def _water(wavelength: Floats) -> Floats:
 
 
 def _solar_lines(wavelength: Floats) -> Floats:
-    """Return the optical depth of the crowd of weak metal lines, dense in the blue."""
+    """Return the optical depth of the weak solar lines of metals, dense in the blue."""
     rng = np.random.default_rng([_NATURE, 2])
     centres = 340.0 + rng.exponential(110.0, 2500)
     depths = rng.exponential(0.06, 2500)
@@ -207,7 +207,7 @@ def _solar_lines(wavelength: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Light:
-    """How the direct and the diffuse light change while the camera flies.
+    """Change of the direct and the diffuse light during the flight.
 
     Attributes
     ----------

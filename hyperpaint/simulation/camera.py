@@ -26,8 +26,8 @@ from .atmosphere import spectral_grid
 from .optics import Optics, OpticsSettings
 from .settings import SimulationSettings
 
+#: Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies.
 GAUSSIAN_REACH = 3.2
-"""Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies."""
 
 # small products: on a busy machine the threads that BLAS wakes for large ones wait longer than they work
 _COLUMNS_AT_ONCE = 16
@@ -46,8 +46,8 @@ def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float =
     return slit * pitch * np.pi / (4.0 * f_number**2)
 
 
+#: Etendue of the simulated imager [m2 sr].
 ETENDUE = filled_etendue()
-"""Etendue of the simulated imager [m2 sr]."""
 
 
 def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: float) -> Floats:
@@ -88,7 +88,7 @@ def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: fl
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
-    """Return spectra as a spectrometer of Gaussian line shape sees them.
+    """Return spectra at the resolution of a spectrometer of Gaussian line shape.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Imager:
         return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without the elements' own factors at wavelength shifts [nm], shape (grid, shift)."""
+        """Return R_b without the element factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)
         shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)
@@ -303,7 +303,7 @@ class Detector:
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
-        """Return what the converter is given: signal, dark and, with ``rng``, shot and read noise [count].
+        """Return the input of the converter: signal, dark and, with ``rng``, shot and read noise [count].
 
         The variance is signal / electrons_per_count + read_noise^2; shot noise is taken as Gaussian.
         """
@@ -327,15 +327,31 @@ class Detector:
         return converted
 
 
+#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
 CAMERA_FIELDS = frozenset(
     {
-        "bands", "columns", "seed", "first_wavelength", "last_wavelength", "dispersion_bow_nm", "srf_shape",
-        "fwhm_nm", "fwhm_slope", "smile_nm", "bit_depth", "electrons_per_count", "read_noise", "dark_level",
-        "dark_pattern", "dark_rate", "nonuniformity", "column_nonuniformity", "bad_elements",
+        "bands",
+        "columns",
+        "seed",
+        "first_wavelength",
+        "last_wavelength",
+        "dispersion_bow_nm",
+        "srf_shape",
+        "fwhm_nm",
+        "fwhm_slope",
+        "smile_nm",
+        "bit_depth",
+        "electrons_per_count",
+        "read_noise",
+        "dark_level",
+        "dark_pattern",
+        "dark_rate",
+        "nonuniformity",
+        "column_nonuniformity",
+        "bad_elements",
         *(field.name for field in fields(OpticsSettings)),
     }
-)  # fmt: skip
-"""Fields of `hyperpaint.simulation.SimulationSettings` that make the camera."""
+)
 
 # keys of the random streams; those of flights and sweeps stand in their own modules
 _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19
@@ -427,7 +443,7 @@ class Camera:
 
     @property
     def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
-        """Dims, values and attributes of what optics and electronics do, by name, where they do it."""
+        """Dims, values and attributes of optical and electronic imperfections, by name, where present."""
         values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
         if self.optics is not None and self.optics.has_stray_light:
             row = VARIABLES["stray_light"]

@@ -1,4 +1,4 @@
-"""A flight over a checkerboard whose corners are known on the map: what questions of place are asked of.
+"""A flight over a checkerboard with known corners on the map, to test geolocation.
 
 The board lies on level ground, which is a surface of equal height above the ellipsoid and so as round as the
 earth. A pixel's radiance is the mean over its area and its exposure, along the camera's own wobbling line of
@@ -73,7 +73,7 @@ class Checkerboard:
         return np.stack([first[0] * x + first[1] * y, second[0] * x + second[1] * y])
 
     def share(self, place: Floats, steps: Floats, weights: Floats) -> Floats:
-        """Return which share of places around others is on bright squares.
+        """Return the share of places around others that is on bright squares.
 
         Parameters
         ----------
@@ -87,9 +87,9 @@ class Checkerboard:
         middle = self.numbers(*place)
         ways = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
         bright = np.zeros(middle.shape[1:])
-        for each in weights:
+        for step_weights in weights:
             here = middle.copy()
-            for weight, way in zip(each.tolist(), ways, strict=True):
+            for weight, way in zip(step_weights.tolist(), ways, strict=True):
                 here += weight * way
             bright += _is_odd(*np.floor(here))
         return bright / len(weights)
@@ -120,9 +120,10 @@ class CheckerboardFlight(Flight):
         self.board = Checkerboard((east, north), settings.square, settings.board_turn)
         place = f"of what the middle of the pixel shows at mid exposure, on {self.plane.crs}"
         metres = {
-            "east": f"East {place}", "north": f"North {place}",
+            "east": f"East {place}",
+            "north": f"North {place}",
             "height": "Height above the ellipsoid of that place",
-        }  # fmt: skip
+        }
         share = {"long_name": "Share of the pixel on bright squares", "units": "1"}
         self.layers = {
             "bright_share": Layer("float32", share),
@@ -135,7 +136,7 @@ class CheckerboardFlight(Flight):
 
     @cached_property
     def corners(self) -> dict[str, Floats]:
-        """East and north of the corners on the ground that the flight sees, and a little around [m]."""
+        """East and north of the corners on the ground in view, and a little around [m]."""
         origin, rotation = self._cameras
         sides = self._tangents[[0, -1]]
         seen = np.stack(self._map(self._places(origin[:, 1], rotation[:, 1], sides))[:2]).reshape(2, -1)
@@ -170,13 +171,13 @@ class CheckerboardFlight(Flight):
         return Seen(block, seen)
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return the paint of pixels that lie within a square, -1 of all others."""
+        """Return the paint of pixels within a square, -1 of all others."""
         shares = lines.layers["bright_share"]
         return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
 
     @property
     def _tangents(self) -> Floats:
-        """Of the columns' lines of sight, to the right."""
+        """Tangents of the columns' lines of sight, to the right."""
         return np.tan(np.radians(self.look_angle))
 
     @cached_property
@@ -187,12 +188,12 @@ class CheckerboardFlight(Flight):
 
     @cached_property
     def _to_map(self) -> Floats:
-        """What turns small steps east and north in the scene into those on the map, (2, 2)."""
+        """Matrix from small steps east and north in the scene to those on the map, (2, 2)."""
         places = np.stack(self._map(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[:2])
         return np.asarray(places[:, 1:] - places[:, :1])
 
     def _look(self, start: int, stop: int) -> dict[str, Floats]:
-        """Return what is known of the pixels of lines, by the names of the layers."""
+        """Return the layers of the pixels of scan lines, by name."""
         origin, rotation = (part[start:stop] for part in self._cameras)
         across, aside = self._tangents, 0.5 * PIXEL_ANGLE
         begin, now, end = (self._places(origin[:, k], rotation[:, k], across) for k in range(3))
@@ -207,7 +208,7 @@ class CheckerboardFlight(Flight):
         return {"bright_share": share, "east": east, "north": north, "height": height}
 
     def _places(self, origin: Floats, rotation: Floats, across: Floats, along: float = 0.0) -> Floats:
-        """Return where lines of sight meet the ground, in the scene's axes (line, column, 3) [m]."""
+        """Return ground points of lines of sight, in the scene's axes (line, column, 3) [m]."""
         rays = np.stack([np.full_like(across, along), across, np.ones_like(across)])
         rays = (rotation @ rays).swapaxes(1, 2)
         reach = -origin[:, None, 2] / rays[..., 2]

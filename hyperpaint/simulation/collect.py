@@ -69,7 +69,7 @@ def write_references(flight: Flight, folder: Path) -> None:
     # the white panel first
     spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
     by_svc = np.concatenate(
-        [convolve_gaussian(spectra, grid, each.wavelength, each.fwhm) for each in SVC_DETECTORS], axis=1
+        [convolve_gaussian(spectra, grid, part.wavelength, part.fwhm) for part in SVC_DETECTORS], axis=1
     )
     by_asd = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
     zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
@@ -77,32 +77,50 @@ def write_references(flight: Flight, folder: Path) -> None:
         panel = start - _LEAD + _EACH * index
         target = panel + _PANEL
         write_svc(
-            svc / f"{paint}.sig", by_svc[0], by_svc[index], stamps=(panel, target), utc_offset=zone,
-            position=ORIGIN[:2], sun=settings.sun,
-        )  # fmt: skip
+            svc / f"{paint}.sig",
+            by_svc[0],
+            by_svc[index],
+            stamps=(panel, target),
+            utc_offset=zone,
+            position=ORIGIN[:2],
+            sun=settings.sun,
+        )
         write_asd_reflectance(
-            asd / f"{paint}.asd", by_asd[index], by_asd[0], stamp=target, utc_offset=zone,
+            asd / f"{paint}.asd",
+            by_asd[index],
+            by_asd[0],
+            stamp=target,
+            utc_offset=zone,
             reference_stamp=panel,
-        )  # fmt: skip
+        )
 
 
+#: Points of the pavement, as a GNSS receiver on a pole would log them.
 SURVEY = "survey.csv"
-"""Points of the pavement, as a GNSS receiver on a pole would log them."""
 
+#: Files and folders of a simulated collect.
 PARTS = (
-    "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", REGIONS,
-    SURVEY, "collect.toml",
-)  # fmt: skip
-"""Files and folders of a simulated collect."""
+    "flight",
+    "dark",
+    "asd",
+    SVC_FOLDER,
+    ASD_FOLDER,
+    "lab",
+    "calibration.zarr",
+    "truth.zarr",
+    REGIONS,
+    SURVEY,
+    "collect.toml",
+)
 
+#: Opens the ``collect.toml`` of a simulated collect.
 MARKER = "# simulated by hyperpaint"
-"""Opens the ``collect.toml`` of a simulated collect."""
 
 _UNFINISHED = f"{MARKER}: not finished\n"
 
+#: Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
+#: field spectrometer's simulated files, and in the regions for what made them.
 CAMERA_SOFTWARE = "hyperpaint simulation"
-"""Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
-field spectrometer's simulated files, and in the regions for what made them."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
@@ -186,10 +204,14 @@ def simulate_collect(
     )
     if not settings.quantise:
         raise SchemaError(
-            "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
+            "quantise=False, but files hold whole counts",
+            mend="use simulate_line for float32 counts in memory",
+            code="option-conflict",
         )
     if block_lines < 1:
-        raise SchemaError(f"block_lines={block_lines}, expected a whole number above 0")
+        raise SchemaError(
+            f"block_lines={block_lines}", expected="a whole number above 0", code="value-out-of-range"
+        )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = _flight_of(settings)
     root = _prepare(place, overwrite)
@@ -203,7 +225,16 @@ def simulate_collect(
         (root / "lab").mkdir()
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
-    _write_survey(flight, root / SURVEY)
+    # places of the ground under the first, middle and last scan line; heights above the ellipsoid
+    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
+    ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
+    ground[:, 2] = 0.0
+    points = zip(*flight.frame.geodetic(ground), strict=True)
+    rows = "".join(
+        f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
+        for number, (latitude, longitude, height) in enumerate(points, start=1)
+    )
+    (root / SURVEY).write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{rows}", encoding="ascii")
     path = root / "collect.toml"
     # a reader that finds this file finds all the others whole
     path.write_text(_collect_text(flight, lab is not None), encoding="utf-8")
@@ -222,15 +253,27 @@ def _flight_of(settings: SimulationSettings) -> Flight:
 
 def _prepare(root: Path, overwrite: bool) -> Path:
     if root.exists() and not root.is_dir():
-        raise StoreError(f"{root} is a file; name a folder for the simulated collect")
+        raise StoreError(
+            f"{root} is a file", mend="name a folder for the simulated collect", code="folder-is-file"
+        )
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
             mend = "name another folder, or replace an earlier collect with {}"
             raise StoreError(
                 f"{root} is not empty",
-                mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-            )  # fmt: skip
-        _check_simulated(root)
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="folder-not-empty",
+            )
+        # a collect, or parts of one, that no simulation wrote is not replaced
+        parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
+        if parts and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode():
+            raise StoreError(
+                f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
+                expected="an earlier simulated collect",
+                mend="name another folder; nothing was removed",
+                code="folder-foreign",
+            )
         (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
         for part in PARTS[:-1]:
             target = root / part
@@ -245,20 +288,7 @@ def _prepare(root: Path, overwrite: bool) -> Path:
     return root
 
 
-def _check_simulated(root: Path) -> None:
-    """Refuse to replace a collect, or parts of one, that no simulation made."""
-    toml = root / "collect.toml"
-    parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
-    if parts and not (head_of(toml, len(MARKER)) == MARKER.encode()):
-        raise StoreError(
-            f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
-            expected="what an earlier simulation wrote there",
-            mend="name another folder; nothing was removed",
-        )
-
-
 def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return microseconds of the instrument's clock at nanoseconds after the first line."""
     return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
 
 
@@ -269,7 +299,7 @@ def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> N
 
 
 def _comments(flight: Flight) -> dict[str, object]:
-    """Return what Headwall writes below the ENVI part of a header."""
+    """Return the fields that Headwall writes below the ENVI part of a header."""
     settings = flight.settings
     return {
         "AOI width": settings.columns,
@@ -342,26 +372,15 @@ def _write_flight(
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     _write_settings_file(folder, settings)
     since = np.arange(
-        -_NAVIGATION_MARGIN, int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
-        10**9 // settings.navigation_rate, dtype=np.int64,
-    )  # fmt: skip
+        -_NAVIGATION_MARGIN,
+        int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
+        10**9 // settings.navigation_rate,
+        dtype=np.int64,
+    )
     utc = (flight.start + since).astype("datetime64[ns]")
     pose = flight.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
     write_sbet(folder / "trajectory.sbet", pose, utc)
-
-
-def _write_survey(flight: Flight, path: Path) -> None:
-    """Write places of the ground under the first, middle and last line; heights above the ellipsoid."""
-    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
-    places = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
-    places[:, 2] = 0.0
-    rows = zip(*flight.frame.geodetic(places), strict=True)
-    text = "".join(
-        f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
-        for number, (latitude, longitude, height) in enumerate(rows, start=1)
-    )
-    path.write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{text}", encoding="ascii")
 
 
 def _collect_text(flight: Flight, with_sweep: bool) -> str:

@@ -1,4 +1,4 @@
-"""One simulated flight: what the light and the camera do, line by line, whatever is flown over.
+"""One simulated flight: light and camera, scan line by scan line, over any scene.
 
 `plan_flight` flies over a flat picture, `rendered_flight` over triangles; both say what radiance every
 element sees, and this module turns it into counts and truth. The light is a mix of two spectra, direct and
@@ -40,7 +40,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     ----------
     sky
         One of `hyperpaint.simulation.settings.SKIES`. Under an overcast one a quarter of the clear sky's
-        light is left, slightly bluer (`rendering.sky_models`), and none of the sun.
+        light is left, slightly bluer (`rendering.sky_models`), without sun.
     sun_zenith
         [degree]
     wavelength
@@ -61,8 +61,8 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     return clear
 
 
+#: Pixel pitch over focal length [rad].
 PIXEL_ANGLE = 7.4e-6 / 12e-3
-"""Pixel pitch over focal length [rad]."""
 
 # keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
 # what is flown over stand in the modules of those flights
@@ -70,7 +70,7 @@ _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
 
 
 class Layer(NamedTuple):
-    """What a layer of truth is, shape (along_track, cross_track)."""
+    """Description of a truth layer, shape (along_track, cross_track)."""
 
     dtype: str
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
@@ -78,7 +78,7 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True)
 class Lines:
-    """Consecutive lines: what was seen, and what the converter was given.
+    """Consecutive scan lines: scene radiance, and counts before conversion.
 
     Attributes
     ----------
@@ -105,13 +105,17 @@ class Lines:
         """Return the rows ``start`` to ``stop``, without a copy."""
         rows = slice(start, stop)
         return Lines(
-            self.surface[rows], self.glint[rows], self.counts[rows], self.radiance[rows],
-            self.reflectance[rows], {name: values[rows] for name, values in self.layers.items()},
-        )  # fmt: skip
+            self.surface[rows],
+            self.glint[rows],
+            self.counts[rows],
+            self.radiance[rows],
+            self.reflectance[rows],
+            {name: values[rows] for name, values in self.layers.items()},
+        )
 
 
 class Seen(NamedTuple):
-    """Lines, and what gives pi INT L R of the elements (band, column) of any of their rows, to overwrite."""
+    """Scan lines, and a function from a row to pi INT L R of its elements (band, column)."""
 
     lines: Lines
     elements: Callable[[int], Floats]
@@ -186,11 +190,11 @@ class Flight(abc.ABC):
         return reflectance(names, wavelength)
 
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
-        """Return what else is known of a paint: ``colour``, ``finish``."""
+        """Return further properties of a paint: ``colour``, ``finish``."""
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of a car and nothing else, in the sun without its mirror image.
+        """Return which pixels show the paint of a car only, in the sun and without its mirror image.
 
         Returns
         -------
@@ -202,7 +206,7 @@ class Flight(abc.ABC):
 
     @cached_property
     def _paint_of_surface(self) -> NDArray[np.int32]:
-        """Place in ``paints`` of every class of surfaces, -1 for what is no paint."""
+        """Place in ``paints`` of every surface class, -1 for surfaces that are not paint."""
         paints = {name: number for number, name in enumerate(self.paints)}
         return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
 
@@ -237,7 +241,7 @@ class Flight(abc.ABC):
         return self.camera.radiance_gain(self.response_area)
 
     def matched_irradiance(self, factors: Floats) -> Floats:
-        """Return the irradiance that each element would have seen, INT E R / INT R.
+        """Return the irradiance weighted by the response of each element, INT E R / INT R.
 
         Parameters
         ----------
@@ -251,7 +255,7 @@ class Flight(abc.ABC):
         return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
 
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return lines ``start`` to ``stop``; the same whatever lines are asked for together.
+        """Return scan lines ``start`` to ``stop``; the same in every grouping.
 
         Radiance and reflectance are those of the scene, before the camera's optics blur it.
 
@@ -271,10 +275,9 @@ class Flight(abc.ABC):
 
     @abc.abstractmethod
     def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
-        """Return lines whose counts, radiance and reflectance are yet to be filled, and what they see."""
+        """Return scan lines with empty counts, radiance and reflectance, and their element radiance."""
 
     def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
-        """Return memory for counts, radiance and reflectance of a number of lines."""
         if into is None or len(into.counts) < number:
             shape = (number, self.settings.bands, self.settings.columns)
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -291,7 +294,7 @@ class Flight(abc.ABC):
         return light
 
     def _count(self, light: Floats, line: int) -> Floats:
-        """Return counts of pi INT L R (band, column), overwritten; the line's number chooses the noise."""
+        """Return counts of pi INT L R (band, column), overwritten; the scan line's number seeds the noise."""
         settings = self.settings
         light *= 1.0 / np.pi
         signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
@@ -303,7 +306,7 @@ class Flight(abc.ABC):
         return counts
 
     def _expose(self, seen: Seen, start: int) -> Lines:
-        """Record all rows of lines that begin at ``start``, and return them.
+        """Record all rows of scan lines that begin at ``start``, and return them.
 
         Rows go in threads: numpy lets go of the interpreter, each line draws its own numbers.
         """
@@ -316,7 +319,7 @@ class Flight(abc.ABC):
         return seen.lines
 
     def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
-        """Record ``lines`` of those that begin at ``first``, through the optics, and return them."""
+        """Record ``lines`` through the optics, of scan lines from ``first`` on, and return them."""
         factor = self.imager.element_factor
 
         def common(row: int) -> Floats:
@@ -333,7 +336,6 @@ class Flight(abc.ABC):
         return seen.lines.part(lines.start - first, lines.stop - first)
 
     def _factors(self, start: int, stop: int) -> Floats:
-        """Return factors of direct and diffuse light at mid exposure of lines, shape (2, along_track)."""
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
@@ -382,7 +384,7 @@ class Flight(abc.ABC):
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """How the platform flies; a plan scene is not moved by it."""
+        """Trajectory of the platform; it does not move a plan scene."""
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
         return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
 

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
+#: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
-"""Wavelengths of the simulated spectrometer [nm]."""
 
+#: Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum.
 ASD_INTEGRATION_MS, ASD_AVERAGES = 34, 20
-"""Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum."""
 
 _CALIBRATION_MS = 136
 _GPS_EPOCH = np.datetime64("1980-01-06T00:00:00", "ns")
@@ -94,7 +94,6 @@ class BilWriter:
 
 
 def write_settings(path: Path, settings: Mapping[str, object]) -> None:
-    """Write ``settings.txt``: lines ``key = value``."""
     path.write_text("".join(f"{key} = {value}\n" for key, value in settings.items()), encoding="ascii")
 
 
@@ -162,7 +161,7 @@ def _lamp() -> Floats:
 
 
 def _lamp_counts() -> Floats:
-    """Return the counts of the fore optic under that lamp, with the detector's own ripple [count]."""
+    """Return the counts of the fore optic under that calibration lamp, with detector ripple [count]."""
     detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
     ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
     return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
@@ -215,7 +214,7 @@ def write_asd_reflectance(
 
 @dataclass(frozen=True)
 class _AsdKind:
-    """What a file says of the operator's choice: data type, fore optic, highest ordinate, comment."""
+    """Fields of an ASD file chosen by the operator: data type, fore optic, highest ordinate, comment."""
 
     number: int
     fore_optic: int
@@ -237,12 +236,39 @@ class _AsdClock:
 
 
 def _write_asd(
-    path: Path, kind: _AsdKind, counts: Floats, reference: Floats, clock: _AsdClock,
+    path: Path,
+    kind: _AsdKind,
+    counts: Floats,
+    reference: Floats,
+    clock: _AsdClock,
     blocks: Sequence[tuple[int, bytes, Floats]] = (),
-) -> None:  # fmt: skip
+) -> None:
     zone = clock.utc_offset
+    header = bytearray(484)
+    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
+        (0, "3s", (b"as7",)),
+        (3, "157s", (kind.comment,)),
+        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
+        (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
+        (182, "i", (clock.reference_stamp,)),
+        (186, "B", (kind.number,)),
+        (187, "i", (clock.reference_stamp,)),
+        (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
+        (199, "B", (2,)),  # float64
+        (204, "H", (len(counts),)),
+        (390, "I", (ASD_INTEGRATION_MS,)),
+        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
+        (398, "HH", (1, 18875)),
+        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (418, "H", (16,)),
+        (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
+        (431, "B", (2,)),  # LSVNIR
+        (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
+    )
+    for offset, layout, values in fields:
+        struct.pack_into("<" + layout, header, offset, *values)
     parts = [
-        _asd_header(kind, len(counts), clock),
+        bytes(header),
         counts.astype("<f8").tobytes(),
         struct.pack("<Hdd", 0xFFFF, _ole(clock.reference_stamp + zone), _ole(clock.stamp + zone)),
         struct.pack("<H", 0),
@@ -260,33 +286,6 @@ def _write_asd(
 _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 
 
-def _asd_header(kind: _AsdKind, channels: int, clock: _AsdClock) -> bytes:
-    header = bytearray(484)
-    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
-        (0, "3s", (b"as7",)),
-        (3, "157s", (kind.comment,)),
-        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
-        (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
-        (182, "i", (clock.reference_stamp,)),
-        (186, "B", (kind.number,)),
-        (187, "i", (clock.reference_stamp,)),
-        (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
-        (199, "B", (2,)),  # float64
-        (204, "H", (channels,)),
-        (390, "I", (ASD_INTEGRATION_MS,)),
-        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
-        (398, "HH", (1, 18875)),
-        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
-        (418, "H", (16,)),
-        (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
-        (431, "B", (2,)),  # LSVNIR
-        (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
-    )
-    for offset, layout, values in fields:
-        struct.pack_into("<" + layout, header, offset, *values)
-    return bytes(header)
-
-
 def _c_time(local: int) -> tuple[int, ...]:
     """Return C's ``tm`` of a local time in seconds: sec min hour mday mon year wday yday isdst."""
     moment = np.datetime64(local, "s")
@@ -294,10 +293,16 @@ def _c_time(local: int) -> tuple[int, ...]:
     year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
     seconds = int((moment - day).astype(np.int64))
     return (
-        seconds % 60, seconds // 60 % 60, seconds // 3600, int((day - month).astype(np.int64)) + 1,
-        int(month.astype(np.int64)) % 12, int(year.astype(np.int64)) + 70,
-        (int(day.astype(np.int64)) + 4) % 7, int((day - year).astype(np.int64)), 0,
-    )  # fmt: skip
+        seconds % 60,
+        seconds // 60 % 60,
+        seconds // 3600,
+        int((day - month).astype(np.int64)) + 1,
+        int(month.astype(np.int64)) % 12,
+        int(year.astype(np.int64)) + 70,
+        (int(day.astype(np.int64)) + 4) % 7,
+        int((day - year).astype(np.int64)),
+        0,
+    )
 
 
 def _ole(local: int) -> float:
@@ -345,12 +350,12 @@ class SvcDetector:
         return np.asarray(np.round(self.first + self.first_step * place - bend * place**2, 1))
 
 
+#: Silicon and two of InGaAs.
 SVC_DETECTORS = (
     SvcDetector(512, 338.5, 1010.3, 1.47, 3.5),
     SvcDetector(256, 963.9, 1912.0, 3.72, 9.5),
     SvcDetector(256, 1891.3, 2513.2, 2.85, 6.5),
 )
-"""Silicon and two of InGaAs."""
 
 
 def svc_wavelengths() -> Floats:
@@ -395,9 +400,12 @@ def write_svc(
 
 
 def _header(
-    name: str, stamps: tuple[int, int], utc_offset: int, position: tuple[float, float],
+    name: str,
+    stamps: tuple[int, int],
+    utc_offset: int,
+    position: tuple[float, float],
     sun: tuple[float, float],
-) -> dict[str, str]:  # fmt: skip
+) -> dict[str, str]:
     latitude = _degrees_and_minutes(position[0], 2, "NS")
     longitude = _degrees_and_minutes(position[1], 3, "EW")
     times = [np.datetime64(stamp, "s").item() for stamp in stamps]
@@ -438,7 +446,7 @@ def _header(
 
 
 def _degrees_and_minutes(angle: float, width: int, letters: str) -> str:
-    """Return an angle the way GPS receivers write it.
+    """Return an angle in the format of GPS receivers.
 
     Examples
     --------

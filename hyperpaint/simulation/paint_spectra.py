@@ -1,4 +1,4 @@
-"""Reflectance spectra of paints and of what stands around cars, from a few parameters each.
+"""Reflectance spectra of paints and of surroundings of cars, from a few parameters each.
 
 A paint is a scattering layer under a clear coat. Kubelka & Munk (1931): a thick layer whose absorption is K/S
 times its scattering reflects R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S). Saunderson (1942) adds the interface:
@@ -18,7 +18,7 @@ from hyperpaint.base.arrays import Floats
 
 
 class Feature(Protocol):
-    """Something a spectrum has at one wavelength."""
+    """A local feature of a spectrum."""
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return its height at ``wavelength`` [nm]."""
@@ -33,7 +33,6 @@ class Edge:
     height: float
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the step at ``wavelength`` [nm]."""
         return np.asarray(self.height * 0.5 * (1.0 + np.tanh((wavelength - self.centre) / (2 * self.width))))
 
 
@@ -46,7 +45,6 @@ class Bump:
     height: float
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the bump at ``wavelength`` [nm]."""
         return np.asarray(self.height * np.exp(-0.5 * ((wavelength - self.centre) / self.width) ** 2))
 
 
@@ -86,13 +84,13 @@ class Plain:
     features: Sequence[Feature] = ()
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance factor at ``wavelength`` [nm]."""
         total = self.level + self.slope * (wavelength - 550.0) / 1000.0
         for feature in self.features:
             total = total + feature(wavelength)
         return np.asarray(total)
 
 
+#: A dozen car paints.
 CAR_PAINTS: dict[str, Paint] = {
     "white": Paint(0.006, [Edge(405.0, -5.0, 4.0), Bump(930.0, 40.0, 0.003)]),
     "silver": Paint(0.10, [Edge(420.0, -12.0, 0.25), Bump(820.0, 70.0, 0.02)]),
@@ -107,13 +105,13 @@ CAR_PAINTS: dict[str, Paint] = {
     "yellow": Paint(0.02, [Edge(508.0, -7.0, 6.0)]),
     "orange": Paint(0.025, [Edge(562.0, -8.0, 7.0)]),
 }
-"""A dozen car paints."""
 
+#: Reflectance factors of the grey panels, the same at every wavelength.
 PANELS = (0.05, 0.20, 0.50, 0.90)
-"""Reflectance factors of the grey panels, the same at every wavelength."""
 
 _VEGETATION: list[Feature] = [Bump(552.0, 28.0, 0.075), Edge(716.0, 12.0, 0.40), Bump(968.0, 22.0, -0.05)]
 
+#: Every material of a scene; its place in this table is its class.
 MATERIALS: dict[str, Paint | Plain] = {
     "asphalt": Plain(0.085, 0.08, [Edge(430.0, 30.0, 0.01)]),
     "painted_line": Paint(0.03, [Edge(410.0, -8.0, 3.0)]),
@@ -124,7 +122,6 @@ MATERIALS: dict[str, Paint | Plain] = {
     **{f"panel_{round(100 * level):02d}": Plain(level) for level in PANELS},
     **CAR_PAINTS,
 }
-"""Every material of a scene; its place in this table is its class."""
 
 
 def reflectance(names: Sequence[str], wavelength: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Regions of a simulated collect, found from what is true of its pixels instead of drawn by hand.
+"""Regions of a simulated collect, found from the truth of its pixels instead of drawn by hand.
 
 A rectangle is grown over neighbouring pixels that show one car's paint and nothing else, in the sun and
 without its mirror image, and hardly differ in height. A paint gets the largest of all cars and flight lines,
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from .flight import Flight, Lines
 
+#: The file.
 REGIONS = "regions.geojson"
-"""The file."""
 
 #: Rise over run between neighbouring pixels; roofs and bonnets are below, doors and flanks above.
-_STEEPEST = 0.1
-_FEWEST = 6  # pixels along the shorter side
+_MAX_SLOPE = 0.1
+_MIN_SIDE_PIXELS = 6  # pixels along the shorter side
 _MARGIN = 8  # parts of the shorter side; one is left free at each edge
 
 #: First and last line, first and last column.
@@ -30,7 +30,7 @@ _Box = tuple[int, int, int, int]
 
 
 class PaintedRectangles:
-    """The largest clean rectangle of every paint, found line by line; a flight knows which pixels are clean.
+    """The largest clean rectangle of every paint, found scan line by scan line.
 
     Examples
     --------
@@ -46,7 +46,7 @@ class PaintedRectangles:
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
-        self._step = _STEEPEST * flight.ground_sample
+        self._step = _MAX_SLOPE * flight.ground_sample
         self._best: dict[int, tuple[str, _Box]] = {}
         self._areas: dict[int, int] = {}
         self.begin("")
@@ -60,40 +60,40 @@ class PaintedRectangles:
         self._tall = np.zeros(columns, np.int64)
 
     def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Look at further lines of the flight line, in order; only ``recorded`` ones (along_track,) count."""
+        """Add further scan lines in order; only ``recorded`` ones (along_track,) count."""
         labels = self._flight.clean_paint(lines)
         ups = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
         for label, up in zip(labels[recorded], ups[recorded], strict=True):
             same = (label == self._label) & (np.abs(up - self._up) <= self._step)
             self._tall = np.where(label < 0, 0, np.where(same, self._tall + 1, 1))
             self._label, self._up = label, up
-            if (self._tall >= _FEWEST).any():
+            if (self._tall >= _MIN_SIDE_PIXELS).any():
                 self._search()
             self._line += 1
 
     def _search(self) -> None:
-        """Take what is larger than before of the rectangles that end at this line."""
+        """Keep the rectangles that end at this scan line and exceed the largest so far."""
         for begin, end in self._runs():
             paint = int(self._label[begin]) % len(self._flight.paints)
             for tall, first, last in _rectangles(self._tall[begin:end].tolist()):
                 wide = last - first
-                if min(tall, wide) >= _FEWEST and tall * wide > self._areas.get(paint, 0):
+                if min(tall, wide) >= _MIN_SIDE_PIXELS and tall * wide > self._areas.get(paint, 0):
                     self._areas[paint] = tall * wide
                     box = (self._line - tall + 1, self._line, begin + first, begin + last - 1)
                     self._best[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
-        """Yield bounds of the columns that may hold a rectangle: one label, level, and tall enough."""
-        enough = self._tall >= _FEWEST
+        """Yield bounds of columns that may hold a rectangle: one label, level, and tall enough."""
+        enough = self._tall >= _MIN_SIDE_PIXELS
         joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         joined &= np.abs(np.diff(self._up)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
         for begin, end in edges.reshape(-1, 2).tolist():
-            if end + 1 - begin >= _FEWEST:
+            if end + 1 - begin >= _MIN_SIDE_PIXELS:
                 yield begin, end + 1
 
     def features(self) -> list[dict[str, Any]]:
-        """Return a Feature of GeoJSON of every paint with a rectangle, in the order of the paints."""
+        """Return a GeoJSON Feature of every paint with a rectangle, in the order of the paints."""
         return [self._feature(self._flight.paints[paint], *self._best[paint]) for paint in sorted(self._best)]
 
     def _feature(self, paint: str, flightline: str, box: _Box) -> dict[str, Any]:
@@ -102,9 +102,11 @@ class PaintedRectangles:
         first, last, left, right = first + margin, last - margin, left + margin, right - margin
         ring = [[left, first], [right, first], [right, last], [left, last], [left, first]]
         properties: Mapping[str, str] = {
-            "name": paint, "flightline": flightline, "reference": paint,
+            "name": paint,
+            "flightline": flightline,
+            "reference": paint,
             **self._flight.paint_properties(paint),
-        }  # fmt: skip
+        }
         return {
             "type": "Feature",
             "properties": dict(properties),
@@ -123,7 +125,7 @@ class PaintedRectangles:
 
 
 def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
-    """Yield height, first column and column after the last of the rectangles that a skyline cannot widen.
+    """Yield height, first column and column after the last of all maximal rectangles under a skyline.
 
     Examples
     --------

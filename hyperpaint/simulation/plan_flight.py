@@ -66,28 +66,24 @@ class CarPark:
         classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
         classes[x < _KERB_END] = _CLASS["concrete"]
         classes[x < _GRASS_END] = _CLASS["grass"]
-        self._paint_bays(classes, y, x)
-        self._lay_panels(classes, y, x)
-        first, last = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
-        for bay in range(first, last + 1):
-            for row in range(len(_ROWS)):
-                self._park(classes, y, x, bay, row)
-        return classes
-
-    def _paint_bays(self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64]) -> None:
-        # a line is at least a pixel wide, or coarse pictures would have none
+        # painted lines, at least a pixel wide, or coarse pictures would have none
         half = max(_LINE_HALF_WIDTH, self.ground_sample / 2)
         beside = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= half
         for begin in _ROWS:
             classes[beside & (x >= begin) & (x <= begin + _BAY_LENGTH)] = _CLASS["painted_line"]
-
-    def _lay_panels(self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+        # panels in the aisle
         beside = (y - _PANEL_START) % _PANEL_PERIOD <= _PANEL_SIZE
         pitch = (_ROWS[1] - _ROWS[0] - _BAY_LENGTH) / len(PANELS)
         for index, level in enumerate(PANELS):
             begin = _ROWS[0] + _BAY_LENGTH + (index + 0.5) * pitch - _PANEL_SIZE / 2
             here = beside & (x >= begin) & (x <= begin + _PANEL_SIZE)
             classes[here] = _CLASS[f"panel_{round(100 * level):02d}"]
+        # cars
+        first, last = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
+        for bay in range(first, last + 1):
+            for row in range(len(_ROWS)):
+                self._park(classes, y, x, bay, row)
+        return classes
 
     def _park(
         self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64], bay: int, row: int
@@ -115,7 +111,7 @@ class CarPark:
         classes[near] = view
 
     def _paint_of(self, place: int) -> str:
-        """Return the paint of the car on a place: twelve neighbouring places have twelve paints."""
+        """Return the paint of the car in a bay: twelve neighbouring bays have twelve paints."""
         paints = list(CAR_PAINTS)
         deck, card = divmod(place + 2 * len(paints), len(paints))
         order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
@@ -166,7 +162,7 @@ class PlanFlight(Flight):
         return Seen(block, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
-        """Return pi INT L R of every element of a line, shape (band, cross_track)."""
+        """Return pi INT L R of every element of a scan line, shape (band, cross_track)."""
         direct, diffuse = factors
         columns = self.settings.columns
         index = surface.astype(np.intp) * columns + np.arange(columns)

@@ -36,16 +36,15 @@ from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
-from .transport.texturing import Texture
 
+#: Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint.
 GLINT = 0.02
-"""Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint."""
 
-_LONGEST = 2000.0  # m of car park that are built
-_BEFORE = 3.0  # m of car park before and behind what is seen
-_PERIOD = 30.0  # m after which its grey panels come again; a flight soon sees its first
+_MAX_LENGTH_M = 2000.0  # m of car park that are built
+_MARGIN_BEFORE_M = 3.0  # m of car park before and behind what is seen
+_PANEL_PERIOD_M = 30.0  # m after which its grey panels come again; a flight soon sees its first
 _MARGIN = 30.0  # m of ground around it
-_STEEPEST = 0.5  # degrees that the camera leans from the vertical, at least
+_MIN_LEAN_DEG = 0.5  # degrees that the camera leans from the vertical, at least
 _LINES_AT_ONCE = 4  # of a thread
 
 
@@ -75,25 +74,30 @@ class RenderedFlight(Flight):
         self._scene: PreparedScene = prepare_scene(scene, trace)
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
-        self.paints = tuple(sorted({each.spectrum for each in record.materials if each.kind == "paint"}))
+        paint_names = {material.spectrum for material in record.materials if material.kind == "paint"}
+        self.paints = tuple(sorted(paint_names))
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         bands = BandSet.of(self.imager)
-        light = source_spectra(self._atmosphere(overcast), trace)
+        # the light, without air before the camera
+        direct, diffuse = self.sky
+        spread = clear_spread(self.grid, direct, settings.sun[0])
+        atmosphere = Atmosphere(
+            self.grid,
+            direct / self._cosine,
+            diffuse,
+            0.0 * self.grid,
+            0.0 * self.grid,
+            *settings.sun,
+            overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
+            molecular=spread.molecular,
+            aureole=spread.aureole,
+        )
+        light = source_spectra(atmosphere, trace)
         factors = factor_spectra(record, bands)
         self._populations = populations_of(record, factors, bands)
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
-
-    def _atmosphere(self, overcast: bool) -> Atmosphere:
-        """Return the light, without air before the camera."""
-        direct, diffuse = self.sky
-        spread = clear_spread(self.grid, direct, self.settings.sun[0])
-        return Atmosphere(
-            self.grid, direct / self._cosine, diffuse, 0.0 * self.grid, 0.0 * self.grid, *self.settings.sun,
-            overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
-            molecular=spread.molecular, aureole=spread.aureole,
-        )  # fmt: skip
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
@@ -109,13 +113,13 @@ class RenderedFlight(Flight):
         return {"colour": paint_spec(paint).colour, "finish": finish}
 
     def _flakes(self, paint: str) -> float:
-        """Return how much of the light in a paint meets flakes in this scene."""
+        """Return the share of the light in a paint that meets flakes in this scene."""
         flakes = paint_spec(paint).flakes
         has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
         return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of one car and nothing else, in full sun and without glint."""
+        """Return which pixels show the paint of one car only, in full sun and without glint."""
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
         clean = (paint >= 0) & (car >= 0)
         clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
@@ -124,13 +128,20 @@ class RenderedFlight(Flight):
     def _car_park(self) -> Scene:
         """Return a car park that begins before the first line's view and ends behind the last one's."""
         settings = self.settings
-        ahead, before = self._seen_ahead()
-        start = np.ceil((before + ahead) / _PERIOD) * _PERIOD - ahead
+        # how far ahead the camera may look, and length of park before its view [m]
+        path = self.trajectory
+        lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
+        ahead = lean * self.ground_sample / PIXEL_ANGLE
+        turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        before = ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
+        start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
-        if length > _LONGEST:
+        if length > _MAX_LENGTH_M:
             raise SchemaError(
-                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park, and at "
-                f"most {_LONGEST:g} m are rendered; take fewer lines, more columns, or scene='plan'"
+                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
+                expected=f"at most {_MAX_LENGTH_M:g} m",
+                mend="take fewer lines, more columns, or scene='plan'",
+                code="flight-too-long",
             )
         park = car_park(
             length=float(length),
@@ -146,17 +157,9 @@ class RenderedFlight(Flight):
         )
         return park.moved((0.0, -float(start), 0.0))
 
-    def _seen_ahead(self) -> tuple[float, float]:
-        """Return how far ahead the camera may look, and how much is built before what it sees [m]."""
-        path = self.trajectory
-        lean = float(np.tan(np.radians(max(_STEEPEST, path.steepest))))
-        ahead = lean * self.ground_sample / PIXEL_ANGLE
-        turned = float(np.sin(np.radians(path.most_yaw))) * SWATH_M / 2
-        return ahead, ahead + max(_BEFORE, turned + 1.0) + max(map(abs, path.lever_arm))
-
     @cached_property
     def platform(self) -> Platform:
-        """Where the camera was at begin and end of every exposure."""
+        """Camera poses at begin and end of every exposure."""
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
         edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
@@ -169,16 +172,24 @@ class RenderedFlight(Flight):
         block = self._trace(start, stop)
         factors = self._factors(start, stop)
         record = Lines(
-            self._surface[block.material], self._glint(block, factors), *self._cubes(stop - start, into),
+            self._surface[block.material],
+            self._glint(block, factors),
+            *self._cubes(stop - start, into),
             self._label(block),
-        )  # fmt: skip
+        )
         # on its way to counts, INT L R stands where the radiance will be
-        self._shine(block, factors, record.radiance)
+        direct, diffuse = factors[:, :, None, None]
+        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
+        texture = None
+        if self._populations is not None:
+            place = np.moveaxis(block.position, 1, 0)
+            texture = self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return Seen(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
-        """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""
+        """Return the paths of scan lines, traced by threads: the kernel releases the interpreter."""
         platform = self.platform
 
         def trace(begin: int) -> Block:
@@ -189,39 +200,28 @@ class RenderedFlight(Flight):
         return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def _label(self, block: Block) -> dict[str, NDArray[Any]]:
-        """Return the layers of lines."""
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
         return {
-            **self._scene.labels.layers(block.material, block.instance), "purity": block.purity,
-            "shadow": 1.0 - block.sun_visibility[:, 0], "east": east, "north": north, "height": height,
+            **self._scene.labels.layers(block.material, block.instance),
+            "purity": block.purity,
+            "shadow": 1.0 - block.sun_visibility[:, 0],
+            "east": east,
+            "north": north,
+            "height": height,
             "up": block.position[:, 2],
-        }  # fmt: skip
+        }
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        """Return where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
+        """Return which pixels have `GLINT` or more of the sun's mirror image, shape (line, column)."""
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors
         normal = self._incident[0].mean() / self._cosine * factors[0]
         return np.asarray(weight * (normal / level)[:, None] > GLINT)
 
-    def _shine(self, block: Block, factors: Floats, out: NDArray[np.float32]) -> None:
-        """Write INT L R of every element but for its own factor, shape (line, band, column)."""
-        direct, diffuse = factors[:, :, None, None]
-        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        self._products.mix(weight, block.code, out, self._texture(block))
-
-    def _texture(self, block: Block) -> Texture | None:
-        """Return which members of populations pixels show; None where nothing has one."""
-        if self._populations is None:
-            return None
-        labels, place = (block.material, block.instance), np.moveaxis(block.position, 1, 0)
-        return self._populations.texture(*labels, place, self.settings.seed)
-
 
 def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
-    """Return what is known of every pixel."""
     meters = {
         "east": f"East of the mean place seen, on {plane.crs}",
         "north": f"North of the mean place seen, on {plane.crs}",
@@ -236,9 +236,11 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         "shadow": ("float32", {"long_name": "Share of the pixel that does not see the sun", "units": "1"}),
         **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
     }
-    return {name: Layer(dtype, _plain(attrs)) for name, (dtype, attrs) in described.items()}
-
-
-def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes that can be written as JSON."""
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in attrs.items()}
+    # attributes become JSON: lists, no arrays
+    plain = {
+        name: {
+            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()
+        }
+        for name, (_, attrs) in described.items()
+    }
+    return {name: Layer(dtype, plain[name]) for name, (dtype, _) in described.items()}

@@ -1,4 +1,4 @@
-"""Calibration, truth and sweeps as labelled arrays: what of the simulator knows xarray and zarr."""
+"""Calibration, truth and sweeps as labelled arrays: the part of the simulator that uses xarray and zarr."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hyperpaint.base.schema import (
     TIME_UNITS,
     VARIABLES,
     Variable,
-)  # fmt: skip
+)
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
@@ -37,8 +37,8 @@ from .trajectories import CONVENTION
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
+#: Opens the names of what a real sweep would not know.
 TRUTH = "true_"
-"""Opens the names of what a real sweep would not know."""
 
 _MASKS = {
     "saturated": "True where the converter was full in any band",
@@ -109,7 +109,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
 
 
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
-    """Write small arrays as a new store; zarr's own default, zstd, is no codec that hyperpaint reads."""
+    """Write small arrays as a new store; hyperpaint does not read zarr's default codec, zstd."""
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
     store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
@@ -117,7 +117,7 @@ def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) ->
 
 
 def _consolidate(path: Path) -> None:
-    """Gather the metadata at the root, where plain `xarray.open_zarr` looks first."""
+    """Consolidate the metadata at the root, where plain `xarray.open_zarr` looks first."""
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
         warnings.simplefilter("ignore")
@@ -134,7 +134,7 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
-    """Return the corners of a checkerboard, where that is flown over."""
+    """Return the corners of a checkerboard; empty for other flights."""
     if not isinstance(flight, CheckerboardFlight):
         return {}
     return {
@@ -156,12 +156,16 @@ class TruthStore:
             **_line_coords(flight),
         }
         attrs = {
-            "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
-            "srf_shape": settings.srf_shape, "irradiance_srf_shape": "gaussian", "crs": flight.plane.crs,
-            "ground": flight.frame.height, "boresight": list(flight.trajectory.boresight),
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": "truth of a simulated collect",
+            "srf_shape": settings.srf_shape,
+            "irradiance_srf_shape": "gaussian",
+            "crs": flight.plane.crs,
+            "ground": flight.frame.height,
+            "boresight": list(flight.trajectory.boresight),
             "lever_arm": list(flight.trajectory.lever_arm),
             "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-        }  # fmt: skip
+        }
         head = xr.Dataset(_corners(flight), coords, attrs)
         time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
         _write_small(head, path, time=time)
@@ -199,17 +203,28 @@ def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
 
 
 def _create_array(
-    group: zarr.Group, name: str, shape: tuple[int, ...], *, dims: tuple[str, ...], dtype: str,
-    attrs: dict[str, Any], chunk_length: int = CHUNK_LINES,
-) -> Any:  # fmt: skip
+    group: zarr.Group,
+    name: str,
+    shape: tuple[int, ...],
+    *,
+    dims: tuple[str, ...],
+    dtype: str,
+    attrs: dict[str, Any],
+    chunk_length: int = CHUNK_LINES,
+) -> Any:
     """Create an array to be filled block by block, in chunks of ``chunk_length`` along its first dim."""
     kind = np.dtype(dtype)
     return group.create_array(
-        name, shape=shape, chunks=(min(chunk_length, shape[0]), *shape[1:]), dtype=dtype,
+        name,
+        shape=shape,
+        chunks=(min(chunk_length, shape[0]), *shape[1:]),
+        dtype=dtype,
         compressors=[BloscCodec(typesize=kind.itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
-        fill_value=np.nan if kind.kind == "f" else kind.type(0), dimension_names=dims, attributes=attrs,
+        fill_value=np.nan if kind.kind == "f" else kind.type(0),
+        dimension_names=dims,
+        attributes=attrs,
         config={"write_empty_chunks": True},
-    )  # fmt: skip
+    )
 
 
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
@@ -264,7 +279,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 
 
 def _scalar_or_step(values: Any) -> Any:
-    """Return what does not change from step to step as one number."""
+    """Return one number if all steps have the same value."""
     return values[0] if np.all(values == values[0]) else values
 
 
@@ -273,7 +288,7 @@ def _is_one_dark(sweep: Sweep) -> bool:
 
 
 def _without_cubes(sweep: Sweep) -> xr.Dataset:
-    """Return all of a sweep but its counts."""
+    """Return a sweep without its counts."""
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -299,16 +314,21 @@ def _without_cubes(sweep: Sweep) -> xr.Dataset:
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
-    """Return what the calibration of a sweep should find; names open with `TRUTH`."""
+    """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
-    seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
+    responsivity = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
-        "radiance_gain": camera.radiance_gain(), "responsivity": seen, "wavelength": imager.wavelength,
-        "wavelength_shift": imager.wavelength_shift, "fwhm": imager.band_fwhm, "dark_bias": camera.dark_bias,
-        "dark_rate": camera.dark_rate, "electrons_per_count": camera.electrons_per_count,
+        "radiance_gain": camera.radiance_gain(),
+        "responsivity": responsivity,
+        "wavelength": imager.wavelength,
+        "wavelength_shift": imager.wavelength_shift,
+        "fwhm": imager.band_fwhm,
+        "dark_bias": camera.dark_bias,
+        "dark_rate": camera.dark_rate,
+        "electrons_per_count": camera.electrons_per_count,
         "read_noise": camera.read_noise,
-    }  # fmt: skip
+    }
     variables = {name: labelled(VARIABLES[name], value) for name, value in values.items()}
     # of the gain every digit: a calibration is to be compared with it to 1e-3 and better
     variables["radiance_gain"] = variables["radiance_gain"].copy(data=values["radiance_gain"])
@@ -432,7 +452,7 @@ def write_sweep(
 
 
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
-    """Write a sweep where nothing stands yet, and its truth beside it."""
+    """Write a sweep to a new store, and its truth beside it."""
     if truth:
         _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         _consolidate(_truth_beside(path))
@@ -464,9 +484,11 @@ def _clear(target: Path, overwrite: bool) -> None:
     if not overwrite or not is_simulated_sweep(target, f"{TRUTH}srf_shape"):
         mend = "name another path, or replace an earlier sweep with {}"
         raise StoreError(
-            f"{target} exists already",
-            mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-        )  # fmt: skip
+            f"{target} exists",
+            mend=mend.format("overwrite=True"),
+            option=mend.format("--overwrite"),
+            code="store-exists",
+        )
     shutil.rmtree(target)
 
 
@@ -480,7 +502,6 @@ def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
 
 
 def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
-    """Write the frames of every step into arrays of `_shapes`."""
     one_dark = _is_one_dark(sweep)
     if one_dark:
         cubes["dark_counts"][...] = sweep.dark(0).mean

@@ -1,8 +1,7 @@
-"""How a drone flies over the earth: a straight course, and what wind and propellers make of it.
+"""The flight of a drone over the earth: a straight course, and deviations by wind and propellers.
 
-The earth's figure is WGS-84 by closed formulas, its map that of one UTM zone. What a flight is simulated on
-must not be what it is located with: nothing here is from a library of geodesy, nor shared with the part of
-the package that places pixels.
+The earth's figure is WGS-84 by closed formulas, its map one UTM zone. Simulation and geolocation must be
+independent: nothing here comes from a library of geodesy, or from the part of the package that places pixels.
 
 Angles are those of ISO 1151-2: heading clockwise from true north, pitch with the nose up, roll with the right
 wing down, turned in this order; heights are above the ellipsoid. A wobble is a sum of sines whose frequencies
@@ -62,7 +61,7 @@ def geodetic(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-    """Return what turns north, east, down at a place [degree] into the earth-centred frame (..., 3, 3)."""
+    """Return rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3)."""
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
     none = np.zeros_like(cl)
@@ -101,7 +100,7 @@ class LocalFrame:
 
     @cached_property
     def axes(self) -> Floats:
-        """What turns this frame into the earth-centred one, (3, 3)."""
+        """Rotation from this frame to the earth-centred one, (3, 3)."""
         north, east, down = north_east_down(self.latitude, self.longitude).T
         return np.stack([east, north, -down], axis=-1)
 
@@ -112,10 +111,6 @@ class LocalFrame:
     def geodetic(self, place: Floats) -> tuple[Floats, Floats, Floats]:
         """Return latitude, longitude [degree] and height [m] of x, y, z (..., 3)."""
         return geodetic(self._origin + place @ self.axes.T)
-
-    def from_north_east_down(self, latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-        """Return what turns north, east, down at places into this frame (..., 3, 3)."""
-        return np.asarray(self.axes.T @ north_east_down(latitude, longitude))
 
 
 @dataclass(frozen=True)
@@ -150,7 +145,7 @@ class TransverseMercator:
 
     @property
     def crs(self) -> str:
-        """Its name in the register of the EPSG."""
+        """EPSG code."""
         return f"EPSG:{32600 + self.zone}"
 
     def project(self, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
@@ -186,12 +181,16 @@ _ALPHA = tuple(
 _SCALE = 0.9996 * _A / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64 + _N**6 / 256)
 
 
+#: What angles, heights and columns of a simulated flight mean.
 CONVENTION = {
-    "roll_positive": "right_wing_down", "pitch_positive": "nose_up", "heading_positive": "clockwise",
-    "heading_reference": "true", "euler_order": "ZYX", "height_reference": "ellipsoid",
+    "roll_positive": "right_wing_down",
+    "pitch_positive": "nose_up",
+    "heading_positive": "clockwise",
+    "heading_reference": "true",
+    "euler_order": "ZYX",
+    "height_reference": "ellipsoid",
     "column_order": "left_to_right",
-}  # fmt: skip
-"""What angles, heights and columns of a simulated flight mean."""
+}
 
 _STREAM = 20  # key of the random stream
 _SINES = 12
@@ -221,7 +220,7 @@ class Motion:
 
     @classmethod
     def random(cls, spread: float, rate: float, rng: np.random.Generator) -> Motion:
-        """Return sines of these standard deviations, of the motion and of its rate of change [1 s-1]."""
+        """Return sines with these standard deviations of the motion and of its rate of change [s-1]."""
         part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
         amplitude = part**-0.5
         amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
@@ -239,8 +238,8 @@ class Motion:
         return motion
 
     @property
-    def most(self) -> float:
-        """Largest magnitude that it can have."""
+    def peak(self) -> float:
+        """Largest possible magnitude."""
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
 
@@ -260,9 +259,11 @@ _SPREADS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 def _motions(settings: SimulationSettings) -> dict[str, Motion]:
     if settings.wobble == "slow":
         return {
-            "roll": Motion.slow(0.4, 3.1, 0.3), "pitch": Motion.slow(0.3, 4.7, 1.1),
-            "heading": Motion.slow(0.2, 7.9, 0.0, mean=0.5), "altitude": Motion.slow(0.1, 11.0, 0.0),
-        }  # fmt: skip
+            "roll": Motion.slow(0.4, 3.1, 0.3),
+            "pitch": Motion.slow(0.3, 4.7, 1.1),
+            "heading": Motion.slow(0.2, 7.9, 0.0, mean=0.5),
+            "altitude": Motion.slow(0.1, 11.0, 0.0),
+        }
     rng = np.random.default_rng([settings.seed, _STREAM])
     spreads = _SPREADS.get(settings.wobble, {})
     return {name: Motion.random(*pair, rng) for name, pair in spreads.items()}
@@ -270,7 +271,7 @@ def _motions(settings: SimulationSettings) -> dict[str, Motion]:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the navigation system is, and the camera that is fixed to it, at any moment.
+    """Pose of the navigation system, and of the camera fixed to it, at any moment.
 
     Attributes
     ----------
@@ -304,9 +305,14 @@ class Trajectory:
         first, second, third = settings.boresight
         forward, right, down = settings.lever_arm
         return cls(
-            frame, float(settings.course), speed, altitude, (float(first), float(second), float(third)),
-            (float(forward), float(right), float(down)), _motions(settings),
-        )  # fmt: skip
+            frame,
+            float(settings.course),
+            speed,
+            altitude,
+            (float(first), float(second), float(third)),
+            (float(forward), float(right), float(down)),
+            _motions(settings),
+        )
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
         """Return position and attitude of the navigation system [degree, m]; heading from 0 to 360."""
@@ -336,23 +342,23 @@ class Trajectory:
         """
         pose = self.pose(seconds)
         place = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
-        down = self.frame.from_north_east_down(pose["latitude"], pose["longitude"])
+        down = np.asarray(self.frame.axes.T @ north_east_down(pose["latitude"], pose["longitude"]))
         body = down @ turns(quaternions(pose["roll"], pose["pitch"], pose["heading"]))
         return place + body @ np.array(self.lever_arm), body @ turns(quaternions(*self.boresight))
 
     @property
     def steepest(self) -> float:
         """Angle by which the camera's axis can lean from the vertical, along or across the track [degree]."""
-        tilt = max(self._most("roll"), self._most("pitch"))
+        tilt = max(self._peak("roll"), self._peak("pitch"))
         return tilt + max(map(abs, self.boresight[:2]))
 
     @property
-    def most_yaw(self) -> float:
+    def max_yaw(self) -> float:
         """Angle by which the camera can be turned from its course [degree]."""
-        return self._most("heading") + abs(self.boresight[2])
+        return self._peak("heading") + abs(self.boresight[2])
 
     def _motion(self, name: str, seconds: Floats) -> Floats:
         return self.motions[name].at(seconds) if name in self.motions else np.zeros_like(seconds)
 
-    def _most(self, name: str) -> float:
-        return self.motions[name].most if name in self.motions else 0.0
+    def _peak(self, name: str) -> float:
+        return self.motions[name].peak if name in self.motions else 0.0

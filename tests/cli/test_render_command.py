@@ -322,9 +322,9 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("spectrum", "problem"),
     [
-        ("300,0.2\n1200,1.3\n", "goes from 0.2 to 1.3, expected 0 to 1"),
-        ("500,0.2\n600,0.3\n", "covers 500.0 to 600.0 nm"),
-        ("300,0.2\n1200,nan\n", "not finite"),
+        ("300,0.2\n1200,1.3\n", "value-out-of-range"),
+        ("500,0.2\n600,0.3\n", "spectrum-coverage"),
+        ("300,0.2\n1200,nan\n", "not-finite"),
     ],
 )
 def test_spectra_that_no_paint_has_are_refused(tmp_path: Path, spectrum: str, problem: str) -> None:

@@ -178,8 +178,10 @@ def _spectral_mitsuba() -> Any:
     variant = mitsuba.variant()
     if variant is None or "spectral" not in variant:
         raise SchemaError(
-            f"the variant of Mitsuba is {variant}, expected a spectral one; "
-            "call mitsuba.set_variant('scalar_spectral') first"
+            f"the variant of Mitsuba is {variant}",
+            expected="a spectral one",
+            mend="call mitsuba.set_variant('scalar_spectral') first",
+            code="variant-unsuitable",
         )
     return mitsuba
 
@@ -187,28 +189,32 @@ def _spectral_mitsuba() -> Any:
 def _check(scene: Scene, centres: Floats, fwhm: float, depth: int, samples: int) -> None:
     problems = Problems(f"scene {scene.name!r} cannot be described to Mitsuba", SchemaError)
     if not (np.isfinite(centres).all() and (np.diff(centres) > 0).all()) or centres.ndim != 1:
-        problems.add("wavelength must be finite and increase from band to band [nm]")
+        problems.add("wavelength is not finite and increasing", code="wavelength-unordered")
     if not 0.0 < fwhm < np.inf:
-        problems.add(f"fwhm is {fwhm}, expected a positive width [nm]")
+        problems.add(f"fwhm is {fwhm}", expected="a width above 0 nm", code="value-out-of-range")
     for name, value in (("depth", depth), ("samples", samples)):
         if value < 1:
-            problems.add(f"{name}={value}, expected at least 1")
+            problems.add(f"{name}={value}", expected="at least 1", code="value-out-of-range")
     for material in scene.materials:
         if "." in material.name or material.name in _RESERVED:
-            problems.add(f"material {material.name!r}: Mitsuba keeps such names to itself; rename it")
+            problems.add(
+                f"Mitsuba reserves the name of material {material.name!r}",
+                mend="rename it",
+                code="name-reserved",
+            )
     problems.raise_if_any()
 
 
 def _warn(scene: Scene, atmosphere: Atmosphere) -> None:
     if (atmosphere.uniform < 1.0 - 1e-9).any():
         msg = (
-            "Mitsuba's sky is equally bright everywhere, this one is not; level surfaces get the same light "
-            "from both, walls and mirrors do not"
+            "Mitsuba's sky is uniform, this one is not; level surfaces get the same light from both, walls "
+            "and mirrors do not"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(msg, code="sky-uniform"), stacklevel=3)
     if any(material.flakes is not None for material in scene.materials):
         msg = "Mitsuba has no metal flakes under a coat; they become a share of rough metal beside it"
-        warnings.warn(msg, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(msg, code="flakes-as-metal"), stacklevel=3)
 
 
 def _emitters(atmosphere: Atmosphere, low: float, high: float) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def test_names_lead_to_paints() -> None:
     assert (spec.flakes is None) == (spec.finish == "solid")
     assert 1.48 <= spec.coat.index <= 1.55
     np.testing.assert_array_equal(spec.reflectance(NM), spectrum_of("fleet-17")(NM))
-    with pytest.raises(SchemaError, match="fleet-<number>"):
+    with pytest.raises(SchemaError, match="paint-unknown"):
         paint_spec("fleet-x")
 
 
@@ -107,7 +107,7 @@ def test_a_real_car_park_has_a_fleet_on_worn_ground() -> None:
     solid = car_park(length=30.0, neighbours=(), seed=4)
     np.testing.assert_array_equal(park.vertices, solid.vertices)
     assert {material.spectrum for material in solid.materials} & {"asphalt", "painted_line"}
-    with pytest.raises(SchemaError, match="fleet='rusty', expected one of solid, real"):
+    with pytest.raises(SchemaError, match="fleet='rusty'"):
         car_park(fleet="rusty")
 
 

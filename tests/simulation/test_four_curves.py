@@ -46,7 +46,7 @@ class TestAtmosphere:
     def test_all_problems_at_once(self) -> None:
         with pytest.raises(SchemaError) as caught:
             Atmosphere([2, 1], [np.nan, 1], [-1, 1], [1, 1, 1], [1, 1], 90.0, np.inf, 2.0, "bad")
-        for part in ("'bad'", "increasing", "sun has 1 values", "sky falls to -1", "extinction has shape"):
+        for part in ("'bad'", "wavelength-unordered", "sun has 1", "sky falls to -1", "extinction has shape"):
             assert part in str(caught.value)
         for part in ("sun_zenith=90.0", "sun_azimuth=inf", "overcast_share=2.0"):
             assert part in str(caught.value)
@@ -84,10 +84,10 @@ class TestAtmosphere:
         assert_allclose(Atmosphere.from_dataset(milliwatts).sun, dataset.sun, rtol=1e-12)
         with pytest.raises(UnitsError, match="'sky'"):
             Atmosphere.from_dataset(dataset.assign(sky=dataset.sky.assign_attrs(units="W m-2 sr-1 nm-1")))
-        with pytest.raises(SchemaError, match=r"(?s)'sun' is missing.*'sun_zenith' is missing"):
+        with pytest.raises(SchemaError, match=r"(?s)'sun'.*'sun_zenith'.*variable-missing"):
             Atmosphere.from_dataset(dataset.drop_vars(["sun", "sun_zenith"]))
         for text in ("{", "[1]", '{"fog": 1}', '{"visibility": "far"}'):
-            with pytest.raises(SchemaError, match="haze"):
+            with pytest.raises(SchemaError, match="metadata-damaged"):
                 Atmosphere.from_dataset(dataset.assign_attrs(haze=text))
 
 
@@ -174,7 +174,7 @@ class TestSpectrl2:
 
     def test_beyond_its_range(self) -> None:
         pytest.importorskip("pvlib")
-        with pytest.raises(SchemaError, match="SPECTRL2 covers 300 to 4000"):
+        with pytest.raises(SchemaError, match=r"SPECTRL2.*value-out-of-range"):
             Atmosphere.spectrl2(30.0, wavelength=[200.0, 500.0])
 
     def test_without_pvlib(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,7 +241,7 @@ class TestPresets:
         assert preset_atmosphere("noon") is preset_atmosphere("noon")
 
     def test_others_are_unknown(self) -> None:
-        with pytest.raises(SchemaError, match="noon, near_sunset, cloudy"):
+        with pytest.raises(SchemaError, match="choice-unknown"):
             preset_atmosphere("midnight")
 
 

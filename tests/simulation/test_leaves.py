@@ -90,7 +90,7 @@ def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
 
 
 def test_only_thin_surfaces_without_a_coat_pass_light() -> None:
-    with pytest.raises(SchemaError, match="has a transmittance and a coat"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         Material("leaf", "leaf", "leaf", Coat(), transmittance="leaf_through")
 
 

@@ -144,7 +144,7 @@ class TestInversion:
         assert base_albedo(0.34, geometry=geometry, specular_included=True) == pytest.approx(float(without))
 
     def test_45_degrees_cannot_contain_it(self) -> None:
-        with pytest.raises(SchemaError, match="0/45"):
+        with pytest.raises(SchemaError, match="option-conflict"):
             base_albedo(0.3, geometry="0/45", specular_included=True)
 
     def test_a_lambert_surface_is_its_reflectance(self) -> None:
@@ -156,19 +156,19 @@ class TestInversion:
         assert float(coated_reflectance(1.0)) == pytest.approx(1.01473, abs=1e-5)
 
     def test_what_no_surface_can_have_is_clamped_with_a_warning(self) -> None:
-        with pytest.warns(PaintWarning, match=r"2 of 3 reflectances, from -0.01 to 1.2.*0 to 1.015"):
+        with pytest.warns(PaintWarning, match="2 of 3.*reflectance-clipped"):
             factor = measured_factor([-0.01, 0.5, 1.2])
         assert factor[0] == 0.0
         assert factor[2] == 1.0
 
     def test_per_cent_and_holes_are_refused(self) -> None:
-        with pytest.raises(SchemaError, match="per cent"):
+        with pytest.raises(SchemaError, match="value-out-of-range"):
             base_albedo([5.0, 30.0])
-        with pytest.raises(SchemaError, match="1 of 2 values are not finite"):
+        with pytest.raises(SchemaError, match=r"1 of 2.*not-finite"):
             base_albedo([np.nan, 30.0])
 
     def test_an_unknown_geometry_is_refused(self) -> None:
-        with pytest.raises(SchemaError, match="0/0, 0/45, d/0"):
+        with pytest.raises(SchemaError, match="choice-unknown"):
             base_albedo(0.5, geometry="8/d")  # type: ignore[arg-type]
 
     def test_empty_stays_empty_and_everything_is_float64(self) -> None:
@@ -180,7 +180,7 @@ class TestDataclasses:
     def test_all_problems_of_a_material_at_once(self) -> None:
         with pytest.raises(SchemaError) as caught:
             Material("", "", "cheese", flakes=Flakes(0.5))
-        for part in ("name is empty", "spectrum is empty", "'cheese'", "no coat"):
+        for part in ("name is empty", "spectrum is empty", "'cheese'", "coat-missing"):
             assert part in str(caught.value)
 
     @pytest.mark.parametrize("index", [1.0, 0.5, 4.0, np.nan])

@@ -66,36 +66,36 @@ class TestSeries:
             Atmosphere.from_irradiance(series(1).drop_vars("irradiance"), sun_zenith=60.0)
 
     def test_a_time_is_needed_and_must_be_inside(self) -> None:
-        with pytest.raises(SchemaError, match="3 samples"):
+        with pytest.raises(SchemaError, match="argument-missing"):
             Atmosphere.from_irradiance(series(), sun_zenith=60.0)
         for time in ("2020-06-21T16:59:59", "2020-06-21T17:00:21"):
-            with pytest.raises(SchemaError, match="outside"):
+            with pytest.raises(SchemaError, match="irradiance-coverage"):
                 Atmosphere.from_irradiance(series(), sun_zenith=60.0, time=time)
-        with pytest.raises(SchemaError, match="empty"):
+        with pytest.raises(SchemaError, match="irradiance-coverage"):
             Atmosphere.from_irradiance(series(0), sun_zenith=60.0, time="2020-06-21T17:00:00")
 
     def test_noise_below_zero_is_cut_and_more_is_refused(self) -> None:
         noisy = series(1)
         noisy.irradiance[0, :2] = -0.005
-        with pytest.warns(PaintWarning, match="2 of 121 irradiances below zero"):
+        with pytest.warns(PaintWarning, match="2 of 121.*irradiance-negative"):
             made = Atmosphere.from_irradiance(noisy, sun_zenith=60.0)
         assert (made.irradiance[:2] == 0.0).all()
         noisy.irradiance[0, 0] = -0.5
-        with pytest.raises(SchemaError, match="sky falls to"):
+        with pytest.raises(SchemaError, match=r"sky.*value-out-of-range"):
             Atmosphere.from_irradiance(noisy, sun_zenith=60.0)
         noisy.irradiance[0, 0] = np.nan
-        with pytest.raises(SchemaError, match="not finite"):
+        with pytest.raises(SchemaError, match=r"not.finite"):
             Atmosphere.from_irradiance(noisy, sun_zenith=60.0)
 
     def test_wavelengths_must_increase(self) -> None:
-        with pytest.raises(SchemaError, match="increasing"):
+        with pytest.raises(SchemaError, match="wavelength-unordered"):
             Atmosphere.from_irradiance(
                 series(1).isel(irradiance_wavelength=slice(None, None, -1)), sun_zenith=1.0
             )
 
     def test_a_time_that_is_none(self) -> None:
         for time in ("noon", "NaT", object()):
-            with pytest.raises(SchemaError, match="time"):
+            with pytest.raises(SchemaError, match="time-unreadable"):
                 Atmosphere.from_irradiance(series(), sun_zenith=60.0, time=time)
 
 
@@ -141,11 +141,11 @@ class TestTable:
     @pytest.mark.parametrize(
         ("columns", "problem"),
         [
-            ({}, "columns"),
-            ({"wavelength [nm]": "abc"}, "numbers"),
-            ({"wavelength [nm]": [1, 2], "sun [W m-2 nm-1]": [1]}, "shapes"),
-            ({"wavelength [nm]": 1.0}, "shapes"),
-            ({3: [1, 2]}, "heading"),
+            ({}, "length-mismatch"),
+            ({"wavelength [nm]": "abc"}, "number-unreadable"),
+            ({"wavelength [nm]": [1, 2], "sun [W m-2 nm-1]": [1]}, "length-mismatch"),
+            ({"wavelength [nm]": 1.0}, "length-mismatch"),
+            ({3: [1, 2]}, "heading-unreadable"),
         ],
     )
     def test_mappings_that_are_none(self, columns: dict[str, object], problem: str) -> None:
@@ -155,25 +155,25 @@ class TestTable:
     @pytest.mark.parametrize(
         ("text", "problem"),
         [
-            ("", "empty"),
-            ("# nothing\n", "empty"),
-            ("400,1,2\n500,1,2\n", "heading '400'"),
+            ("", "empty-input"),
+            ("# nothing\n", "empty-input"),
+            ("400,1,2\n500,1,2\n", "'400'.*heading-unreadable"),
             (f"{HEADER}\n", r"shape \(0,\)"),
             (f"{HEADER}\n400,1,1\n", r"shape \(1,\)"),
-            (f"{HEADER}\n400,1\n500,1,1\n", "line 2"),
-            (f"{HEADER}\n400,1,1_0\n500,1,1\n", "line 2"),
-            (f"{HEADER}\n400,1,one\n500,1,1\n", "line 2"),
-            (f"{HEADER}\n400,nan,1\n500,1,1\n", "not finite"),
-            (f"{HEADER}\n400,1e999,1\n500,1,1\n", "not finite"),
-            (f"{HEADER}\n400,-1,1\n500,1,1\n", "falls to -1"),
-            (f"{HEADER}\n500,1,1\n400,1,1\n", "increasing"),
-            ("wavelength [nm], sun [W m-2 nm-1]\n400,1\n500,1\n", "without column sky"),
-            ("wavelength [nm], sun [W m-2], sky [W m-2 nm-1]\n400,1,1\n500,1,1\n", "not convertible"),
-            ("wavelength [nm], sun, sky [W m-2 nm-1]\n400,1,1\n500,1,1\n", "heading 'sun'"),
-            (f"{HEADER}, sun [W m-2 nm-1]\n400,1,1,1\n500,1,1,1\n", "twice"),
-            (f"{HEADER}, moon [W m-2 nm-1]\n400,1,1,1\n500,1,1,1\n", "unknown"),
-            (f"{HEADER}, extinction [m-1]\n400,1,1,1\n500,1,1,1\n", "both or neither"),
-            (b"wavelength\xff\n", "UTF-8"),
+            (f"{HEADER}\n400,1\n500,1,1\n", "line 2.*number-unreadable"),
+            (f"{HEADER}\n400,1,1_0\n500,1,1\n", "line 2.*number-unreadable"),
+            (f"{HEADER}\n400,1,one\n500,1,1\n", "line 2.*number-unreadable"),
+            (f"{HEADER}\n400,nan,1\n500,1,1\n", "not-finite"),
+            (f"{HEADER}\n400,1e999,1\n500,1,1\n", "not-finite"),
+            (f"{HEADER}\n400,-1,1\n500,1,1\n", "value-out-of-range"),
+            (f"{HEADER}\n500,1,1\n400,1,1\n", "wavelength-unordered"),
+            ("wavelength [nm], sun [W m-2 nm-1]\n400,1\n500,1\n", "sky.*column-missing"),
+            ("wavelength [nm], sun [W m-2], sky [W m-2 nm-1]\n400,1,1\n500,1,1\n", "column 'sun'"),
+            ("wavelength [nm], sun, sky [W m-2 nm-1]\n400,1,1\n500,1,1\n", "'sun'.*heading-unreadable"),
+            (f"{HEADER}, sun [W m-2 nm-1]\n400,1,1,1\n500,1,1,1\n", "column-duplicate"),
+            (f"{HEADER}, moon [W m-2 nm-1]\n400,1,1,1\n500,1,1,1\n", "column-unknown"),
+            (f"{HEADER}, extinction [m-1]\n400,1,1,1\n500,1,1,1\n", "column-missing"),
+            (b"wavelength\xff\n", "text-unreadable"),
         ],
     )
     def test_files_that_are_none(self, tmp_path: Path, text: str | bytes, problem: str) -> None:
@@ -190,11 +190,11 @@ class TestTable:
         path = tmp_path / "huge.csv"
         with path.open("wb") as file:
             file.truncate(20 * 2**20)
-        with pytest.raises(FormatError, match="at most 16777216 bytes"):
+        with pytest.raises(FormatError, match="16777216"):
             Atmosphere.from_table(path, sun_zenith=30.0)
 
     def test_no_file(self, tmp_path: Path) -> None:
-        with pytest.raises(FormatError, match="cannot be read"):
+        with pytest.raises(FormatError, match=r"none\.csv"):
             Atmosphere.from_table(tmp_path / "none.csv", sun_zenith=30.0)
 
     @given(st.binary(max_size=300) | st.text(alphabet="waveln gth[m],su\n0159.e-#()_°٣ ", max_size=300))

@@ -211,22 +211,22 @@ class TestCatalogue:
         ],
     )  # fmt: skip
     def test_unknown_names(self, name: str) -> None:
-        with pytest.raises(SchemaError, match="there is no spectrum"):
+        with pytest.raises(SchemaError, match="spectrum-unknown"):
             spectrum_of(name)
-        with pytest.raises(SchemaError, match="there is no paint"):
+        with pytest.raises(SchemaError, match="paint-unknown"):
             paint_spec(name)
 
     def test_a_near_miss_is_named(self) -> None:
-        with pytest.raises(SchemaError, match="did you mean 'asphalt'"):
+        with pytest.raises(SchemaError, match=r"'asphalt'.*spectrum-unknown"):
             spectrum_of("asfalt")
 
     def test_flakes_are_no_paint(self) -> None:
-        with pytest.raises(SchemaError, match="there is no paint"):
+        with pytest.raises(SchemaError, match="paint-unknown"):
             paint_spec("pigment:pearl:3:flakes")
 
     def test_no_such_family_or_number(self) -> None:
-        with pytest.raises(SchemaError, match="family"):
+        with pytest.raises(SchemaError, match=r"family.*choice-unknown"):
             generate_paint("gold", 1)
         for number in (-1, 10**9):
-            with pytest.raises(SchemaError, match="number"):
+            with pytest.raises(SchemaError, match="value-out-of-range"):
                 generate_paint("solid", number)

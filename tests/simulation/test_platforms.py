@@ -122,17 +122,17 @@ def test_record_times_are_utc() -> None:
     ("wrong", "text"),
     [
         ({"lines": 0}, "lines=0"),
-        ({"lines": 10**12}, "lines=1000000000000, expected a whole number from 1 to 1000000"),
+        ({"lines": 10**12}, "lines=1000000000000"),
         ({"columns": True}, "columns=True"),
         ({"altitude": math.nan}, "altitude=nan"),
         ({"altitude": 10**400}, "altitude=1000"),
         ({"altitude": "high"}, "altitude='high'"),
-        ({"ifov": 0.001, "ground_sample": 0.1}, "ground_sample=0.1 and ifov=0.001"),
-        ({"speed": 1.0, "line_spacing": 0.1}, "speed=1.0 and line_spacing=0.1"),
+        ({"ifov": 0.001, "ground_sample": 0.1}, "option-conflict"),
+        ({"speed": 1.0, "line_spacing": 0.1}, "option-conflict"),
         ({"wobble": (1.0, 2.0)}, "wobble="),
         ({"centre": (0.0, math.inf)}, "centre="),
-        ({"exposure_time": 8e-3}, "exceeds frame_period"),
-        ({"columns": 20_000, "ifov": 0.01}, "degrees aside"),
+        ({"exposure_time": 8e-3}, "exposure-too-long"),
+        ({"columns": 20_000, "ifov": 0.01}, "view-too-wide"),
         ({"start_time": "now"}, "start_time='now'"),
         ({"start_time": "yesterday"}, "start_time='yesterday'"),
     ],
@@ -151,16 +151,16 @@ def test_all_problems_of_a_flight_are_told_at_once() -> None:
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ({"time": [0, 0]}, "time does not increase"),
-        ({"time": [0]}, "two poses"),
-        ({"roll": [math.nan, 0]}, "roll holds 1 values that are not finite"),
-        ({"north": [0, 0, 0]}, r"north has shape \(3,\), expected \(2,\)"),
-        ({"heading": [0, 170]}, "over 90 degrees between poses 0 and 1"),
-        ({"line_time": [2.0]}, "the poses span 0.000000 to 1.000000"),
-        ({"line_time": np.array(["2021-01-01"], "datetime64[ns]")}, "both datetime64 or both seconds"),
+        ({"time": [0, 0]}, "time-unordered"),
+        ({"time": [0]}, "pose-missing"),
+        ({"roll": [math.nan, 0]}, "roll"),
+        ({"north": [0, 0, 0]}, "north.*dims-wrong"),
+        ({"heading": [0, 170]}, "poses 0 and 1.*turn-too-large"),
+        ({"line_time": [2.0]}, "lines-outside-poses"),
+        ({"line_time": np.array(["2021-01-01"], "datetime64[ns]")}, "type-wrong"),
         ({"columns": 0}, "columns=0"),
-        ({"up": [0, 1e9]}, "up holds values beyond 1e6"),
-        ({"east": ["a", "b"]}, "east is not an array of numbers"),
+        ({"up": [0, 1e9]}, "up has.*value-out-of-range"),
+        ({"east": ["a", "b"]}, "east"),
     ],
 )
 def test_records_that_cannot_be_used_are_refused(wrong: dict[str, Any], text: str) -> None:
@@ -175,11 +175,11 @@ def test_platforms_of_wrong_arrays_are_refused() -> None:
     given = {
         name: getattr(good, name) for name in ("origin", "rotation", "column_edges", "along_edges", "time")
     }
-    with pytest.raises(SchemaError, match=r"origin has shape \(3, 3\)"):
+    with pytest.raises(SchemaError, match=r"origin.*dims-wrong"):
         Platform(**(given | {"origin": np.zeros((3, 3))}))
-    with pytest.raises(SchemaError, match="no rotations"):
+    with pytest.raises(SchemaError, match="rotation-invalid"):
         Platform(**(given | {"rotation": -good.rotation}))
-    with pytest.raises(SchemaError, match="column_edges do not increase"):
+    with pytest.raises(SchemaError, match="edges-invalid"):
         Platform(**(given | {"column_edges": good.column_edges[::-1]}))
-    with pytest.raises(SchemaError, match="time is float64"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         Platform(**(given | {"time": good.time.astype(float)}))

@@ -25,6 +25,7 @@ from support.traced_scenes import (
 import hyperpaint as hp
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.simulation.camera import smile
+from hyperpaint.simulation.rendering import tracing as tracing_module
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.lighting import SHARES
@@ -34,7 +35,6 @@ from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
-from hyperpaint.simulation.transport import paths
 
 SAMPLES = {"samples": 8, "seed": 3, "overcast": True, "sun_radius": 0.0}
 MANY_BANDS = BandSet(np.linspace(399.356, 1001.42, 68), np.array(6.0))
@@ -371,7 +371,7 @@ def test_a_stored_scene_is_relit_without_tracing(
         msg = "the scene was traced again"
         raise AssertionError(msg)
 
-    monkeypatch.setattr(paths, "trace_lines", refuse)
+    monkeypatch.setattr(tracing_module, "trace_lines", refuse)
     for opened in (xr.open_zarr(path), hp.open_store(path)):
         for name, light, paints in (
             ("line", line_light(), {}),

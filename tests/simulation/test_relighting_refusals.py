@@ -38,11 +38,11 @@ def traced() -> xr.Dataset:
 
 
 def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match=r"\(40.02, 150\) degrees; traced were \(40, 150\), \(75, 260\)"):
+    with pytest.raises(SchemaError, match="sun-not-traced"):
         traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0)))
     traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
     traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
-    with pytest.raises(SchemaError, match="overcast=True"):
+    with pytest.raises(SchemaError, match="sky-not-traced"):
         hp.simulation.trace(two_cars(), flight(), [SUN]).paint.relight(
             atmosphere=flat_light(overcast_share=0.5)
         )
@@ -63,11 +63,11 @@ def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
         )
     message = str(caught.value)
     for found in (
-        "paints['car_9'] names no instance",
+        "paints['car_9']",
         "'car_0' goes from 0.5 to 1.2",
         "'car_1' covers 450.0 to 1050.0 nm",
-        "there is no spectrum 'no such spectrum'",
-        "'asphalt' holds values that are not finite",
+        "'no such spectrum'",
+        "'asphalt' is not finite",
     ):
         assert found in message
     assert message.count("\n") == 5
@@ -76,7 +76,7 @@ def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
 def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
     nm = np.array([380.0, 1050.0])
     high, limited = (nm, np.array([1.3, -0.2])), (nm, np.array([1.3, -0.2]))
-    with pytest.raises(SchemaError, match="clip=True"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light())
     made = traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light(), clip=True)
     by_hand = lambda grid: np.interp(grid, *limited).clip(0.0, 1.0)  # noqa: E731
@@ -87,16 +87,19 @@ def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
-        ({"variation": np.ones((24, 2))}, "expected \\(2, along_track\\) = \\(2, 24\\)"),
-        ({"variation": -np.ones((2, 24))}, "negative"),
-        ({"bands": BandSet(np.array([500.0]), np.array(6.0), "gaussian", np.zeros(3) + 0.1)}, "3 columns"),
+        ({"variation": np.ones((24, 2))}, "dims-wrong"),
+        ({"variation": -np.ones((2, 24))}, "variation.*value-out-of-range"),
+        (
+            {"bands": BandSet(np.array([500.0]), np.array(6.0), "gaussian", np.zeros(3) + 0.1)},
+            "3 columns.*length-mismatch",
+        ),
         (
             {"bands": BandSet(np.array([500.0, 1200.0]), np.array(6.0))},
-            "atmosphere 'flat' covers 300.0 to 1100.0",
+            "atmosphere-coverage",
         ),
-        ({"atmosphere": "midnight"}, "midnight"),
-        ({"atmosphere": 3}, "expected an Atmosphere"),
-        ({"spectra": [1, 2]}, "no mapping"),
+        ({"atmosphere": "midnight"}, "choice-unknown"),
+        ({"atmosphere": 3}, "atmosphere.*type-wrong"),
+        ({"spectra": [1, 2]}, "spectra.*type-wrong"),
         ({"paints": {"car_0": "red", "nothing": "red"}}, "'nothing'"),
     ],
 )
@@ -106,10 +109,10 @@ def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any],
 
 
 def test_an_untraced_dataset() -> None:
-    with pytest.raises(SchemaError, match="no traced dataset"):
+    with pytest.raises(SchemaError, match="metadata-missing"):
         xr.Dataset().paint.relight()
     made = tracing()
-    with pytest.raises(SchemaError, match="'transport_path' is missing"):
+    with pytest.raises(SchemaError, match="transport_path"):
         made.drop_vars("transport_path").paint.relight()
 
 
@@ -119,12 +122,12 @@ def test_an_instance_of_many_materials_has_no_one_paint() -> None:
     other = plane(4.0, stripes[1], centre=(4.0, 0, 0), instance="other")
     joined = type(scene).join([scene, other])
     both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
-    with pytest.raises(SchemaError, match="2 materials to paint; name one of them: 'stripe 0', 'stripe 1'"):
+    with pytest.raises(SchemaError, match="paint-target-ambiguous"):
         hp.simulation.trace(both, flight(1, 1), [SUN]).paint.relight(
             paints={"chart": "red"}, atmosphere=flat_light()
         )
     shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
-    with pytest.raises(SchemaError, match="'other' would change too"):
+    with pytest.raises(SchemaError, match=r"'other'.*paint-target-shared"):
         hp.simulation.trace(shared, flight(1, 1), [SUN]).paint.relight(
             paints={"chart": "red"}, atmosphere=flat_light()
         )

@@ -275,7 +275,7 @@ def test_wrong_settings_are_refused_before_anything_is_written(tmp_path: Path, w
 
 
 def test_a_flight_too_long_to_render_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="scene='plan'"):
+    with pytest.raises(SchemaError, match="flight-too-long"):
         simulate_collect(tmp_path / "new", lines=512, columns=2)
     assert not (tmp_path / "new").exists()
 

@@ -133,18 +133,18 @@ def test_the_sky_is_written_and_read() -> None:
     np.testing.assert_array_equal(again.molecular, light.molecular)
     old = Atmosphere.from_dataset(light.to_dataset().drop_vars(["molecular", "aureole"]))
     np.testing.assert_array_equal(old.uniform, 1.0)
-    with pytest.raises(SchemaError, match="expected 1 at most"):
+    with pytest.raises(SchemaError, match="shares-too-large"):
         dataclasses.replace(light, overcast_share=0.5)
 
 
 def test_what_was_not_traced_is_said() -> None:
     bare = hp.simulation.trace(two_cars(), flight(2, 2), [SUN], samples=2, clear=False)
-    with pytest.raises(SchemaError, match=r"clear=True"):
+    with pytest.raises(SchemaError, match="sky-not-traced"):
         bare.paint.relight(BANDS, atmosphere=Atmosphere.clear(*SUN))
     bare.paint.relight(BANDS, atmosphere=flat_light())
     old = bare.copy()
     del old.attrs["source_bits"]
-    with pytest.raises(SchemaError, match=r"older hyperpaint(?s:.*)trace the scene again"):
+    with pytest.raises(SchemaError, match="trace-outdated"):
         old.paint.relight(BANDS, atmosphere=flat_light())
 
 

@@ -157,7 +157,7 @@ def test_an_open_mesh_is_seen_from_both_sides() -> None:
 def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
     whole = two_boxes()
     spoilt_faces = np.concatenate([[[0, 0, 1]], whole.faces, [[2, 1, 2]]])
-    with pytest.warns(PaintWarning, match="2 of .* triangles have no area"):
+    with pytest.warns(PaintWarning, match="triangle-without-area"):
         spoilt = Scene(
             whole.name,
             whole.vertices,
@@ -176,7 +176,7 @@ def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
 def test_vertices_that_are_nowhere_are_refused_by_number() -> None:
     corners = np.zeros((40, 3))
     corners[7, 0], corners[31, 2] = np.nan, np.inf
-    with pytest.raises(SchemaError, match=r"vertices 7, 31 \(2 of 40\) are not finite"):
+    with pytest.raises(SchemaError, match=r"vertices 7, 31.*not-finite"):
         triangles(corners, [[0, 1, 2]])
 
 
@@ -209,7 +209,7 @@ def test_reflectance_above_one_is_refused_or_clamped() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
     traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4, sun_radius=0.0)
     bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
-    with pytest.raises(SchemaError, match=r"'panel_20' goes from 1.3 to 1.3, expected 0 to 1"):
+    with pytest.raises(SchemaError, match=r"'panel_20'.*value-out-of-range"):
         hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)
     clamped = hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
     np.testing.assert_allclose(clamped.reflectance, 1.0, rtol=1e-5)
@@ -218,13 +218,11 @@ def test_reflectance_above_one_is_refused_or_clamped() -> None:
 def test_what_does_not_cover_the_bands_is_named() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
     traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
-    with pytest.raises(
-        SchemaError, match=r"'panel_20' covers 500.0 to 700.0 nm, expected the bands, 450.0 to 850.0"
-    ):
+    with pytest.raises(SchemaError, match=r"'panel_20'.*spectrum-coverage"):
         hp.simulation.relight(
             traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])}
         )
     wavelength, none = np.array([500.0, 1100.0]), np.zeros(2)
     narrow = Atmosphere(wavelength, none + 1.0, none, none, none, 40.0, 200.0, name="narrow")
-    with pytest.raises(SchemaError, match=r"'narrow' covers 500.0 to 1100.0 nm"):
+    with pytest.raises(SchemaError, match=r"'narrow'.*atmosphere-coverage"):
         hp.simulation.relight(traced, BANDS, atmosphere=narrow)

@@ -15,8 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Material
-from hyperpaint.simulation.rendering.mesh_files import read_mesh
-from hyperpaint.simulation.rendering.mesh_formats import check_ply, parse_obj, strip_glb
+from hyperpaint.simulation.rendering.mesh_files import check_ply, parse_obj, read_mesh, strip_glb
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red paint", "red", "paint")
@@ -135,7 +134,7 @@ def test_units_and_axes(tmp_path: Path) -> None:
 
 def test_parts_without_a_material_are_listed(tmp_path: Path) -> None:
     path = written(tmp_path, "box.obj", OBJ)
-    with pytest.raises(SchemaError, match="no material for 'red', 'bl\u00fc'; name them in materials="):
+    with pytest.raises(SchemaError, match=r"'red', 'bl\u00fc'.*material-missing"):
         read_mesh(path)
 
 
@@ -161,7 +160,7 @@ def test_a_ply_box(tmp_path: Path, trimesh: Any, binary: bool) -> None:
 def test_an_open_mesh_is_fine_and_triangles_without_area_are_dropped(tmp_path: Path) -> None:
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
     for crease in (40.0, None):
-        with pytest.warns(PaintWarning, match="2 of 3 triangles have no area"):
+        with pytest.warns(PaintWarning, match="triangle-without-area"):
             scene = read_mesh(written(tmp_path, "open.obj", text), default=GREY, crease=crease)
         assert len(scene.faces) == 1
 
@@ -174,19 +173,19 @@ def test_flat_unless_smooth(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "the file is empty"),
-        ("  \n \n", "the file is empty"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "there are no triangles"),
-        ("v 0 0\nf 1 2 3\n", "line 1 is 'v 0 0', expected 'v' and three numbers"),
+        ("", "empty-input"),
+        ("  \n \n", "empty-input"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "mesh-empty"),
+        ("v 0 0\nf 1 2 3\n", "line 1 is 'v 0 0'.*number-unreadable"),
         ("v 0 zero 0\n", "line 1"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "names vertex 4, but there are 3"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "names vertex -1"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "vertex 4.*vertex-unknown"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "vertex -1.*vertex-unknown"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
         ("v 0 0 0\nf 1 1\n", "line 2"),
         ("v 0 0 0\nf 1 1 " + "9" * 5000 + "\n", "line 2"),
-        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "1 of 3 vertices are not finite, the first is number 0"),
-        ("v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("\x00\x01\x02", "there are no triangles"),
+        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "1 of 3 vertices.*not-finite"),
+        ("v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not-finite"),
+        ("\x00\x01\x02", "mesh-empty"),
     ],
 )
 def test_a_broken_obj_is_named(tmp_path: Path, text: str, words: str) -> None:
@@ -202,25 +201,25 @@ DRACO = "KHR_draco_mesh_compression"
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"accessors": [INDICES | {"count": 10**15}, POINTS]}, "count is 10+, expected .* to 36"),
-        ({"accessors": [INDICES, POINTS | {"count": 9}]}, "count is 9, expected a whole number from 0 to 8"),
+        ({"accessors": [INDICES | {"count": 10**15}, POINTS]}, "count is 10+.*value-out-of-range"),
+        ({"accessors": [INDICES, POINTS | {"count": 9}]}, "count is 9.*value-out-of-range"),
         ({"accessors": [INDICES, POINTS | {"bufferView": None}]}, "bufferView is None"),
-        ({"accessors": [INDICES | {"sparse": {}}, POINTS]}, "accessor 0"),
-        ({"accessors": [INDICES, POINTS | {"componentType": 5122}]}, "quantised positions"),
+        ({"accessors": [INDICES | {"sparse": {}}, POINTS]}, "accessor 0.*accessor-type"),
+        ({"accessors": [INDICES, POINTS | {"componentType": 5122}]}, "accessor-type"),
         ({"bufferViews": [{"buffer": 0, "byteLength": 10**12}] * 2}, "byteLength is 1000000000000"),
         ({"bufferViews": [{"buffer": 0, "byteLength": -1}] * 2}, "byteLength is -1"),
-        ({"buffers": [{"byteLength": 168, "uri": "../../../etc/passwd"}]}, "refers to another file"),
-        ({"buffers": [{}, {}]}, "more than one buffer"),
-        ({"nodes": [{"children": [1]}, {"children": [0]}]}, "circle"),
-        ({"nodes": [{"mesh": 0, "children": [0]}]}, "circle"),
-        ({"nodes": [{"children": [1]}, {"mesh": 0}, {"children": [1]}]}, "has a parent already"),
+        ({"buffers": [{"byteLength": 168, "uri": "../../../etc/passwd"}]}, "buffer-external"),
+        ({"buffers": [{}, {}]}, "buffer-number"),
+        ({"nodes": [{"children": [1]}, {"children": [0]}]}, "node-depth"),
+        ({"nodes": [{"mesh": 0, "children": [0]}]}, "node-depth"),
+        ({"nodes": [{"children": [1]}, {"mesh": 0}, {"children": [1]}]}, "node-parent"),
         ({"nodes": [{"mesh": 7}]}, "mesh is 7"),
-        ({"nodes": [{"mesh": 0, "matrix": [1.0]}]}, "a matrix of 1 numbers"),
-        ({"nodes": [{"children": [n + 1]} for n in range(600)] + [{"mesh": 0}]}, "more than 256 below"),
-        ({"nodes": []}, "there are no triangles"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "mode": 1}]}] * 2}, "of mode 1"),
-        ({"meshes": [{"primitives": [{}]}] * 2}, "without attributes"),
-        ({"meshes": 3}, "meshes is not a list"),
+        ({"nodes": [{"mesh": 0, "matrix": [1.0]}]}, "length-mismatch"),
+        ({"nodes": [{"children": [n + 1]} for n in range(600)] + [{"mesh": 0}]}, "node-depth"),
+        ({"nodes": []}, "mesh-empty"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "mode": 1}]}] * 2}, "primitive-type"),
+        ({"meshes": [{"primitives": [{}]}] * 2}, "primitive-type"),
+        ({"meshes": 3}, "type-wrong"),
         ({"extensionsRequired": [DRACO]}, DRACO),
         ({"materials": []}, "material is 1"),
     ],
@@ -242,7 +241,7 @@ def test_numbers_beyond_the_vertices_of_a_glb_are_refused(tmp_path: Path, trimes
 
 @pytest.mark.parametrize("drop", [1, 40, 150, 300, 900])
 def test_a_cut_glb_is_refused(tmp_path: Path, trimesh: Any, drop: int) -> None:
-    with pytest.raises(FormatError, match="cut"):
+    with pytest.raises(FormatError, match="file-truncated"):
         read_mesh(written(tmp_path, "cut.glb", glb(drop=drop)), default=GREY)
 
 
@@ -258,15 +257,15 @@ def test_what_is_stripped_holds_no_names_of_files() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (ply(vertices=10**15), "declares 12000000000000"),
-        (ply(binary=False, vertices=10**15), "declares 6000000000000"),
-        (ply()[:120], "end_header"),
-        (ply()[:-30], "cut or damaged|unexpected length"),
-        (ply().replace(b"vertex 8", b"vertex -8"), "element vertex -8"),
-        (ply().replace(b"float x", b"floof x"), "property floof x"),
-        (ply().replace(b"uchar int", b"uint64 int"), "cut or damaged|trimesh cannot"),
-        (b"plus", "begins with b'plus'"),
-        (b"obj\n", "expected b'ply'"),
+        (ply(vertices=10**15), "12000000000000.*file-truncated"),
+        (ply(binary=False, vertices=10**15), "6000000000000.*file-truncated"),
+        (ply()[:120], "header-truncated"),
+        (ply()[:-30], "file-truncated|mesh-unreadable"),
+        (ply().replace(b"vertex 8", b"vertex -8"), "element vertex -8.*header-unreadable"),
+        (ply().replace(b"float x", b"floof x"), "property floof x.*header-unreadable"),
+        (ply().replace(b"uchar int", b"uint64 int"), "file-truncated|mesh-unreadable"),
+        (b"plus", "format-unknown"),
+        (b"obj\n", "format-unknown"),
     ],
 )
 def test_a_ply_that_lies_is_refused(tmp_path: Path, trimesh: Any, data: bytes, words: str) -> None:
@@ -276,7 +275,7 @@ def test_a_ply_that_lies_is_refused(tmp_path: Path, trimesh: Any, data: bytes, w
 
 def test_a_ply_with_numbers_that_are_none_is_refused(tmp_path: Path, trimesh: Any) -> None:
     data = ply().replace(CORNERS.astype("<f4")[3].tobytes(), np.full(3, np.nan, "<f4").tobytes())
-    with pytest.raises(FormatError, match="not finite"):
+    with pytest.raises(FormatError, match="not-finite"):
         read_mesh(written(tmp_path, "nan.ply", data), default=GREY)
     beyond = ply().replace(FACES[0].astype("<i4").tobytes(), np.array([0, 2, 99], "<i4").tobytes())
     with pytest.raises(FormatError):
@@ -314,11 +313,9 @@ def test_parsers_are_total(parse: Any, data: bytes) -> None:
 
 
 def test_unknown_and_missing_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        FormatError, match=r"the ending '.stl' is not known, expected one of .obj, .glb, .ply"
-    ):
+    with pytest.raises(FormatError, match=r"\.stl.*format-unknown"):
         read_mesh(tmp_path / "x.stl")
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match=r"x\.obj"):
         read_mesh(tmp_path / "x.obj")
 
 
@@ -326,14 +323,14 @@ def test_a_file_too_large_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "large.obj"
     with path.open("wb") as file:
         file.truncate(2**30 + 1)  # sparse
-    with pytest.raises(FormatError, match="expected a mesh of at most 1073741824"):
+    with pytest.raises(FormatError, match="1073741824"):
         read_mesh(path)
 
 
 @pytest.mark.parametrize(("name", "data"), [("a.glb", glb()), ("b.ply", ply())])
 def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, data: bytes) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(MissingExtraError, match=r"needs trimesh; install it with: .*hyperpaint\[mesh\]"):
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[mesh\]"):
         read_mesh(written(tmp_path, name, data), default=GREY)
     assert len(read_mesh(written(tmp_path, "c.obj", OBJ), default=GREY).faces) == 12
 
@@ -341,12 +338,12 @@ def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nam
 @pytest.mark.parametrize("options", [{}, {"unit": 1e300}, {"crease": None}])
 def test_a_mesh_of_another_world_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
     path = written(tmp_path, "far.obj", "v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\n")
-    with pytest.raises(FormatError, match=r"a vertex 1e\+308 units of .* expected at most 1e\+08 m"):
+    with pytest.raises(FormatError, match="vertex-too-far"):
         read_mesh(path, default=GREY, **options)
 
 
 def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
-    from hyperpaint.simulation.rendering.primitives import MOST_AROUND, Mesh, smoothed
+    from hyperpaint.simulation.rendering.primitives import MAX_FACES_AROUND, Mesh, smoothed
 
     count = 20_000  # held against one another they would take minutes
     around = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
@@ -357,7 +354,7 @@ def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
     began = time.process_time()
     mesh = smoothed(cone)
     assert time.process_time() - began < 5.0
-    assert count > MOST_AROUND
+    assert count > MAX_FACES_AROUND
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
     tip = mesh.vertices[:, 2] == 1.0
     # each triangle at the tip has its own, between those of its two neighbours

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 
 import numpy as np
@@ -60,14 +59,14 @@ def test_all_problems_are_listed_at_once() -> None:
         Scene(**broken)
     message = str(caught.value)
     for words in (
-        "vertices 0 (1 of 3) are not finite",
-        "faces hold numbers from 0 to 3, but there are 3 vertices",
-        "face_material hold numbers from 2 to 2, but there are 2 materials",
-        f"face_instance hold numbers from {2**40}",
+        "vertices 0 (1 of 3)",
+        "faces has numbers from 0 to 3",
+        "face_material has numbers from 2 to 2",
+        f"face_instance has numbers from {2**40}",
         "face_part",
-        "material names used for more than one: grey",
-        "='spaceship', expected one of ground",
-        "instance 1 has an empty name",
+        "name-duplicate",
+        "='spaceship'",
+        "name-empty",
     ):
         assert words in message
 
@@ -75,14 +74,14 @@ def test_all_problems_are_listed_at_once() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"vertices": np.zeros((3, 2))}, r"vertices have the shape \(3, 2\), expected any x 3"),
-        ({"faces": np.zeros((1, 4), int)}, r"faces have the shape \(1, 4\)"),
-        ({"faces": np.array([[0.0, 1.0, 2.0]])}, "faces are float64"),
-        ({"vertices": np.array([["a"] * 3] * 3)}, "vertices are <U1"),
-        ({"face_material": np.array([0, 0])}, r"face_material have the shape \(2,\), expected 1"),
-        ({"normals": np.full((3, 3), np.inf)}, "normals 0, 1, 2"),
-        ({"faces": np.array([[-1, 1, 2]])}, "faces hold numbers from -1"),
-        ({"materials": ()}, "there are 0 materials"),
+        ({"vertices": np.zeros((3, 2))}, r"vertices has shape .* \[dims-wrong\]"),
+        ({"faces": np.zeros((1, 4), int)}, r"faces has shape .* \[dims-wrong\]"),
+        ({"faces": np.array([[0.0, 1.0, 2.0]])}, r"faces is float64.*\[type-wrong\]"),
+        ({"vertices": np.array([["a"] * 3] * 3)}, r"vertices is <U1.*\[type-wrong\]"),
+        ({"face_material": np.array([0, 0])}, r"face_material has .* \[dims-wrong\]"),
+        ({"normals": np.full((3, 3), np.inf)}, "normals 0, 1, 2.*not-finite"),
+        ({"faces": np.array([[-1, 1, 2]])}, "index-out-of-range"),
+        ({"materials": ()}, "index-out-of-range"),
     ],
 )
 def test_a_problem_is_named(change: dict[str, object], words: str) -> None:
@@ -92,7 +91,7 @@ def test_a_problem_is_named(change: dict[str, object], words: str) -> None:
 
 def test_triangles_without_area_are_dropped_with_their_labels() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]])
-    with pytest.warns(PaintWarning, match="2 of 3 triangles have no area"):
+    with pytest.warns(PaintWarning, match="triangle-without-area"):
         scene = Scene(
             **whole(
                 vertices=vertices,
@@ -140,9 +139,9 @@ def test_joining_merges_equal_materials_and_keeps_what_each_triangle_is() -> Non
 
 def test_joining_refuses_names_that_mean_two_things() -> None:
     other = Material("grey", "panel_50", "panel")
-    with pytest.raises(SchemaError, match="material names used for more than one: grey"):
+    with pytest.raises(SchemaError, match="name-duplicate"):
         Scene.join([plane(1.0, GREY), plane(1.0, other, instance="b")])
-    with pytest.raises(SchemaError, match="instance names used for more than one: box"):
+    with pytest.raises(SchemaError, match=r"box.*name-duplicate"):
         Scene.join([box((1, 1, 1), GREY), box((1, 1, 1), GREY)])
     twice = Scene.join([box((1, 1, 1), GREY, instance=name) for name in ("a_box", "b_box")])
     assert [one.name for one in twice.instances] == ["a_box", "b_box"]
@@ -162,7 +161,7 @@ def test_moving_turns_clockwise_about_the_vertical() -> None:
 
 
 def test_from_arrays_needs_to_know_which_material() -> None:
-    with pytest.raises(SchemaError, match=re.escape("give face_material=")):
+    with pytest.raises(SchemaError, match="argument-missing"):
         Scene.from_arrays(TRIANGLE, [[0, 1, 2]], [GREY, RED])
 
 

@@ -374,17 +374,17 @@ def test_store_is_what_memory_holds(tmp_path: Path, dark_exposure: Any) -> None:
 def test_store_is_replaced_only_on_request(tmp_path: Path) -> None:
     size: dict[str, Any] = {"steps": 2, "bands": 8, "columns": 3}
     path = write_sweep(tmp_path / "sweep.zarr", **size)
-    with pytest.raises(StoreError, match="overwrite=True"):
+    with pytest.raises(StoreError, match="store-exists"):
         write_sweep(path, **size)
     write_sweep(path, **size, seed=1, truth=False, overwrite=True)
     assert not (tmp_path / "sweep_truth.zarr").exists()
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "keep.txt").write_text("dear")
-    with pytest.raises(StoreError, match="exists already"):
+    with pytest.raises(StoreError, match="store-exists"):
         write_sweep(tmp_path / "notes", **size, overwrite=True)
     assert (tmp_path / "notes" / "keep.txt").is_file()
     (tmp_path / "notes" / "zarr.json").write_text('{"attributes": {"name": "lot"}, "node_type": "group"}')
-    with pytest.raises(StoreError, match="exists already"):
+    with pytest.raises(StoreError, match="store-exists"):
         write_sweep(tmp_path / "notes", **size, overwrite=True)
     assert (tmp_path / "notes" / "keep.txt").is_file()
 

@@ -82,9 +82,9 @@ def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.
 
 def test_codes_that_do_not_fit_are_refused() -> None:
     assert PathCodes.of(2**14 - 1, 4).digit_bits == 14
-    with pytest.raises(SchemaError, match="depth is at most 3"):
+    with pytest.raises(SchemaError, match=r"depth=3.*path-code-too-long"):
         PathCodes.of(2**14, 4)
-    with pytest.raises(SchemaError, match="at least 1"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         PathCodes.of(3, 0)
 
 
@@ -202,7 +202,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     assert len(pickle.dumps(table)) == empty
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)).rows(codes), rows)
     # and what does not fit is made again each time
-    monkeypatch.setattr(lighting, "_LARGEST_CACHE", 100 * 272 * 4)
+    monkeypatch.setattr(lighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
         part = codes[start : start + 30]
@@ -215,7 +215,7 @@ def test_codes_of_another_scene_are_refused() -> None:
         BandSet.of(), PathCodes.of(3, 4), LIGHT.wavelength, SOURCES, lambda nm: np.ones((2, nm.size))
     )
     assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
-    with pytest.raises(SchemaError, match="spectrum 2, the scene has 2"):
+    with pytest.raises(SchemaError, match="path-code-unknown"):
         table.rows(np.array([table.codes.code(0, (2,))]))
 
 
@@ -236,9 +236,9 @@ def test_bands_that_cannot_be_are_all_named() -> None:
     with pytest.raises(SchemaError) as caught:
         BandSet(np.array([500.0, 400.0]), np.array([1.0, 2.0, 3.0]), "box", np.array([[1.0]]))
     assert str(caught.value).count("\n") == 4
-    with pytest.raises(SchemaError, match="not finite"):
+    with pytest.raises(SchemaError, match="wavelength"):
         BandSet(np.array([500.0, np.nan]), np.array(6.0))
-    with pytest.raises(SchemaError, match=r"'wavelength' is missing(.|\n)*'fwhm' is missing"):
+    with pytest.raises(SchemaError, match=r"(?s)'wavelength'.*'fwhm'.*variable-missing"):
         BandSet.of(object())
 
 

@@ -41,7 +41,7 @@ def test_wobble_is_that_of_drones(
     assert pose["heading"].max() < 360.0
     assert np.abs(np.diff(pose["heading"])).max() > 350.0
     assert max(np.abs(pose["roll"]).max(), np.abs(pose["pitch"]).max()) < path.steepest
-    assert np.abs(yaw).max() < path.most_yaw
+    assert np.abs(yaw).max() < path.max_yaw
 
 
 def test_seeds_wobble_differently_and_again_the_same() -> None:

@@ -86,7 +86,7 @@ def test_a_library_in_spectra_names_its_paints_behind_its_own(tmp_path: Path) ->
     mine = {"mine": read_spectra(tmp_path / "x.zarr")}
     record = SceneRecord.of(two_cars())
     assert "mine/Türkis" in factor_spectra(record, BANDS, {"red": "mine/Türkis"}, mine).names
-    with pytest.raises(SchemaError, match=r"it has 'mine/red, matt', 'mine/Türkis', 'mine/white'; name one"):
+    with pytest.raises(SchemaError, match="spectrum-unknown"):
         factor_spectra(record, BANDS, {"red": "mine"}, mine)
     one = {"mine": library().isel(signature=[1])}
     assert "mine" in factor_spectra(record, BANDS, {"red": "mine"}, one).names
@@ -108,18 +108,16 @@ def test_bands_without_values_are_named_and_held_on_request() -> None:
     hole = (nm < 430.0) | ((nm > 755.0) & (nm < 765.0))
     paints["reflectance"] = paints.reflectance.where(xr.DataArray(~hole, dims="band"))
     record = SceneRecord.of(two_cars())
-    with pytest.raises(
-        SchemaError, match=r"not finite at 424\.4 to 428\.8, 756\.5 to 763\.1 nm; .*--hold-edges"
-    ):
+    with pytest.raises(SchemaError, match=r"424\.4 to 428\.8, 756\.5 to 763\.1 nm.*not-finite"):
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints)
     held = factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints, hold_edges=True)
     known = np.interp(np.array([425.0, 760.0]), nm[~hole], paints.reflectance.values[0][~hole])
     np.testing.assert_allclose(held.spectra["red, matt"](np.array([425.0, 760.0])), known, rtol=1e-6)
     short = paints.isel(band=slice(60, 200))
-    with pytest.raises(SchemaError, match=r"covers 532\.8 to 840\.6 nm.*hold_edges=True"):
+    with pytest.raises(SchemaError, match="spectrum-coverage"):
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, short)
     bad = library().isel(signature=[0]).assign_coords(good=("band", nm < 900.0))
-    with pytest.raises(SchemaError, match=r"not finite at 900\.4 to 97"):
+    with pytest.raises(SchemaError, match="not-finite"):
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, bad)
 
 
@@ -131,8 +129,8 @@ def test_what_may_mislead_is_said() -> None:
     with pytest.warns(PaintWarning) as caught:
         factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints)
     texts = [str(one.message) for one in caught]
-    assert any("beyond 0 to 1 by 0.05 at most" in text for text in texts)
-    assert any("--specular-sky" in text for text in texts)
+    assert any("reflectance-clipped" in text for text in texts)
+    assert any("mirror-counted-twice" in text for text in texts)
 
 
 def test_a_library_paints_the_cars_of_a_traced_scene() -> None:
@@ -143,7 +141,7 @@ def test_a_library_paints_the_cars_of_a_traced_scene() -> None:
         BANDS, paints={"car_0": "red, matt", "car_1": "Türkis"}, spectra=paints, atmosphere=flat_light()
     ).radiance
     np.testing.assert_array_equal(dealt.values, named.values)
-    with pytest.raises(SchemaError, match="two paints 'red, matt'"):
+    with pytest.raises(SchemaError, match="paint-ambiguous"):
         traced.paint.relight(BANDS, paints=library().isel(signature=[0, 0]), atmosphere=flat_light())
 
 

@@ -4,20 +4,18 @@ A path of light contributes ``w E_source(lambda) / pi x product of reflectances(
 depend on wavelength. `tracing` records the weights, `relighting` turns them into radiance for any paints,
 atmosphere and camera.
 
-Scenes, flights, light and paints come in, traced weights and flight lines with known truth go out.
-`simulation`, `workflows.rendering` and users call it. The modules, in the order in which they build on one
-another:
+Scenes, flights, light and paints come in; traced weights and flight lines with known truth go out.
+`simulation`, `workflows.rendering` and users call it. The modules, each building on those before:
 
-What is seen
+The scene
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;
-    `primitives`, `car_bodies` and `pavements`, of which `car_parks` makes a scene;
-    `mesh_files` reads one, with `mesh_formats`.
+    `primitives` and `car_bodies`, of which `car_parks` makes a scene; `mesh_files` reads one.
 The light
     `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
 The camera
     `platform_geometry` and the flights of `platforms`; `camera_bands`.
 Tracing
-    `scene_record` (what a traced dataset keeps of its scene), `tracing`.
+    `scene_record` (attributes of a traced dataset), `tracing`.
 Relighting
-    `painting` (which spectrum every factor has), `lighting` and `relighting`.
+    `painting` (spectra of all factors), `lighting` and `relighting`.
 """

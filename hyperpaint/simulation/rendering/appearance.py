@@ -1,4 +1,4 @@
-"""What instruments of the paint shop read of a paint: gloss units, and the flop index of metallics."""
+"""Readings of paint-shop instruments: gloss units, and the flop index of metallic paints."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ class _Lobes(NamedTuple):
 def gloss_units(coat: Coat) -> float:
     """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
 
-    The flux that a coat sends into the receptor over that of the glass (ISO 2813). The receptor sees 1.8
+    The flux of the coat in the receptor over the flux of the glass (ISO 2813). The receptor sees 1.8
     degrees in the plane of incidence and 3.6 across, the image of the source is 0.75 by 2.5 degrees. Facets
     have the slopes of GGX, and orange peel, which is smaller than the spot of the instrument, adds Gaussian
-    ones. What the paint under the coat reflects is left out, as on a black paint.
+    ones. Light reflected by the paint under the coat is left out, as on a black paint.
 
     Parameters
     ----------
@@ -67,22 +67,23 @@ def gloss_units(coat: Coat) -> float:
     across = radius[:, None] * np.sin(angle)
     cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
     caught = 0.0
-    for one, its in zip(tilt, weight, strict=True):
-        for other, others in zip(tilt, weight, strict=True):
-            within = _overlap(2.0 * (slopes + one), 0) * _overlap(2.0 * cosine * (across + other), 1)
-            caught += its * others * float(within.mean())
+    for tilt_along, weight_along in zip(tilt, weight, strict=True):
+        for tilt_across, weight_across in zip(tilt, weight, strict=True):
+            along = _overlap(2.0 * (slopes + tilt_along), 0)
+            within = along * _overlap(2.0 * cosine * (across + tilt_across), 1)
+            caught += weight_along * weight_across * float(within.mean())
     mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
     return float(100.0 * caught * mirrors[0] / mirrors[1])
 
 
 def _overlap(deflection: Floats, axis: int) -> Floats:
-    """Return the part of the source's image, shifted by an angle [rad], that the receptor sees."""
+    """Return the part of the source's image, shifted by an angle [rad], inside the receptor field."""
     receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
     return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
 
 def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
-    """Return the clear coat that reads a gloss at 20 degrees; undoes `gloss_units`.
+    """Return the clear coat with a gloss at 20 degrees, the inverse of `gloss_units`.
 
     Parameters
     ----------
@@ -105,8 +106,10 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
     most, least = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
     if not least < gloss <= most:
         raise SchemaError(
-            f"gloss is {gloss}, expected {least:.1f} to {most:.1f} units for an index of {index} and a "
-            f"waviness of {waviness} degrees; a higher index is glossier"
+            f"gloss is {gloss} units",
+            expected=f"{least:.1f} to {most:.1f} for index {index} and waviness {waviness} degrees",
+            mend="raise the index for more gloss",
+            code="value-out-of-range",
         )
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -115,7 +118,7 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    """Return what the tracer's lobes make of light and view at zenith angles [degree], azimuth apart.
+    """Return the lobes of the tracer for light and view at zenith angles [degree], azimuth apart.
 
     Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
     """
@@ -133,10 +136,14 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
     return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], part)
 
 
-def _added_up(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    """Return the reflectance factor of a paint part of whose light meets flakes."""
+def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
+    """Return the reflectance factor of a paint with a share of flakes."""
     again = share * metal + (1.0 - share) * pigment
     return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
+
+
+def _share_and_alpha(material: Material) -> tuple[float, float]:
+    return (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
 
 
 def reflectance_factor(
@@ -175,20 +182,18 @@ def reflectance_factor(
     True
     """
     index = None if material.coat is None else material.coat.index
-    share, alpha = (
-        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
-    )
+    share, alpha = _share_and_alpha(material)
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
-    seen = _added_up(lobes, share, measured_factor(body, index), metal)
+    seen = _factor_with_flakes(lobes, share, measured_factor(body, index), metal)
     return np.asarray(seen + share * lobes.flakes * (mixed - metal))
 
 
 def flop_index(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
 ) -> float:
-    """Return how much darker a paint gets away from its mirror direction: about 0 for a solid paint.
+    """Return the flop index: how much darker a paint is away from its mirror direction; about 0 when solid.
 
     Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
     at 45 degrees; D65, 10 degree observer (its luminosity as fitted by C. Wyman, P.-P. Sloan, P. Shirley,
@@ -212,16 +217,13 @@ def flop_index(
     """
     curves = _paint_curves(material, wavelength, body, flakes)
     index = 0.0 if material.coat is None else material.coat.index
-    share, alpha = (
-        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
-    )
+    share, alpha = _share_and_alpha(material)
     return _flop(_three_geometries(index, alpha), share, *curves)
 
 
 def _paint_curves(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
-    """Return the factors of base and flakes at the wavelengths of D65."""
     grid = np.linspace(380.0, 780.0, len(_D65))
     pigment, metal = (
         np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
@@ -244,7 +246,7 @@ def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats
     seen = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
     lightness = []
     for lobes in geometries:
-        luminance = float((seen * _added_up(lobes, share, pigment, metal)).sum() / seen.sum())
+        luminance = float((seen * _factor_with_flakes(lobes, share, pigment, metal)).sum() / seen.sum())
         above = luminance > 216 / 24389
         lightness.append(116.0 * np.cbrt(luminance) - 16.0 if above else 24389 / 27 * luminance)
     near, face, far = lightness
@@ -265,7 +267,7 @@ def flakes_of_flop(
     *,
     nearest: bool = False,
 ) -> Flakes:
-    """Return the flakes of a paint, their lobe so broad that the paint has a flop index.
+    """Return the flakes of a paint, with the lobe roughness that gives a flop index.
 
     Parameters
     ----------
@@ -291,15 +293,21 @@ def flakes_of_flop(
     10.0
     """
     if material.flakes is None:
-        raise SchemaError(f"material {material.name!r} has no flakes; give it flakes=Flakes(share)")
+        raise SchemaError(
+            f"material {material.name!r} has no flakes",
+            mend="pass flakes=Flakes(share)",
+            code="flakes-missing",
+        )
     own, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     curves = _paint_curves(material, wavelength, body, flakes)
     flops = np.array([_flop(lobes, own.share, *curves) for lobes in _lobes_by_alpha(index)])
     peak = int(flops.argmax())  # sharper lobes miss the first angle
     if not (nearest or flops[-1] <= flop <= flops[peak]):
         raise SchemaError(
-            f"flop is {flop}, expected {flops[-1]:.1f} to {flops[peak]:.1f} for a share of flakes of "
-            f"{own.share}; more flakes, or a darker pigment, flop more"
+            f"flop index is {flop}",
+            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {own.share}",
+            mend="for more flop, raise the flake share or darken the pigment",
+            code="value-out-of-range",
         )
     roughness = float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
     return replace(own, roughness=roughness)

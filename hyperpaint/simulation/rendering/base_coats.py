@@ -1,4 +1,4 @@
-"""What is in the base coat of a car paint: pigments in a binder, with or without flakes among them."""
+"""The base coat of a car paint: pigments in a binder, with or without flakes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.simulation.paint_spectra import Bump, Edge, Feature, Paint
 
+#: What `generate_paint` makes: titanium white; a coloured pigment; the same in a white base; carbon in a
+#: white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour over
+#: aluminium flakes; colour among mica flakes with an interference colour.
 FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
-"""What `generate_paint` makes: titanium white; a coloured pigment; the same in a white base; carbon in a
-white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour over aluminium
-flakes; colour among mica flakes with an interference colour."""
 
 
+#: Edges and bands of K/S of the coloured pigments: kind, centre and its spread [nm], width [nm], height.
 HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
     "red": (("edge", 605.0, 10.0, -8.0, 7.0),),
     "orange": (("edge", 563.0, 8.0, -8.0, 7.0),),
@@ -28,19 +29,19 @@ HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
     "violet": (("bump", 568.0, 9.0, 40.0, 5.0), ("edge", 412.0, 5.0, -12.0, 1.5)),
     "brown": (("edge", 575.0, 12.0, -32.0, 4.5),),
 }  # fmt: skip
-"""Edges and bands of K/S of the coloured pigments: kind, centre and its spread [nm], width [nm], height."""
 
 _FLAKE_DEPTH = 0.05  # of the flakes, times S of the pigment
 _BINDER_INDEX, _FILM_INDEX = 1.5, 2.5  # of binder and coat; titanium dioxide on mica
+
+#: Cosine in the film of light that meets a flake at 45 degrees [1].
 _TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
-"""Cosine in the film of light that meets a flake at 45 degrees [1]."""
 
 _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 
 
 @dataclass(frozen=True)
 class Pigments:
-    """What is in a base coat.
+    """Contents of a base coat.
 
     Attributes
     ----------
@@ -116,7 +117,7 @@ def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]
 def absorbers_of(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
-    """Return edges and bands of K/S like ``rows`` of `HUES`, each a little elsewhere."""
+    """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
     features: list[Feature] = []
     for kind, centre, spread, width, height in rows:
         feature = Edge if kind == "edge" else Bump

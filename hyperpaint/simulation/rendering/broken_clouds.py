@@ -73,11 +73,15 @@ class BrokenClouds:
         check_number(problems, "edge", self.edge, 0.0, 10.0, above=True)
         check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
         if not np.isfinite([self.heading, *self.station]).all():
-            problems.add("heading and station must be finite")
+            problems.add(
+                f"heading={self.heading!r} and station={self.station!r:.60}",
+                expected="finite numbers",
+                code="not-finite",
+            )
         problems.raise_if_any()
 
     def factors(self, east: npt.ArrayLike, north: npt.ArrayLike, seconds: npt.ArrayLike) -> Floats:
-        """Return factors of direct and of diffuse light, (2, ...); 1 where a place is NaN.
+        """Return factors of direct and of diffuse light, (2, ...); 1 at NaN places.
 
         Parameters
         ----------

@@ -2,10 +2,10 @@
 
     INT E(lambda) rho(lambda) R_b(lambda) d lambda,   rho(lambda) = sum_k rho(lambda_k) phi_k(lambda)
 
-A source has lines far narrower than any band, a product of reflectances has not: on points ``lambda_k``
-0.5 nm apart it is its own cubic interpolation to 1e-6 and better. What is left of the integral for each band
-and point, INT E phi_k R_b, is made once for a source, on a grid as fine as its lines; after that a path costs
-a short sum for each point.
+The spectrum E of a source has absorption lines far narrower than any band. A product of reflectances rho is
+smooth: cubic interpolation between points ``lambda_k`` 0.5 nm apart reproduces it to 1e-6. The integral
+INT E phi_k R_b of every band and point is computed once for a source, on a grid as fine as its absorption
+lines; after that a path costs a short sum.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class BandSet:
     Raises
     ------
     SchemaError
-        What no camera can have; all problems are listed.
+        Shapes or values that no camera has; all problems are listed.
 
     Examples
     --------
@@ -69,20 +69,30 @@ class BandSet:
         problems = Problems("these bands cannot be rendered", SchemaError)
         wavelength = finite_floats(self.wavelength, "wavelength", problems)
         if wavelength.ndim != 1 or not wavelength.size:
-            problems.add(f"wavelength has shape {wavelength.shape}, expected (band,)")
+            problems.add(f"wavelength has shape {wavelength.shape}", expected="(band,)", code="dims-wrong")
         elif not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0):
-            problems.add("wavelength must be positive and increase from band to band [nm]; sort the bands")
+            problems.add(
+                "wavelength is not positive and increasing",
+                mend="sort the bands",
+                code="wavelength-unordered",
+            )
         fwhm = finite_floats(self.fwhm, "fwhm", problems)
         if fwhm.shape not in ((), (1,), wavelength.shape):
-            problems.add(f"fwhm has shape {fwhm.shape}, expected one value or {wavelength.shape}")
+            problems.add(
+                f"fwhm has shape {fwhm.shape}", expected=f"one value or {wavelength.shape}", code="dims-wrong"
+            )
         elif not np.all(fwhm > 0):
-            problems.add("fwhm must be positive [nm]")
+            problems.add(
+                f"fwhm falls to {fwhm.min():g} nm", expected="a width above 0", code="value-out-of-range"
+            )
         check_choice(problems, "shape", self.shape, SHAPES)
         shift = None
         if self.wavelength_shift is not None:
             shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)
             if shift.ndim != 1 or not shift.size:
-                problems.add(f"wavelength_shift has shape {shift.shape}, expected (cross_track,)")
+                problems.add(
+                    f"wavelength_shift has shape {shift.shape}", expected="(cross_track,)", code="dims-wrong"
+                )
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
@@ -114,7 +124,11 @@ class BandSet:
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
             if getattr(bands, name, None) is None:
-                problems.add(f"{name!r} is missing; give a BandSet, or a Dataset with wavelength and fwhm")
+                problems.add(
+                    f"{name!r} is missing",
+                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                    code="variable-missing",
+                )
         problems.raise_if_any()
         attrs = getattr(bands, "attrs", {})
         shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
@@ -141,7 +155,7 @@ class BandSet:
 
     @property
     def _node_step(self) -> float:
-        """Distance of the nodes [nm]: sharper bands change faster from shift to shift."""
+        """Distance of the nodes [nm]: sharper bands change faster with the shift."""
         widest, parts = _NODE_STEP[self.shape]
         narrowest = float(self.fwhm.min())
         if self.shape == "slit":
@@ -159,7 +173,7 @@ class BandSet:
         return np.asarray(low + step * np.arange(-1, cells + 2), np.float64)
 
     def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return where columns lie among the nodes: first of four nodes, and the weights of the four.
+        """Return the position of columns among the nodes: first of four nodes, and the four weights.
 
         Returns
         -------
@@ -173,23 +187,14 @@ class BandSet:
             The bands have no smile, and so one node.
         """
         if self.wavelength_shift is None:
-            raise SchemaError("bands without smile have one node; take the products as they are")
+            raise SchemaError(
+                "bands without smile have one node",
+                mend="use the products of that node",
+                code="smile-missing",
+            )
         place = (self.wavelength_shift - self.nodes[0]) / self._node_step
         first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(place - first - 1)
-
-    def line_shapes(self, offset: Floats, step: float) -> Floats:
-        """Return line shape x responsivity [nm-1] at distances from the bands' own centres.
-
-        Parameters
-        ----------
-        offset : (band, point)
-            [nm], on an even grid of ``step`` nm.
-        """
-        rows = zip(offset, self.fwhm, self.spacing, strict=True)
-        return np.stack(
-            [line_shape(row, float(fwhm), float(spacing), self.shape, step) for row, fwhm, spacing in rows]
-        )
 
     def lowest(self) -> float:
         """Return the lowest wavelength at which any element responds [nm]."""
@@ -200,8 +205,8 @@ class BandSet:
         return float(self.wavelength[-1] + self.nodes.max() + self.reach)
 
 
-_FACTOR_STEP = 0.5  # nm between the points at which products of reflectances are taken
-_FINEST_STEP = 0.05  # nm at which responses are taken, or a hundredth of the sharpest
+_FACTOR_STEP_NM = 0.5  # nm between the points at which products of reflectances are taken
+_MAX_FINE_STEP_NM = 0.05  # nm at which responses are taken, or a hundredth of the sharpest
 
 
 class BandResponses:
@@ -214,7 +219,7 @@ class BandResponses:
     covered
         First and last wavelength at which sources are known [nm]; responses end there.
     normalise
-        Integrals become means over the response; else they are INT L R d lambda as it is.
+        Divide integrals by INT R d lambda, so that they are means over the response.
 
     Attributes
     ----------
@@ -232,17 +237,17 @@ class BandResponses:
         self, bands: BandSet, covered: tuple[float, float] = (0.0, np.inf), *, normalise: bool = True
     ) -> None:
         self.bands, self._normalise = bands, normalise
-        finest = min(_FINEST_STEP, float(bands.fwhm.min()) / 100.0)
-        self._cell = max(1, round(_FACTOR_STEP / finest))
-        self._fine_step = _FACTOR_STEP / self._cell
-        low = int(np.floor(bands.lowest() / _FACTOR_STEP)) - 1
+        finest = min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)
+        self._cell = max(1, round(_FACTOR_STEP_NM / finest))
+        self._fine_step = _FACTOR_STEP_NM / self._cell
+        low = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
         nodes = bands.nodes
-        starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP).astype(np.int64)
+        starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP_NM).astype(np.int64)
         self._starts = starts - low
-        self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP)) + 1
+        self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
         points = int(self._starts[-1]) + self._cells + 2
-        self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP, np.float64)
-        fine = low * _FACTOR_STEP + np.arange(points * self._cell) * self._fine_step
+        self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
+        fine = low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step
         self.fine: Floats = np.asarray(fine, np.float64)
         self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
         # cells reach one point back and two points on, by the cubic
@@ -252,11 +257,17 @@ class BandResponses:
         self.first_band = np.clip(first, 0, starts.size - self.width)
 
     def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return where a band's fine points lie, and its response x step there, both (band, point)."""
+        """Return the fine points of every band, and response x step there, both (band, point)."""
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        response = bands.line_shapes(offset, self._fine_step)
+        rows = zip(offset, bands.fwhm, bands.spacing, strict=True)
+        response = np.stack(
+            [
+                line_shape(row, float(fwhm), float(spacing), bands.shape, self._fine_step)
+                for row, fwhm, spacing in rows
+            ]
+        )
         if bands.responsivity is not None:
             response = response * np.asarray(bands.responsivity(self.fine))[points]
         response = response * (self._inside[points] * self._fine_step)
@@ -265,7 +276,7 @@ class BandResponses:
         return points, response
 
     def weights(self, sources: Floats) -> Floats:
-        """Return what grid points count for in the bands, shape (source, node, grid, width).
+        """Return the weights of the grid points in the bands, shape (source, node, grid, width).
 
         Parameters
         ----------
@@ -289,7 +300,7 @@ class BandResponses:
         return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
-        """Return what bands see of spectra on the fine grid, shape (spectrum, node, band)."""
+        """Return band means of spectra on the fine grid, shape (spectrum, node, band)."""
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)
@@ -299,7 +310,7 @@ class BandResponses:
 
 
 def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
-    """Return the mean of a spectrum over the cells of an even grid; zero where it is not known.
+    """Return the mean of a spectrum over the cells of an even grid; zero outside the spectrum.
 
     The spectrum is taken as linear between its points, however finer or coarser than the grid they are, and
     integrated exactly.

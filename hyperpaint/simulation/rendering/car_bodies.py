@@ -21,7 +21,7 @@ from .primitives import Mesh, cuboid, lattice, polygon, put_together, smoothed, 
 Words = NDArray[np.object_]
 
 _CREASE = 38.0  # what bends by more is an edge [degree]
-_SEAM = 0.009  # width of a gap between panels [m]
+_SEAM = 0.009  # width of a gap between body parts [m]
 _SILL = 0.19  # height of the lower edge of the body [m]
 _WHEEL = (0.315, 0.20)  # radius and width [m]
 _SIDES = 10  # of a wheel
@@ -29,7 +29,7 @@ _SIDES = 10  # of a wheel
 
 @dataclass(frozen=True)
 class CarShape:
-    """What makes a kind of car; fractions of its length count from the nose, heights in metres.
+    """Proportions of a type of car; fractions of its length count from the nose, heights in metres.
 
     Attributes
     ----------
@@ -66,6 +66,7 @@ class CarShape:
     rails: bool = False
 
 
+#: The kinds of car there are.
 CAR_TYPES: dict[str, CarShape] = {
     "sedan": CarShape(
         (4.45, 4.75), (1.78, 1.86), (1.42, 1.47), 0.285, 0.42, 0.68, 0.835,
@@ -104,7 +105,6 @@ CAR_TYPES: dict[str, CarShape] = {
         0.72, ((0.41, 0.43), (0.54, 0.60)), (0.315, 0.42, 0.545), bed=(0.605, 0.965),
     ),
 }  # fmt: skip
-"""The kinds of car there are."""
 
 #: Half width of the plan outline: fraction of the length, share of the half width.
 _PLAN = (
@@ -139,15 +139,41 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     sections = _sections(shape, stations, length, width, height)
     surface, part = _cells(shape, 0.5 * (stations[1:] + stations[:-1]), length, sunroof=sunroof)
     shell = lattice(sections, surface, part)
-    pieces = [smoothed(put_together([shell]), _CREASE), *_ends(sections), _underbody(sections)]
-    pieces += [*_wheels(length, width), *_mirrors(shape, length, width), *_plates(sections)]
+    # a floor between the sills, so that no light comes up through the car
+    rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
+    floor_cells = (len(rows) - 1, 1)
+    floor = lattice(
+        sections[rows][:, [-1, 0]],
+        np.full(floor_cells, "trim", object),
+        np.full(floor_cells, "underbody", object),
+    )
+    pieces = [smoothed(put_together([shell]), _CREASE), *_ends(sections), floor, *_wheels(length, width)]
+    # mirrors
+    station = shape.cowl + 0.45 * (shape.windscreen_top - shape.cowl)
+    mirror_height = float(_profile(np.array(station), shape.edge)) + 0.01
+    mirror = cuboid((0.17, 0.08, 0.12), "paint", "mirror")
+    for side in (-1, 1):
+        at = (side * (0.5 * width + 0.045), length * (0.5 - station), mirror_height)
+        pieces.append(mirror.shifted(at))
+    # number plates, and the dark grille over the front one
+    nose, tail = sections[0, :, 1].max() + 0.004, sections[-1, :, 1].min() - 0.004
+    for place, side, low, (half, tall), word in (
+        (nose, -1, 0.34, (0.26, 0.11), "plate"),
+        (tail, 1, 0.44, (0.26, 0.11), "plate"),
+        (nose, -1, 0.47, (0.40, 0.07), "trim"),
+    ):
+        corners = [(side * half * x, place, low + tall * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))]
+        pieces.append(polygon(corners, word, "plate" if word == "plate" else "bumper"))
     if rails and shape.rails:
-        pieces += _roof_rails(shape, length, width, height)
+        begin, end = shape.windscreen_top + 0.04, shape.roof_end - 0.04
+        rail = cuboid((0.035, (end - begin) * length, 0.05), "rim", "")
+        middle, aside = 0.5 - 0.5 * (begin + end), shape.roof_share * 0.5 * width - 0.03
+        pieces += [rail.shifted((side * aside, middle * length, height - 0.075)) for side in (-1, 1)]
     return put_together(pieces)
 
 
 def _stations(shape: CarShape, length: float) -> Floats:
-    """Return where cross sections are, from nose (0) to tail (1)."""
+    """Return the positions of the cross sections, from nose (0) to tail (1)."""
     gap = _SEAM / length
     seams = [0.045, *shape.doors, *(() if shape.bed else (_boot_seam(shape),))]
     bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
@@ -162,7 +188,7 @@ def _stations(shape: CarShape, length: float) -> Floats:
 
 
 def _boot_seam(shape: CarShape) -> float:
-    """Return where the boot lid meets the bumper."""
+    """Return the position where the boot lid meets the bumper."""
     return 0.972 if shape.rear_base < 0.9 else 0.988
 
 
@@ -171,7 +197,10 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
     half = 0.5 * width * _profile(stations, _PLAN)
     edge = _profile(stations, shape.edge)
     rise = edge - _SILL
-    raised = _greenhouse(shape, stations)
+    # rise of a section from deck (0) to roof (1)
+    front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
+    back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
+    raised = np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
     flank = [
         (0.945 * half, np.full_like(half, _SILL)),
         (1.0 * half, _SILL + 0.33 * rise),
@@ -185,9 +214,12 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
     seam = _SEAM / 0.905
     inner = []
     for share, inset, drop in (
-        (0.86, 0.0, 0.10), (0.86 - seam, _SEAM, 0.094), (0.78, 0.075, 0.045), (0.40, 0.5 * roof, 0.010),
+        (0.86, 0.0, 0.10),
+        (0.86 - seam, _SEAM, 0.094),
+        (0.78, 0.075, 0.045),
+        (0.40, 0.5 * roof, 0.010),
         (0.0, roof, 0.0),
-    ):  # fmt: skip
+    ):
         low = edge + 0.004 + 0.05 * (1 - (share / 0.9) ** 2) * np.clip(rise / 0.5, 0, 1)
         across = share * half + raised * (roof - inset - share * half)
         inner.append((across, low + raised * (top - drop - low)))
@@ -201,20 +233,12 @@ def _sections(shape: CarShape, stations: Floats, length: float, width: float, he
 
 
 def _profile(stations: Floats, points: tuple[tuple[float, float], ...]) -> Floats:
-    """Return a height or width at stations, linear between points."""
     table = np.asarray(points)
     return np.asarray(np.interp(stations, table[:, 0], table[:, 1]), np.float64)
 
 
-def _greenhouse(shape: CarShape, stations: Floats) -> Floats:
-    """Return how far a section has risen from deck (0) to roof (1)."""
-    front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
-    back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
-    return np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
-
-
 def _cells(shape: CarShape, middles: Floats, length: float, *, sunroof: bool) -> tuple[Words, Words]:
-    """Return surface and part of every cell of the sheet, shape (station - 1, column - 1)."""
+    """Return surface and body part of every cell of the sheet, shape (station - 1, column - 1)."""
     half = _COLUMNS - 1
     surface = np.full((len(middles), half), "paint", object)
     part = np.full((len(middles), half), "", object)
@@ -294,16 +318,7 @@ def _ends(sections: Floats) -> list[Mesh]:
     return sheets
 
 
-def _underbody(sections: Floats) -> Mesh:
-    """Return a floor between the sills, so that no light comes up through the car."""
-    rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
-    points = sections[rows][:, [-1, 0]]
-    cells = (len(points) - 1, 1)
-    return lattice(points, np.full(cells, "trim", object), np.full(cells, "underbody", object))
-
-
 def _wheels(length: float, width: float) -> list[Mesh]:
-    """Return the wheels, and the dark arches they turn in."""
     radius, thick = _WHEEL
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     pieces = []
@@ -323,34 +338,3 @@ def _wheels(length: float, width: float) -> list[Mesh]:
                 smoothed(polygon(arch, "trim", "wing"), 1.0),  # what is cut off below leaves empty triangles
             ]
     return pieces
-
-
-def _mirrors(shape: CarShape, length: float, width: float) -> list[Mesh]:
-    station = shape.cowl + 0.45 * (shape.windscreen_top - shape.cowl)
-    height = float(_profile(np.array(station), shape.edge)) + 0.01
-    shell = cuboid((0.17, 0.08, 0.12), "paint", "mirror")
-    return [
-        shell.shifted((side * (0.5 * width + 0.045), length * (0.5 - station), height)) for side in (-1, 1)
-    ]
-
-
-def _plates(sections: Floats) -> list[Mesh]:
-    """Return the number plates, and the dark grille over the front one."""
-    nose, tail = sections[0, :, 1].max() + 0.004, sections[-1, :, 1].min() - 0.004
-    plates = []
-    for place, side, low, size, word in (
-        (nose, -1, 0.34, (0.26, 0.11), "plate"),
-        (tail, 1, 0.44, (0.26, 0.11), "plate"),
-        (nose, -1, 0.47, (0.40, 0.07), "trim"),
-    ):
-        (half, tall) = size
-        corners = [(side * half * x, place, low + tall * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))]
-        plates.append(polygon(corners, word, "plate" if word == "plate" else "bumper"))
-    return plates
-
-
-def _roof_rails(shape: CarShape, length: float, width: float, height: float) -> list[Mesh]:
-    begin, end = shape.windscreen_top + 0.04, shape.roof_end - 0.04
-    rail = cuboid((0.035, (end - begin) * length, 0.05), "rim", "")
-    middle, aside = 0.5 - 0.5 * (begin + end), shape.roof_share * 0.5 * width - 0.03
-    return [rail.shifted((side * aside, middle * length, height - 0.075)) for side in (-1, 1)]

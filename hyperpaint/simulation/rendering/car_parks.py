@@ -2,9 +2,9 @@
 
 The park lies between x = -width/2 (west) and +width/2 (east), and from y = 0 northwards, so that a flight
 line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and then rows of bays and aisles in
-turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall. What
-chance decides is drawn from a generator keyed by (seed, bay, row), so that a longer park of the same seed
-holds the cars of the shorter one, under the same names.
+turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall.
+Random numbers come from generators keyed by (seed, bay, row), so that a longer park of the same seed contains
+the cars of the shorter one, under the same names.
 
 A crown is a cloud of leaves: two triangles each, bent along the midrib, most of them near the surface of a
 few overlapping blobs and turned any way around facing outwards. Leaves are Lambert and let no light through.
@@ -12,6 +12,7 @@ few overlapping blobs and turned any way around facing outwards. Leaves are Lamb
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -26,13 +27,246 @@ from hyperpaint.simulation.settings import FLEETS
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
-from .pavements import BAY, Layout, paved, strips_across, worn
-from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
+from .primitives import Mesh, cuboid, polygon, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
 from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 
+#: Length and width of a bay [m].
+BAY = (5.0, 2.5)
+
+_GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of what lies west of the first row [m]
+_AISLE, _WIDEST_AISLE = 4.5, 6.5
+_KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
+_ISLAND_PERIOD, _ISLAND_START = 11, 7  # bays
+_TUFTED = 2.5  # how far from the kerb the lawn has blades [m]
+_WEAR = 4  # what a random number is for
+_BEYOND = 7.0  # how far the asphalt goes on before the first bay and behind the last [m]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things are in a car park; x from west to east, y from south to north [m].
+
+    Attributes
+    ----------
+    length, width, margin, line_width
+        As of the car park.
+    rows, aisles
+        West and east end of each.
+    with_islands
+        Whether islands take the place of some bays.
+    """
+
+    length: float
+    width: float
+    margin: float
+    line_width: float
+    rows: tuple[tuple[float, float], ...]
+    aisles: tuple[tuple[float, float], ...]
+    with_islands: bool
+
+    @property
+    def bays(self) -> int:
+        """Number of bays in a row, the last one perhaps only begun."""
+        return int(np.ceil(round(self.length / BAY[1], 9)))
+
+    @property
+    def kerb(self) -> tuple[float, float]:
+        """Ends of the kerb in the west."""
+        west = -0.5 * self.width + _GRASS
+        return west, west + _KERB
+
+    @property
+    def east_kerb(self) -> tuple[float, float]:
+        """Ends of the kerb in the east."""
+        west = self.rows[-1][1] + _GUTTER
+        return west, west + _KERB
+
+    @property
+    def wall(self) -> float:
+        """Middle of the wall in the east."""
+        return max(0.5 * self.width - 0.5, self.east_kerb[1] + 0.2)
+
+    @property
+    def west_trees(self) -> float:
+        """Line of trees in the west, just outside the park."""
+        return -0.5 * self.width - 0.3
+
+    def is_island(self, bay: int, row: int) -> bool:
+        """Return whether an island takes the place of a bay; those of two rows back to back lie together."""
+        return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
+
+    def islands(self) -> Iterator[tuple[int, tuple[float, float]]]:
+        """Yield bay, and west and east end, of every island."""
+        for bay in range(self.bays):
+            for row, ends in enumerate(self.rows):
+                if self.is_island(bay, row):
+                    yield bay, ends
+
+
+def strips_across(
+    length: float, width: float, rows: int | None, *, margin: float, line_width: float, islands: bool
+) -> Layout:
+    """Return the layout of rows and aisles.
+
+    Raises
+    ------
+    SchemaError
+        The rows do not fit into the width.
+
+    Examples
+    --------
+    >>> layout = strips_across(20.0, 16.0, None, margin=10.0, line_width=0.1, islands=False)
+    >>> [(round(a, 3), round(b, 3)) for a, b in (*layout.rows, *layout.aisles)]
+    [(-6.6, -1.6), (2.9, 7.9), (-1.6, 2.9)]
+    """
+    edge = _GRASS + _KERB + _GUTTER
+    most = max((n for n in range(1, 200) if _least_width(n) <= width + 1e-9), default=0)
+    wanted = most if rows is None else rows
+    if not 1 <= wanted <= most:
+        least = _least_width(max(wanted, 1))
+        raise SchemaError(
+            f"the car park is {width:g} m wide",
+            expected=f"{least:.1f} m or more for {max(wanted, 1)} rows of bays",
+            code="car-park-too-narrow",
+        )
+    aisles = (wanted + 1) // 2
+    aisle = min(_AISLE + (width - _least_width(wanted)) / aisles, _WIDEST_AISLE) if wanted < 4 else _AISLE
+    west, row_ends, aisle_ends = edge - 0.5 * width, [], []
+    for row in range(wanted):
+        row_ends.append((west, west + BAY[0]))
+        west += BAY[0]
+        if row % 2 == 0:
+            aisle_ends.append((west, west + aisle))
+            west += aisle
+    return Layout(length, width, margin, line_width, tuple(row_ends), tuple(aisle_ends), islands)
+
+
+def _least_width(rows: int) -> float:
+    return _GRASS + _KERB + 2 * _GUTTER + BAY[0] * rows + _AISLE * ((rows + 1) // 2)
+
+
+def paved(layout: Layout) -> Mesh:
+    """Return the ground, of the surfaces "asphalt", "line", "concrete" and "grass".
+
+    Lines are cells of the ground, not plates upon it; kerbs and islands stand out of it. A sheet of asphalt
+    a little deeper closes the joints.
+    """
+    south, north = -layout.margin, layout.length + layout.margin
+    first, last = max(-_BEYOND, south), min(layout.length + _BEYOND, north)
+    west, east = layout.kerb[1], layout.east_kerb[0]
+    far_west, far_east = -0.5 * layout.width - layout.margin, 0.5 * layout.width + layout.margin
+    pieces = [_level(far_west, far_east, south, north, "asphalt", -0.05)]
+    for begin, end in (*_gaps(layout.rows, west, east), (layout.kerb[0], west), (east, layout.east_kerb[1])):
+        pieces.append(_level(begin, end, first, last, "asphalt"))
+    for begin, end in layout.rows:
+        pieces += _bays(layout, begin, end, first, last)
+    for begin, end in (layout.kerb, layout.east_kerb):
+        kerb = cuboid((end - begin, last - first, _KERB_HEIGHT + 0.03), "concrete")
+        pieces.append(kerb.shifted((0.5 * (begin + end), 0.5 * (first + last), -0.03)))
+    for edge in (first - 0.5 * _KERB, last + 0.5 * _KERB):
+        kerb = cuboid((layout.east_kerb[1] - layout.kerb[0], _KERB, _KERB_HEIGHT + 0.04), "concrete")
+        pieces.append(kerb.shifted((0.5 * (layout.east_kerb[1] + layout.kerb[0]), edge, -0.03)))
+    lawns = [(far_west, layout.kerb[0], south, north), (layout.east_kerb[1], far_east, south, north)]
+    lawns += [(layout.kerb[0], layout.east_kerb[1], *ends) for ends in ((south, first), (last, north))]
+    pieces += [_level(*lawn, "grass", _LAWN) for lawn in lawns if lawn[1] > lawn[0] and lawn[3] > lawn[2]]
+    for bay, (begin, end) in layout.islands():
+        pieces += _island(bay, begin, end)
+    pieces += _arrows(layout)
+    return put_together(pieces)
+
+
+def worn(layout: Layout, seed: int) -> list[Mesh]:
+    """Return traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
+
+    Its surfaces are "patch" and "grass".
+    """
+    pieces = []
+    angle = 2 * np.pi * np.arange(11) / 11
+    for row, (begin, end) in enumerate(layout.rows):
+        for bay in range(layout.bays):
+            rng = np.random.default_rng([seed, _WEAR, bay, row])
+            if layout.is_island(bay, row) or rng.random() < 0.4:
+                continue
+            radius = rng.uniform(0.08, 0.30) * rng.uniform(0.75, 1.2, (11, 1))
+            middle = (rng.uniform(begin + 1.2, end - 1.2), (bay + 0.5) * BAY[1] + rng.uniform(-0.4, 0.4))
+            rim = middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            pieces.append(polygon(np.column_stack([rim, np.full(11, 0.003)]), "patch"))
+    for number, (begin, end) in enumerate(layout.aisles):
+        for step in range(int(layout.length // 12.0)):
+            rng = np.random.default_rng([seed, _WEAR, step, number, 1])
+            west, south = rng.uniform(begin + 0.2, end - 1.6), 12.0 * step + rng.uniform(4.0, 9.0)
+            size = rng.uniform((0.5, 0.6), (1.3, 2.5))
+            pieces.append(_level(west, west + size[0], south, south + size[1], "patch", 0.003))
+    return [*pieces, *_tufts(layout, seed)]
+
+
+def _tufts(layout: Layout, seed: int) -> list[Mesh]:
+    """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length."""
+    tufts = []
+    for bay in range(layout.bays):
+        rng = np.random.default_rng([seed, _WEAR, bay])
+        east, count = layout.kerb[0], 300
+        foot = rng.uniform(
+            (east - _TUFTED, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
+        )
+        lean = rng.normal(0.0, 0.05, (count, 3)) * (1, 1, 0) + (0, 0, 0.07)
+        side = rng.normal(0.0, 0.06, (count, 3)) * (1, 1, 0)
+        corners = np.stack([foot - side, foot + side, foot + lean], axis=1)
+        tufts.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
+    return tufts
+
+
+def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
+    for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
+        if end[0] - begin[1] > 1e-6:
+            yield begin[1], end[0]
+
+
+def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:
+    """Yield the cells of one row of bays: asphalt and the painted lines."""
+    south = first
+    for line in range(layout.bays + 1):
+        low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))
+        if high > last:
+            break
+        if low > south:
+            yield _level(begin, end, south, low, "asphalt")
+        if low >= south:
+            yield _level(begin, end, low, high, "line")
+            south = high
+    if last > south:
+        yield _level(begin, end, south, last, "asphalt")
+
+
+def _island(bay: int, begin: float, end: float) -> Iterator[Mesh]:
+    at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+    length, wide = end - begin - 0.1, BAY[1] - 0.3
+    yield cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03))
+    yield cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03))
+
+
+def _arrows(layout: Layout) -> Iterator[Mesh]:
+    outline = [
+        [[-0.09, -1.2], [0.09, -1.2], [0.09, 0.4], [-0.09, 0.4]],
+        [[-0.32, 0.4], [0.32, 0.4], [0.0, 1.2]],
+    ]
+    for number, (begin, end) in enumerate(layout.aisles):
+        way = -1.0 if number % 2 else 1.0
+        for y in np.arange(10.0, layout.length, 15.0):
+            for piece in outline:
+                corners = [(0.5 * (begin + end) + way * px, y + way * py, 0.004) for px, py in piece]
+                yield polygon(corners, "line")
+
+
+def _level(west: float, east: float, south: float, north: float, surface: str, height: float = 0.0) -> Mesh:
+    return polygon(
+        [(west, south, height), (east, south, height), (east, north, height), (west, north, height)], surface
+    )
+
+
+#: What may stand around the cars.
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
-"""What may stand around the cars."""
 
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
@@ -80,7 +314,7 @@ def car_park(
     types
         Which `CAR_TYPES` there are; all unless given.
     seed
-        Chooses everything that chance decides.
+        Of all random numbers.
     neighbours
         Which of `NEIGHBOURS` there are.
     panels
@@ -119,8 +353,11 @@ def car_park(
     >>> sorted({one.kind for one in park.instances})
     ['car', 'ground', 'panel']
     """
+    if paints is None:
+        first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
+        paints = fleet_names(first, _FLEET_SIZE) if fleet == "real" else FOURTEEN
     chosen = _Choices(
-        _paints_of_fleet(fleet, seed) if paints is None else tuple(paints),
+        tuple(paints),
         tuple(CAR_TYPES) if types is None else tuple(types),
         seed,
         occupancy,
@@ -137,10 +374,10 @@ def car_park(
     check_whole(problems, "leaves", leaves, 0, 100_000)
     check_whole(problems, "seed", seed, 0)
     for what, names, allowed in (("neighbours", neighbours, NEIGHBOURS), ("types", chosen.types, CAR_TYPES)):
-        for one in names:
-            check_choice(problems, what, one, allowed)
+        for name_in_list in names:
+            check_choice(problems, what, name_in_list, allowed)
     if not chosen.paints or not chosen.types:
-        problems.add("paints or types are empty, expected at least one name of each")
+        problems.add("paints or types are empty", expected="at least one name of each", code="empty-input")
     problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
@@ -160,7 +397,7 @@ def car_park(
 
 @dataclass(frozen=True)
 class _Choices:
-    """What cars are drawn from."""
+    """Paints, types and options from which the cars are drawn."""
 
     paints: tuple[str, ...]
     types: tuple[str, ...]
@@ -171,7 +408,6 @@ class _Choices:
     surroundings: dict[str, Material]
 
     def material(self, name: str, paint: str) -> Material:
-        """Return the surface of a car that has a paint."""
         surface = (
             paint_spec(paint).material(name) if is_paint(paint) else Material(name, paint, "paint", Coat())
         )
@@ -179,7 +415,7 @@ class _Choices:
         return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
-        """Return the paint of a car: as many successive cars as there are paints have all of them."""
+        """Return the paint of a car; consecutive cars use every paint once before any is used again."""
         if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
             return self.paints[number % _FLEET_SIZE]
         deck, card = divmod(number, len(self.paints))
@@ -187,23 +423,17 @@ class _Choices:
         return self.paints[int(order[card])]
 
     def kind(self, rng: np.random.Generator) -> str:
-        """Return the kind of a car."""
         chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
         return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
 
 
+#: Different cars of a fleet: more than a car park has bays.
 _FLEET_SIZE = 5000
-"""Different cars of a fleet: more than a car park has bays."""
-
-
-def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
-    """Return the paints of a fleet; those of a real one in an order that has the shares in every part."""
-    if fleet != "real":
-        return FOURTEEN
-    return fleet_names(int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)), _FLEET_SIZE)
 
 
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
+
+#: What all that is no car paint is made of, by the words that meshes use.
 _SURROUNDINGS = {
     name: Material(name, spectrum, kind, coat)
     for name, spectrum, kind, coat in (
@@ -225,8 +455,8 @@ _SURROUNDINGS = {
         ("steel", "steel", "other", None),
     )
 }
-"""What all that is no car paint is made of, by the words that meshes use."""
 
+#: The same after some years, and leaves that light shines through.
 _WORN = {
     **_SURROUNDINGS,
     **{
@@ -241,7 +471,6 @@ _WORN = {
     },
     "leaf": replace(_SURROUNDINGS["leaf"], transmittance="leaf_through"),
 }
-"""The same after some years, and leaves that light shines through."""
 
 
 def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:
@@ -296,9 +525,12 @@ def _trees(layout: Layout, chosen: _Choices, leaves: int) -> Iterator[Scene]:
 
 
 def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> Iterator[Scene]:
-    """Yield the wall in the east, and the hedge behind the trees in the west."""
     if "walls" in neighbours:
-        wall = _brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
+        # 1.6 m high, 0.24 m thick, with a coping
+        length = layout.length
+        body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
+        coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
+        wall = put_together([body, coping]).shifted((layout.wall, 0.0, 0.0))
         yield wall.scene(chosen.surroundings, Instance("wall", "wall"))
     if "hedges" in neighbours:
         rng = np.random.default_rng([chosen.seed, _TREES])
@@ -308,13 +540,20 @@ def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> I
 
 
 def _lamps(layout: Layout) -> Iterator[Scene]:
+    # 6 m high, the arm to the east
+    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
+    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
+    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
+    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
+    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
+    lamp = put_together([post, beam, head, glass, foot])
     for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
-        post = _lamp_post().shifted((layout.lamps, float(north), 0.0))
-        yield post.scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
+        at = (-0.5 * layout.width + 0.6, float(north), 0.0)
+        yield lamp.shifted(at).scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
 
 
 def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
-    """Return a tree that stands on the origin, its top ``height`` and the radius of its ``crown`` [m]."""
+    """Return a tree at the origin; ``height`` of its top and radius of its ``crown`` [m]."""
     middle = np.array([0.0, 0.0, height - 0.95 * crown])
     blobs = 9
     direction = _directions(rng, blobs)
@@ -345,23 +584,6 @@ def _hedge(rng: np.random.Generator, length: float) -> Mesh:
     places = np.where(outward != 0, outward * rng.uniform(0.85, 1.0, (count, 1)), inside)
     places = 0.5 * places * (thickness, length, height) + (0.0, 0.5 * length, 0.5 * height)
     return put_together([_foliage(rng, places, outward), core])
-
-
-def _brick_wall(length: float) -> Mesh:
-    """Return a wall with a coping from the origin to the north, 1.6 m high and 0.24 m thick."""
-    body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
-    coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
-    return put_together([body, coping])
-
-
-def _lamp_post() -> Mesh:
-    """Return a lamp that stands on the origin, 6 m high, its arm to the east."""
-    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
-    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
-    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
-    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
-    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
-    return put_together([post, beam, head, glass, foot])
 
 
 def _directions(rng: np.random.Generator, count: int) -> Floats:

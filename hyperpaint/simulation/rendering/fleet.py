@@ -27,11 +27,16 @@ from hyperpaint.base.arrays import Floats
 from .base_coats import HUES, Pigments, absorbers_of, mix
 from .weathering import Octaves, dusty
 
+#: Of all cars.
 COLOUR_SHARES: Mapping[str, float] = {
-    "white": 0.39, "black": 0.23, "grey": 0.16, "silver": 0.08, "coloured": 0.14,
-}  # fmt: skip
-"""Of all cars."""
+    "white": 0.39,
+    "black": 0.23,
+    "grey": 0.16,
+    "silver": 0.08,
+    "coloured": 0.14,
+}
 
+#: Of the cars of a colour.
 FINISH_SHARES: Mapping[str, Mapping[str, float]] = {
     "white": {"solid": 2 / 3, "pearl": 1 / 3},
     "black": {"solid": 0.40, "metallic": 0.45, "pearl": 0.15},
@@ -39,32 +44,36 @@ FINISH_SHARES: Mapping[str, Mapping[str, float]] = {
     "silver": {"metallic": 1.0},
     "coloured": {"solid": 0.25, "metallic": 0.50, "pearl": 0.25},
 }
-"""Of the cars of a colour."""
 
+#: Of the coloured cars.
 HUE_SHARES: Mapping[str, float] = {
-    "blue": 0.55, "red": 0.27, "green": 0.06, "brown": 0.06, "orange": 0.03, "yellow": 0.03,
-}  # fmt: skip
-"""Of the coloured cars."""
+    "blue": 0.55,
+    "red": 0.27,
+    "green": 0.06,
+    "brown": 0.06,
+    "orange": 0.03,
+    "yellow": 0.03,
+}
 
+#: Least and most of the light in the paint that meets flakes.
 FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
     "white": (0.10, 0.20), "black": (0.03, 0.10), "grey": (0.15, 0.35), "silver": (0.45, 0.65),
     "coloured": (0.08, 0.28),
 }  # fmt: skip
-"""Least and most of the light in the paint that meets flakes."""
 
+#: Least and most flop index that a paint with flakes is given, where its pigment and share allow it.
 FLOPS = (5.0, 16.0)
-"""Least and most flop index that a paint with flakes is given, where its pigment and share allow it."""
 
 _MEAN_AGE = 9.0  # years of a car on the road
-_COVER, _COVER_SPREAD, _MOST_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
+_COVER, _COVER_SPREAD, _MAX_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
 _DIRTY, _DIRT = 0.08, 0.10  # cars that have not been washed for long, and what lies on them more
 _MEMBERS = 64
 
+#: How dust lies on a car.
 DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
-"""How dust lies on a car."""
 
+#: Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018).
 _R2 = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018)."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,7 @@ class FleetPaint:
     index: float
 
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
-        """Return the reflectance of a clean base (wavelength,) under the dust of many places of the car."""
+        """Return the reflectance of a clean base (wavelength,) under dust, for many places on the car."""
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
         cover = np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6)
         return dusty(clean, cover, wavelength)
@@ -125,20 +134,25 @@ def fleet_paint(number: int) -> FleetPaint:
     cover = _COVER * np.exp(_COVER_SPREAD * rng.standard_normal()) + _DIRT * (rng.random() < _DIRTY)
     has_flakes = finish != "solid"
     return FleetPaint(
-        colour=colour, finish=finish, pigments=pigments, flake_share=share if has_flakes else 0.0,
-        flop=flop if has_flakes else 0.0, age=age, cover=float(min(cover, _MOST_COVER)),
+        colour=colour,
+        finish=finish,
+        pigments=pigments,
+        flake_share=share if has_flakes else 0.0,
+        flop=flop if has_flakes else 0.0,
+        age=age,
+        cover=float(min(cover, _MAX_COVER)),
         index=float(rng.uniform(1.48, 1.55)),
-    )  # fmt: skip
+    )
 
 
 def _chosen(shares: Mapping[str, float], place: float) -> str:
-    """Return the name whose share of the unit interval holds a place."""
+    """Return the name whose share of the unit interval contains a place."""
     last = np.searchsorted(np.cumsum(list(shares.values())), place, side="right")
     return list(shares)[min(int(last), len(shares) - 1)]
 
 
 def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
-    """Return a colour in words, and what makes it."""
+    """Return the colour in words, and the pigments."""
     film = None
     if finish == "pearl":
         film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))

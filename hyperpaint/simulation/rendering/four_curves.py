@@ -12,10 +12,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
@@ -35,9 +36,6 @@ from .sky_models import (
     spectrl2_sky,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
     "sky": ("W m-2 nm-1", "Diffuse sky irradiance of a level surface"),
@@ -54,12 +52,12 @@ _NUMBERS = {
     "overcast_share": ("1", "Share of skylight whose radiance goes with the cosine of the zenith angle"),
 }
 _RANGE = (340.0, 1100.0)  # nm, of the built-in sky
-_LOWEST_SUN = 89.0  # degree; below, neither air mass nor four curves mean much
+_MAX_SUN_ZENITH_DEG = 89.0  # degree; below, neither air mass nor four curves mean much
 
 
 @dataclass(frozen=True, eq=False)
 class Atmosphere:
-    """The light at the ground and the air before the camera.
+    """Light at the ground and the air before the camera.
 
     Attributes
     ----------
@@ -122,13 +120,21 @@ class Atmosphere:
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
-        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
+        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _MAX_SUN_ZENITH_DEG)
         if not np.isfinite(self.sun_azimuth):
-            problems.add(f"sun_azimuth={self.sun_azimuth!r}, expected degrees clockwise from north")
+            problems.add(
+                f"sun_azimuth={self.sun_azimuth!r}",
+                expected="degrees clockwise from north",
+                code="not-finite",
+            )
         check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
         if not problems and self.uniform.min(initial=0.0) < -1e-9:
             whole = 1.0 - self.uniform.min()
-            problems.add(f"overcast_share, molecular and aureole come to {whole:.4g}, expected 1 at most")
+            problems.add(
+                f"overcast_share + molecular + aureole is {whole:.4g}",
+                expected="at most 1",
+                code="shares-too-large",
+            )
         problems.raise_if_any()
 
     @property
@@ -193,7 +199,7 @@ class Atmosphere:
     def _hazy(
         cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **more: Any
     ) -> Atmosphere:
-        """Return an atmosphere whose third and fourth curve follow from the first two."""
+        """Return an atmosphere whose extinction and path radiance follow from sun and sky."""
         extinction = path = np.zeros_like(grid)
         if haze is not None:
             extinction = haze.extinction(grid)
@@ -303,7 +309,9 @@ class Atmosphere:
         fraction = np.asarray(direct_fraction, dtype=np.float64)
         if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
             raise SchemaError(
-                f"direct_fraction {fraction.shape} must be one number or {grid.shape}, from 0 to 1"
+                f"direct_fraction of shape {fraction.shape}",
+                expected=f"one number or an array of shape {grid.shape}, from 0 to 1",
+                code="value-out-of-range",
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
@@ -364,7 +372,7 @@ class Atmosphere:
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
-        """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.
+        """Return this clear atmosphere under clouds; `sky_models` has the model.
 
         Parameters
         ----------
@@ -395,25 +403,25 @@ class Atmosphere:
             before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
             path = self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
         return replace(
-            self, sun=sun, sky=sky, path_radiance=path,
+            self,
+            sun=sun,
+            sky=sky,
+            path_radiance=path,
             overcast_share=(1.0 - hidden) * self.overcast_share + hidden * CIE_OVERCAST_SHARE,
-            molecular=(1.0 - hidden) * self.molecular, aureole=(1.0 - hidden) * self.aureole,
+            molecular=(1.0 - hidden) * self.molecular,
+            aureole=(1.0 - hidden) * self.aureole,
             name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
-        )  # fmt: skip
+        )
 
     def to_dataset(self) -> xr.Dataset:
         """Return the curves as labelled variables on ``wavelength``, with CF units."""
-        import xarray as xr
-
-        def attrs(row: tuple[str, str]) -> dict[str, str]:
-            return {"units": row[0], "long_name": row[1]}
-
         variables = {
-            **{
-                name: ("wavelength", getattr(self, name), attrs(row))
-                for name, row in (_CURVES | _SHARES).items()
-            },
-            **{name: ((), np.float64(getattr(self, name)), attrs(row)) for name, row in _NUMBERS.items()},
+            name: (
+                () if name in _NUMBERS else "wavelength",
+                np.asarray(getattr(self, name), np.float64),
+                {"units": units, "long_name": text},
+            )
+            for name, (units, text) in (_CURVES | _SHARES | _NUMBERS).items()
         }
         grid = ("wavelength", self.wavelength, {"units": "nm", "long_name": "Wavelength"})
         haze = "" if self.haze is None else json.dumps(asdict(self.haze))
@@ -433,7 +441,7 @@ class Atmosphere:
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
             if name not in dataset.variables:
-                problems.add(f"{name!r} is missing")
+                problems.add(f"{name!r} is missing", code="variable-missing")
         problems.raise_if_any()
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
@@ -449,14 +457,16 @@ class Atmosphere:
             haze = Haze(**json.loads(text)) if text else None
         except (ValueError, TypeError) as error:
             raise SchemaError(
-                f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
+                f"attribute 'haze' is {text!r}",
+                expected="the JSON text that to_dataset writes",
+                code="metadata-damaged",
             ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
 
 
+#: The three atmospheres of the paper.
 PRESETS = ("noon", "near_sunset", "cloudy")
-"""The three atmospheres of the paper."""
 
 
 @functools.cache
@@ -491,4 +501,6 @@ def preset_atmosphere(name: str) -> Atmosphere:
     if name in PRESETS:
         noon = Atmosphere.clear(25.0, 180.0, name=name)
         return noon if name == "noon" else replace(noon.clouded(8.0), name=name)
-    raise SchemaError(f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}")
+    raise SchemaError(
+        f"there is no atmosphere {name!r}", expected=f"one of {', '.join(PRESETS)}", code="choice-unknown"
+    )

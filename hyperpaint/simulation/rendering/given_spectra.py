@@ -1,4 +1,4 @@
-"""Spectra that a user gives: names, tables, functions, and paints of a library with their populations."""
+"""Spectra from users: names, tables, functions, and paints of a library with their populations."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from .weathering import MEASURED
 if TYPE_CHECKING:
     import xarray as xr
 
-MOST_MEMBERS = 512
-"""Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %."""
+#: Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %.
+MAX_MEMBERS = 512
 
+#: How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light.
 _NOISE = 0.05
-"""How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light."""
 
-_MOST_SHOWN = 6
+_MAX_RANGES_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,6 @@ class Table:
     octaves = MEASURED
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance at ``wavelength`` [nm]."""
         return np.interp(wavelength, self.wavelength, self.reflectance)
 
     def population(self, wavelength: Floats) -> Floats | None:
@@ -71,23 +70,26 @@ def is_library(value: Any) -> bool:
 
 
 def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
-    """Return the paints of a library by name, each with what the renderer takes of it, unread.
+    """Return the paints of a library by name, each with the variables that the renderer needs, lazily.
 
     Raises
     ------
     SchemaError
-        It is none, its paints have no names, or two have the same.
+        It is not a library, its paints have no names, or two share a name.
     """
     library = with_new_names(library) if is_library(library) else library
     if not is_library(library) or SIGNATURE not in library.variables:
         raise SchemaError(
-            "spectra is no mapping of names to spectra, and no library with reflectance(signature, band)"
+            f"spectra is {type(library).__name__}",
+            expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
+            code="type-wrong",
         )
     names = [str(name) for name in library[SIGNATURE].values]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SchemaError(
-            f"the library has two paints {', '.join(map(repr, twice))}; give each its own name, or choose "
-            "one by its place with library.isel(signature=...)"
+            f"the library has several paints named {', '.join(map(repr, twice))}",
+            mend="rename them, or select one with library.isel(signature=...)",
+            code="paint-ambiguous",
         )
     wanted = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
     slim = library[wanted].reset_coords(drop=True)
@@ -98,7 +100,7 @@ def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
 
 
 def by_name(spectra: Any) -> dict[str, Any]:
-    """Return spectra by name: a library's paints; a library inside a mapping as ``name/paint``.
+    """Return spectra by name: paints of a library; a library inside a mapping as ``name/paint``.
 
     One of a single paint keeps the mapping's name.
     """
@@ -119,7 +121,7 @@ def by_name(spectra: Any) -> dict[str, Any]:
 
 
 class SpectrumReader:
-    """Makes functions of what a user gives for spectra, and gathers what is wrong with them.
+    """Turns user spectra into functions of wavelength, and collects their problems.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ class SpectrumReader:
         self._mirroring: list[str] = []
 
     def read(self, name: str) -> Spectrum | None:
-        """Return a spectrum by name as a function; None where it is wrong."""
+        """Return a spectrum by name as a function; None after a problem."""
         spectrum = self._spectrum(self._given.get(name, name), name)
         if spectrum is not None:
             self._check_values(name, spectrum)
@@ -152,19 +154,19 @@ class SpectrumReader:
         return None
 
     def warn(self) -> None:
-        """Warn of what was taken though it may mislead."""
+        """Warn of clipped reflectances and of mirror reflections counted twice."""
         if self._clipped:
             msg = (
-                f"noise takes {some_names(self._clipped)} beyond 0 to 1 by {_NOISE:g} at most; cut there for "
-                "the render"
+                f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
+                "they are clipped for the render"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
         if self._mirroring:
             msg = (
-                f"{some_names(self._mirroring)} hold the light that the coat mirrors, and the renderer adds "
-                "its own; extract signatures with specular_sky=True (--specular-sky)"
+                f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
+                "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(msg, code="mirror-counted-twice"), stacklevel=4)
 
     def _spectrum(self, value: Any, name: str) -> Spectrum | None:
         problems = self._problems
@@ -177,18 +179,19 @@ class SpectrumReader:
             except SchemaError as error:
                 inside = [key for key in self._given if key.startswith(f"{value}/")]
                 hint = (
-                    f"it has {some_names(inside)}; name one"
-                    if inside
-                    else f"or give it with spectra={{{value!r}: ...}}"
+                    f"name one of {some_names(inside)}" if inside else f"or pass spectra={{{value!r}: ...}}"
                 )
-                problems.add(f"{error}; {hint}")
+                found, mend = error.problem.found, error.problem.mend
+                problems.add(found, mend="; ".join(filter(None, (mend, hint))), code="spectrum-unknown")
                 return None
         try:
             table = self._measured(value, name) if hasattr(value, "data_vars") else Table(*_columns(value))
         except (PaintError, TypeError, ValueError) as error:
             problems.add(
-                f"spectrum {name!r} cannot be read ({error}); expected a name, (wavelength [nm], "
-                "reflectance), a DataArray with a coordinate 'wavelength', or a paint library"
+                f"spectrum {name!r} cannot be read: {error}",
+                expected="a name, (wavelength [nm], reflectance), a DataArray with a coordinate "
+                "'wavelength', or a paint library",
+                code="spectrum-unreadable",
             )
             return None
         return self._checked(table, name)
@@ -197,12 +200,17 @@ class SpectrumReader:
         nm, reflectance = table.wavelength, table.reflectance
         if nm.ndim != 1 or nm.shape != reflectance.shape or nm.size < 2:
             self._problems.add(
-                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}, "
-                "expected two of the same length, at least 2"
+                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}",
+                expected="two arrays of one length, at least 2",
+                code="length-mismatch",
             )
             return None
         if not np.isfinite(nm).all() or not (np.diff(nm) > 0).all():
-            self._problems.add(f"spectrum {name!r}: wavelengths do not increase; sort them")
+            self._problems.add(
+                f"wavelengths of spectrum {name!r} do not increase",
+                mend="sort them",
+                code="wavelength-unordered",
+            )
             return None
         used = np.isfinite(reflectance)
         if not self._hold:  # values may end half a width inside of the outer bands' centres
@@ -210,13 +218,15 @@ class SpectrumReader:
             used |= (nm >= low + self._bands.fwhm[0] / 2) & (nm <= high - self._bands.fwhm[-1] / 2)
         if used.sum() < 2:
             where = _runs(nm, ~np.isfinite(reflectance))
-            self._problems.add(f"spectrum {name!r} holds values that are not finite at {where} nm; fill them")
+            self._problems.add(
+                f"spectrum {name!r} is not finite at {where} nm", mend="fill the gaps", code="not-finite"
+            )
             return None
         members = None if table.members is None else _whole(table.members[:, used])
         return Table(nm[used], reflectance[used], members)
 
     def _measured(self, paint: xr.Dataset, name: str) -> Table:
-        """Return a paint of a library: bands in order, those that are not good without values."""
+        """Return a paint of a library: bands in order, NaN in bands that are not good."""
         nm, reflectance = _columns(paint["reflectance"])
         order = np.argsort(nm, kind="stable")
         good = np.ones(nm.size, bool)
@@ -246,26 +256,33 @@ class SpectrumReader:
             low, high = bands.wavelength[[0, -1]]
             if not self._hold and (first > low + bands.fwhm[0] / 2 or last < high - bands.fwhm[-1] / 2):
                 problems.add(
-                    f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm, expected the bands, "
-                    f"{low:.1f} to {high:.1f} nm; hold_edges=True (--hold-edges) holds its ends"
+                    f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm",
+                    expected=f"the range of the bands, {low:.1f} to {high:.1f} nm",
+                    mend="pass hold_edges=True to hold it constant beyond its ends",
+                    option="pass --hold-edges to hold it constant beyond its ends",
+                    code="spectrum-coverage",
                 )
             values = near.reflectance
             missing = ~np.isfinite(values)
             if missing.any():
                 where = _runs(near.wavelength, missing)
                 problems.add(
-                    f"spectrum {name!r} holds values that are not finite at {where} nm; cut or fill them "
-                    "first, or hold_edges=True (--hold-edges) holds and bridges them"
+                    f"spectrum {name!r} is not finite at {where} nm",
+                    mend="fill the gaps, or pass hold_edges=True to bridge them",
+                    option="fill the gaps, or pass --hold-edges to bridge them",
+                    code="not-finite",
                 )
                 return
         else:
             values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
         if not (values.size and np.isfinite(values).all()):
-            problems.add(f"spectrum {name!r} holds values that are not finite; cut or fill them first")
+            problems.add(f"spectrum {name!r} is not finite", mend="fill the gaps", code="not-finite")
         elif not self._clip and (values.min() < 0.0 or values.max() > 1.0):
             problems.add(
-                f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}, expected 0 to 1; "
-                "divide per cent by 100, or pass clip=True"
+                f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}",
+                expected="0 to 1",
+                mend="divide per cent by 100, or pass clip=True",
+                code="value-out-of-range",
             )
 
 
@@ -282,7 +299,7 @@ def _columns(value: Any) -> tuple[Floats, Floats]:
 
 
 def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
-    """Return the part of a table that bands see: what is missing at 1900 nm need not bother them."""
+    """Return the part of a table within reach of the bands; gaps elsewhere do not matter."""
     if not isinstance(spectrum, Table):
         return spectrum
     last = spectrum.wavelength.size - 1
@@ -294,28 +311,28 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
 
 
 def _thinned(members: Floats) -> Floats:
-    """Return at most `MOST_MEMBERS` of the members that have values, evenly among them."""
+    """Return at most `MAX_MEMBERS` members with values, evenly spaced."""
     used = members[np.isfinite(members).any(axis=1)]
-    if len(used) <= MOST_MEMBERS:
+    if len(used) <= MAX_MEMBERS:
         return used
-    return np.asarray(used[np.linspace(0, len(used) - 1, MOST_MEMBERS).round().astype(np.int64)])
+    return np.asarray(used[np.linspace(0, len(used) - 1, MAX_MEMBERS).round().astype(np.int64)])
 
 
 def _whole(members: Floats) -> Floats | None:
-    """Return the members without gaps; None of fewer than two."""
+    """Return the members without gaps; None for fewer than two."""
     whole = members[np.isfinite(members).all(axis=1)]
     return whole if len(whole) > 1 else None
 
 
 def _runs(wavelength: Floats, missing: Bools) -> str:
-    """Return where values are missing, neighbours together."""
+    """Return the wavelengths of missing values as text, neighbours as ranges."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
     texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]
-    return ", ".join(texts[:_MOST_SHOWN]) + (", ..." if len(texts) > _MOST_SHOWN else "")
+    return ", ".join(texts[:_MAX_RANGES_SHOWN]) + (", ..." if len(texts) > _MAX_RANGES_SHOWN else "")
 
 
 def some_names(names: Iterable[str]) -> str:
-    """Return some of different names, in quotes."""
+    """Return up to twelve different names, in quotes."""
     different = list(dict.fromkeys(names))
     return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")

@@ -1,8 +1,8 @@
-"""Light, spectra and camera of one relighting, and what they do to a block of traced lines.
+"""Light, spectra and camera of one relighting, and the radiance of a block of traced lines.
 
 A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
-part depends on nothing but the path's code, of which a scene has some thousands: it is made once for every
-code, for whole bands, and kept.
+part depends only on the path's code, of which a scene has some thousands: it is computed once for every code
+and band, and cached.
 
 Shares are those of the light that the scene sends to the camera, before the air between: of radiance, mean
 over all bands at the wavelengths of the centre column. Light of the sun and of the sky add up to 1; glint,
@@ -14,13 +14,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.transport.mixing import index_paths, integrate_bands, mix, mix_shifted, through_air
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     FIRST_CLEAR_SKY,
@@ -34,22 +35,20 @@ from hyperpaint.simulation.transport.path_codes import (
     is_mirrored,
     source_of,
 )
+from hyperpaint.simulation.transport.texturing import Texture
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
 from .scene_record import TraceSettings, sun_vectors
 
-if TYPE_CHECKING:
-    from hyperpaint.simulation.transport.texturing import Texture
-
+#: Layers that say where the light of a pixel came from.
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
-"""Layers that say where the light of a pixel came from."""
 
 _SAME_DIRECTION = 0.01  # degree
 
 
 def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
-    """Return the number of the traced sun that shines in an atmosphere; without direct light the nearest.
+    """Return the number of the traced sun of an atmosphere; without direct light the nearest one.
 
     Raises
     ------
@@ -66,37 +65,44 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
         there = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
-            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees; traced were {there}; "
-            "trace the scene with this sun as well"
+            f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
+            expected=f"a traced sun: {there}",
+            mend="trace the scene with this sun as well",
+            code="sun-not-traced",
         )
     if atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast:
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
-            "but no overcast sky was traced; trace the scene with overcast=True"
+            "but no overcast sky was traced",
+            mend="trace the scene with overcast=True",
+            code="sky-not-traced",
         )
     if clear and not settings.clear:
         raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has a clear sky, but none was traced",
+            f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
             mend="trace the scene with clear=True",
+            code="sky-not-traced",
         )
     return nearest
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
-    """Return the irradiance of every source of a trace that shines, by number, on the atmosphere's grid."""
+    """Return the irradiance of every traced source that shines, by number, on the atmosphere's grid."""
     sun = traced_sun(atmosphere, settings)
     first = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
-        SKY: atmosphere.uniform, OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
-        first: atmosphere.molecular, first + 1: atmosphere.aureole,
-    }  # fmt: skip
+        SKY: atmosphere.uniform,
+        OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
+        first: atmosphere.molecular,
+        first + 1: atmosphere.aureole,
+    }
     skies = {number: atmosphere.sky * share for number, share in shares.items() if share.any()}
     return {**skies, FIRST_SUN + sun: atmosphere.sun}
 
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """What all tasks of a relighting share.
+    """Light and camera, shared by all tasks of a relighting.
 
     Attributes
     ----------
@@ -117,7 +123,7 @@ class Lighting:
     def surface_radiance(
         self, weight: Floats32, code: Array, variation: Floats | None, texture: Texture | None = None
     ) -> Floats32:
-        """Return what the scene sends to the camera, (line, band, column) [W m-2 sr-1 nm-1].
+        """Return the radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1].
 
         Parameters
         ----------
@@ -134,17 +140,15 @@ class Lighting:
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN, the sky, has none."""
+        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
-        from hyperpaint.simulation.transport.mixing import through_air
-
         out = surface if in_place else np.empty_like(surface)
         through_air(surface, self.extinction, self.path_radiance, distance, out)
         return out
 
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
-        """Return pi L / E of what the scene sends to the camera [1]; NaN where there is no light."""
+        """Return pi L / E of the radiance at the surface [1]; NaN without light."""
         out = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
         for line, (direct, diffuse) in enumerate(factors):
@@ -154,29 +158,21 @@ class Lighting:
         return out
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        """Return where the light came from, (line, share, column); see `SHARES`."""
-        from hyperpaint.simulation.transport.mixing import index_paths, mix
-
+        """Return the shares of the light by source, (line, share, column); see `SHARES`."""
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
-        parts = _share_weights(distinct, level.astype(np.float32))
+        # weight of every path in all light, and in each of `SHARES`
+        sun, mirrored, indirect = is_direct(distinct), is_mirrored(distinct), is_indirect(distinct)
+        mirror_image = mirrored & ~indirect
+        everything = np.ones(distinct.shape, bool)
+        members = [everything, sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
+        parts = np.stack([np.where(part, level.astype(np.float32), 0.0) for part in members], axis=1)
         sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
-        mix(_varied(weight, code, variation), index, parts, sums)
+        mix(_varied(weight, code, variation), index, parts.astype(np.float32), sums)
         whole = sums[:, :1]
         dark = np.full_like(sums[:, 1:], np.nan)
         return np.divide(sums[:, 1:], whole, out=dark, where=whole > 0)
-
-
-def _share_weights(codes: Ints, level: Floats32) -> Floats32:
-    """Return what a path's weight counts for in all light and in every one of `SHARES`, (path, 1 + share).
-
-    ``level`` is the mean product of every path over the bands, (path,).
-    """
-    sun, mirrored, indirect = is_direct(codes), is_mirrored(codes), is_indirect(codes)
-    mirror_image = mirrored & ~indirect
-    parts = [np.ones(codes.shape, bool), sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
-    return np.stack([np.where(part, level, 0.0) for part in parts], axis=1).astype(np.float32)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
@@ -207,11 +203,11 @@ def make_lighting(
     return Lighting(table, np.asarray(direct), np.asarray(diffuse), extinction, path)
 
 
-_LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made again each time
+_MAX_CACHE_BYTES = 96 * 2**20  # bytes of products that are kept; more are made again each time
 
 
 class ProductTable:
-    """Band spectra by code, made when they are first asked for.
+    """Band spectra of path codes, computed when first needed.
 
     Of a calibrated camera they are means over the responses [W m-2 sr-1 nm-1]. With ``normalise=False`` they
     are those of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. For an imager, the elements'
@@ -251,9 +247,15 @@ class ProductTable:
     """
 
     def __init__(
-        self, bands: BandSet, codes: PathCodes, wavelength: Floats, sources: Mapping[int, Floats],
-        factors: Callable[[Floats], Floats], *, normalise: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        bands: BandSet,
+        codes: PathCodes,
+        wavelength: Floats,
+        sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats],
+        *,
+        normalise: bool = True,
+    ) -> None:
         self.bands, self.codes = bands, codes
         covered = float(wavelength[0]), float(wavelength[-1])
         responses = BandResponses(bands, covered, normalise=normalise)
@@ -290,7 +292,7 @@ class ProductTable:
         Parameters
         ----------
         codes : (path,)
-            Different from one another, none of them empty.
+            Distinct, without empty slots.
 
         Raises
         ------
@@ -337,8 +339,6 @@ class ProductTable:
         texture
             Members of populations that pixels show; None for the means.
         """
-        from hyperpaint.simulation.transport.mixing import index_paths, mix_shifted
-
         distinct, index = index_paths(codes)
         lit = self._row_of_source[source_of(distinct)] >= 0
         if not lit.all():  # slots of dark sources are passed over
@@ -354,25 +354,25 @@ class ProductTable:
         mix_shifted(weight, index, products, *nodes, out, texture)
 
     def irradiance(self, source: int) -> Floats:
-        """Return what the bands see of a source itself, shape (node, band)."""
+        """Return the irradiance of a source in the bands, shape (node, band)."""
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
-        from hyperpaint.simulation.transport.mixing import integrate_bands
-
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
         if chosen.max(initial=-1) >= len(self._factors):
             raise SchemaError(
-                f"a path was multiplied by spectrum {chosen.max()}, the scene has {len(self._factors)}; "
-                "transport_path is damaged, or of another scene than the attributes"
+                f"a path code names spectrum {chosen.max()}",
+                expected=f"a number below {len(self._factors)}, the spectra of the scene",
+                mend="trace the scene again: transport_path is damaged, or belongs to another scene",
+                code="path-code-unknown",
             )
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)
 
     def _keep(self, codes: Ints, products: NDArray[np.float32]) -> None:
         with self._lock:
-            if self._products.nbytes + products.nbytes > _LARGEST_CACHE:
+            if self._products.nbytes + products.nbytes > _MAX_CACHE_BYTES:
                 return
             new = _lookup(self._cached_codes, codes) < 0  # another thread may have made them meanwhile
             all_codes = np.concatenate([self._cached_codes, codes[new]])
@@ -382,7 +382,7 @@ class ProductTable:
 
 
 def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
-    """Return where codes stand among sorted known ones; -1 for the others."""
+    """Return the places of codes in a sorted array; -1 for codes that are not in it."""
     if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
     place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)

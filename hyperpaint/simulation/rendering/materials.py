@@ -28,11 +28,22 @@ from hyperpaint.simulation.setting_checks import check_choice, check_number
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
+#: Semantic classes; the place in this tuple is the number in ``surface_class``.
 KINDS = (
-    "asphalt", "paint", "glass", "tyre", "trim", "lamp", "line", "concrete", "grass", "leaf", "wall", "panel",
+    "asphalt",
+    "paint",
+    "glass",
+    "tyre",
+    "trim",
+    "lamp",
+    "line",
+    "concrete",
+    "grass",
+    "leaf",
+    "wall",
+    "panel",
     "other",
-)  # fmt: skip
-"""Semantic classes; the place in this tuple is the number in ``surface_class``."""
+)
 
 
 @dataclass(frozen=True)
@@ -99,7 +110,7 @@ class Flakes:
         check_number(problems, "share", self.share, 0.0, 1.0)
         check_number(problems, "roughness", self.roughness, 0.0, 1.0, above=True)
         if not self.spectrum:
-            problems.add("spectrum is empty, expected a name such as 'aluminium'")
+            problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
         problems.raise_if_any()
 
 
@@ -139,14 +150,20 @@ class Material:
     def __post_init__(self) -> None:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
         if not self.name:
-            problems.add("its name is empty")
+            problems.add("name is empty", code="argument-missing")
         if not self.spectrum:
-            problems.add("spectrum is empty, expected the name of a reflectance spectrum")
+            problems.add(
+                "spectrum is empty", expected="the name of a reflectance spectrum", code="argument-missing"
+            )
         check_choice(problems, "kind", self.kind, KINDS)
         if self.flakes is not None and self.coat is None:
-            problems.add("it has flakes but no coat; give it coat=Coat()")
+            problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
         if self.transmittance and self.coat is not None:
-            problems.add("it has a transmittance and a coat; only thin surfaces without a coat pass light")
+            problems.add(
+                "transmittance with a coat",
+                mend="leave one out: only thin surfaces without a coat pass light",
+                code="option-conflict",
+            )
         problems.raise_if_any()
 
 
@@ -227,7 +244,9 @@ def _through_interface(index: float, geometry: Geometry) -> float:
         "d/0": hemispherical_reflectance(index),
     }
     if geometry not in others:
-        raise SchemaError(f"geometry is {geometry!r}, expected one of {', '.join(others)}")
+        raise SchemaError(
+            f"geometry is {geometry!r}", expected=f"one of {', '.join(others)}", code="choice-unknown"
+        )
     return (1.0 - normal) * (1.0 - others[geometry]) / index**2
 
 
@@ -276,11 +295,26 @@ def measured_factor(
     >>> measured_factor([0.5]).round(4)
     array([0.4927])
     """
-    measured = _checked(reflectance)
+    measured = np.asarray(reflectance, dtype=np.float64)
+    if missing := int((~np.isfinite(measured)).sum()):
+        raise SchemaError(
+            f"{missing} of {measured.size} measured reflectances are not finite",
+            mend="fill the gaps",
+            code="not-finite",
+        )
+    if measured.size and measured.max() > 2.0:
+        raise SchemaError(
+            f"a measured reflectance reaches {measured.max():.4g}",
+            expected="a fraction",
+            mend="divide per cent by 100",
+            code="value-out-of-range",
+        )
     if specular_included:
         if geometry == "0/45":
             raise SchemaError(
-                "a 0/45 measurement does not contain the mirror reflection; leave specular_included out"
+                "a 0/45 measurement does not contain the mirror reflection",
+                mend="leave specular_included out",
+                code="option-conflict",
             )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
     crossed, back = 1.0, 0.0
@@ -291,22 +325,10 @@ def measured_factor(
     if wrong.any():
         msg = (
             f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
-            f"{measured.max():.4g}, were clamped to what surfaces can have: 0 to {crossed / (1.0 - back):.4g}"
+            f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
     return np.clip(factor, 0.0, 1.0)
-
-
-def _checked(reflectance: npt.ArrayLike) -> Floats:
-    measured = np.asarray(reflectance, dtype=np.float64)
-    problems = Problems("a measured reflectance cannot be used", SchemaError)
-    missing = int((~np.isfinite(measured)).sum())
-    if missing:
-        problems.add(f"{missing} of {measured.size} values are not finite; cut or fill them first")
-    elif measured.size and measured.max() > 2.0:
-        problems.add(f"it reaches {measured.max():.4g}, expected a fraction; divide per cent by 100")
-    problems.raise_if_any()
-    return measured
 
 
 def base_albedo(
@@ -343,7 +365,7 @@ def base_albedo(
 def coated_reflectance(
     albedo: npt.ArrayLike, index: float = 1.5, *, geometry: Geometry = "0/0", specular_included: bool = False
 ) -> Floats:
-    """Return what an instrument reads of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
+    """Return the instrument reading of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
 
     Parameters
     ----------

@@ -24,10 +24,10 @@ from .sky_models import Spread, check_curves, check_wavelengths
 if TYPE_CHECKING:
     import xarray as xr
 
-_MOST_BYTES = 16 * 2**20
-_MOST_LINES = 200_000
-_MOST_PROBLEMS = 10
-_MISFIT = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
+_MAX_BYTES = 16 * 2**20
+_MAX_LINES = 200_000
+_MAX_PROBLEMS = 10
+_MAX_RESIDUAL = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
 _NOISE = 0.01  # of the largest irradiance
 _HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
 _UNITS = {
@@ -53,18 +53,25 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
     if time is None:
         if len(values) != 1:
             raise SchemaError(
-                f"the irradiance series has {len(values)} samples; name one with time=..., in UTC"
+                f"the irradiance series has {len(values)} samples",
+                expected="1 without time",
+                mend="pass time= in UTC",
+                code="argument-missing",
             )
         return grid, _without_noise(values[0])
     times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
     stamps = times.astype("datetime64[ns]").astype(np.int64)
     moment = moment_of(time)
     if np.isnat(moment):
-        raise SchemaError(f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'")
+        raise SchemaError(
+            f"time is {time!r}", expected="UTC such as '2020-06-21T17:00:15'", code="time-unreadable"
+        )
     when = moment.astype(np.int64)
     if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
-        span = f"from {times[0]} to {times[-1]}" if len(stamps) else "empty"
-        raise SchemaError(f"time {moment} is outside the irradiance series, which is {span}")
+        span = f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples"
+        raise SchemaError(
+            f"time {moment} is outside the irradiance series", expected=span, code="irradiance-coverage"
+        )
     after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
     before = max(after - 1, 0)
     weight = 0.0 if after == before else (when - stamps[before]) / (stamps[after] - stamps[before])
@@ -72,12 +79,12 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
 
 def _without_noise(irradiance: Floats) -> Floats:
-    """Return an irradiance whose noise around zero does not go below; what does otherwise is left."""
+    """Return an irradiance with small noise below zero set to 0; larger negative values stay."""
     low, high = irradiance.min(), irradiance.max()
     if -_NOISE * high <= low < 0.0:
         count = int((irradiance < 0.0).sum())
         msg = f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0"
-        warnings.warn(msg, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(msg, code="irradiance-negative"), stacklevel=4)
         return np.maximum(irradiance, 0.0)
     return irradiance
 
@@ -102,9 +109,9 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
 
 
 def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], Spread | None]:
-    """Return the curves of a table from `hyperpaint.io.skies`, and how its radiance is spread, if it has any.
+    """Return the curves of a table from `hyperpaint.io.skies`, and the spread of its radiance, if any.
 
-    Warns where the functions of the clear sky miss the radiance by more than `_MISFIT`.
+    Warns where the functions of the clear sky miss the radiance by more than `_MAX_RESIDUAL`.
     """
     curves = {
         name: np.asarray(convert(table[there].reset_coords(drop=True), _UNITS[name]).values, np.float64)
@@ -114,10 +121,10 @@ def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], S
         return curves, None
     fit = fit_sky(table, sun_zenith)
     worst = float(fit["misfit"].max())
-    if worst > _MISFIT:
+    if worst > _MAX_RESIDUAL:
         source = table.attrs.get("source", "the table")
-        msg = f"the functions of the clear sky miss the radiance of {source} by {worst:.0%}"
-        warnings.warn(msg, PaintWarning, stacklevel=3)
+        msg = f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}"
+        warnings.warn(PaintWarning(msg, code="sky-fit-poor"), stacklevel=3)
     return curves, Spread(*(fit["share"].sel(function=name).values for name in Spread._fields))
 
 
@@ -127,23 +134,27 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
         try:
             arrays.append(np.asarray(column, dtype=np.float64))
         except (ValueError, TypeError):
-            problems.add(f"column {heading!r} does not hold numbers")
+            problems.add(f"column {heading!r} does not hold numbers", code="number-unreadable")
     shapes = {array.shape for array in arrays}
     if not problems and (len(shapes) != 1 or len(next(iter(shapes))) != 1):
-        problems.add(f"columns have shapes {sorted(shapes)}, expected one dim and the same length")
+        problems.add(
+            f"columns have shapes {sorted(shapes)}",
+            expected="one dim and the same length",
+            code="length-mismatch",
+        )
     return np.stack(arrays, axis=1) if not len(problems) else np.empty((0, 0))
 
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
     """Return the headings and the numbers of a text file, shape (row, column)."""
-    content = read_limited(path, _MOST_BYTES, "the table of an atmosphere")
-    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MOST_LINES:
-        problems.add(f"{count} lines, expected at most {_MOST_LINES}; a spectrum needs no more")
+    content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
+    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
+        problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
         problems.raise_if_any()
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        problems.add(f"it is not UTF-8 text (byte {error.start})")
+        problems.add(f"it is not UTF-8 text (byte {error.start})", code="text-unreadable")
         problems.raise_if_any()
     lines = [
         (number, line)
@@ -152,7 +163,9 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
     ]
     if not lines:
         problems.add(
-            "it is empty; expected headings such as 'wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]'"
+            "it is empty",
+            expected="headings such as 'wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]'",
+            code="empty-input",
         )
         problems.raise_if_any()
     headings = [heading.strip() for heading in lines[0][1].split(",")]
@@ -164,8 +177,12 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
                 raise ValueError
             rows.append([float(cell) for cell in cells])
         except ValueError:
-            problems.add(f"line {number}: {line[:60]!r}, expected {len(headings)} numbers")
-            if len(problems) == _MOST_PROBLEMS:
+            problems.add(
+                f"line {number}: {line[:60]!r}",
+                expected=f"{len(headings)} numbers",
+                code="number-unreadable",
+            )
+            if len(problems) == _MAX_PROBLEMS:
                 break
     return headings, np.array(rows, dtype=np.float64).reshape(len(rows), len(headings))
 
@@ -177,22 +194,34 @@ def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tup
         match = _HEADING.fullmatch(str(heading).strip())
         if match is None:
             problems.add(
-                f"heading {str(heading)[:60]!r}, expected a name and units such as 'sun [W m-2 nm-1]'"
+                f"heading {str(heading)[:60]!r}",
+                expected="a name and units such as 'sun [W m-2 nm-1]'",
+                code="heading-unreadable",
             )
             continue
         name, units = match[1].lower(), match[2].strip()
         if name not in _UNITS:
-            problems.add(f"column {name!r} is unknown, expected some of {', '.join(_UNITS)}")
+            problems.add(
+                f"column {name!r} is unknown", expected=f"some of {', '.join(_UNITS)}", code="column-unknown"
+            )
         elif name in curves:
-            problems.add(f"column {name!r} is there twice")
+            problems.add(f"column {name!r} appears twice", code="column-duplicate")
         else:
             try:
                 curves[name] = (column, conversion_factor(units, _UNITS[name]))
             except UnitsError as error:
-                problems.add(f"column {name!r}: {error}")
+                problems.add_error(f"column {name!r}", error)
     missing = [name for name in _NEEDED if name not in curves]
     if missing and not len(problems):
-        problems.add(f"without column {' and '.join(missing)}; expected {', '.join(_NEEDED)}")
+        problems.add(
+            f"column {' and '.join(missing)} is missing",
+            expected=", ".join(_NEEDED),
+            code="column-missing",
+        )
     if ("extinction" in curves) != ("path_radiance" in curves):
-        problems.add("extinction and path_radiance come together: give both or neither")
+        problems.add(
+            "only one of extinction and path_radiance is given",
+            mend="give both or neither",
+            code="column-missing",
+        )
     return curves

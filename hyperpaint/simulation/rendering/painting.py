@@ -104,7 +104,7 @@ def factor_spectra(
 
 
 def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
-    """Return which paint of a library goes where in a scene.
+    """Return the assignment of library paints to spectra, materials and instances of a scene.
 
     A paint that is called like a spectrum, a material or a thing of the scene goes there. The others are
     dealt in turn, in their order, to the cars that none has gone to.
@@ -141,8 +141,9 @@ def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
     ]
     if rest and not free and not dealt:
         raise SchemaError(
-            f"the scene has no car for {some_names(rest)}; name what shall have them: "
-            f"paints={{{record.materials[0].name!r}: ...}}"
+            f"the scene has no car for {some_names(rest)}",
+            mend=f"name the materials to paint: paints={{{record.materials[0].name!r}: ...}}",
+            code="car-missing",
         )
     return dealt | {car: rest[number % len(rest)] for number, car in enumerate(free) if rest}
 
@@ -166,8 +167,10 @@ def _painted(
     for key in paints:
         if key not in rank:
             problems.add(
-                f"paints[{key!r}] names no instance, material or spectrum of the scene; "
-                f"spectra are {some_names(original)}, instances {some_names(instances)}"
+                f"paints[{key!r}] names no instance, material or spectrum of the scene",
+                expected=f"a spectrum such as {some_names(original)}, or an instance such as "
+                f"{some_names(instances)}",
+                code="paint-target-unknown",
             )
     for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
         name = paints[key] if isinstance(paints[key], str) else key
@@ -190,14 +193,17 @@ def _painted(
 def _exchange_flakes(
     record: SceneRecord, place: int, name: str, assigned: list[str], scales: list[float], problems: Problems
 ) -> None:
-    """Give a repainted base the flakes of its new paint; weights carry the shares that were traced."""
+    """Give a repainted base the flakes of its new paint; path weights contain the traced flake shares."""
     material = record.factors[place].material
     old = record.materials[material].flakes
     if record.factors[place].flakes or old is None:
         return
     new = _flakes_of(name)
     if old.share >= 1.0:
-        problems.add(f"{record.materials[material].name!r} is all flakes and cannot be repainted")
+        problems.add(
+            f"{record.materials[material].name!r} has flakes only and cannot be repainted",
+            code="paint-all-flakes",
+        )
         return
     scales[place] = (1.0 - (new.share if new else 0.0)) / (1.0 - old.share)
     for other, factor in enumerate(record.factors):
@@ -208,7 +214,6 @@ def _exchange_flakes(
 
 
 def _flakes_of(name: str) -> Flakes | None:
-    """Return the flakes of a built-in paint; None for what has none, and for any other spectrum."""
     try:
         return paint_spec(name).flakes
     except SchemaError:
@@ -216,13 +221,17 @@ def _flakes_of(name: str) -> Flakes | None:
 
 
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
-    """Return the factor that is the paint of an instance."""
+    """Return the paint factor of an instance, in a list; an empty one after a problem."""
     members, name = record.members[instance], record.instances[instance].name
     painted = [number for number in members if record.materials[number].kind == "paint"]
     chosen = painted or list(members)
     if len(chosen) != 1:
         names = some_names([record.materials[number].name for number in chosen])
-        problems.add(f"paints[{name!r}]: it has {len(chosen)} materials to paint; name one of them: {names}")
+        problems.add(
+            f"paints[{name!r}]: {len(chosen)} materials to paint",
+            mend=f"name one of {names}",
+            code="paint-target-ambiguous",
+        )
         return []
     shared = [
         record.instances[other].name
@@ -232,7 +241,9 @@ def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[in
     if shared:
         material = record.materials[chosen[0]].name
         problems.add(
-            f"paints[{name!r}]: {some_names(shared)} would change too; name the material, {material!r}"
+            f"paints[{name!r}]: {some_names(shared)} would change too",
+            mend=f"name the material, {material!r}",
+            code="paint-target-shared",
         )
         return []
     return chosen

@@ -23,14 +23,14 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.setting_checks import finite_floats
 
-MOST_LINES, MOST_COLUMNS = 1_000_000, 20_000
-"""Sizes of a flight that are taken; poses are held in memory, 200 bytes a line."""
+#: Sizes of a flight that are taken; poses are held in memory, 200 bytes a line.
+MAX_LINES, MAX_COLUMNS = 1_000_000, 20_000
 
+#: UTC at mid exposure of the first scan line, by default.
 START = np.datetime64("2021-07-20T17:10:00", "ns")
-"""UTC at mid exposure of the first line, where nothing else is said."""
 
-STEEPEST = float(np.tan(np.radians(85.0)))
-"""Tangent of the steepest view that is taken."""
+#: Tangent of the steepest view that is taken.
+MAX_VIEW_TANGENT = float(np.tan(np.radians(85.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,9 @@ class Platform:
             object.__setattr__(self, name, finite_floats(getattr(self, name), name, problems))
         problems.raise_if_any()
         lines = len(self.origin) if self.origin.ndim else 0
-        if not 1 <= lines <= MOST_LINES:
-            problems.add(f"{lines} lines, expected 1 to {MOST_LINES}")
-        self._check_shapes(lines, problems)
-        problems.raise_if_any()
-        self._check_values(problems)
-        problems.raise_if_any()
-
-    def _check_shapes(self, lines: int, problems: Problems) -> None:
+        if not 1 <= lines <= MAX_LINES:
+            problems.add(f"{lines} lines", expected=f"1 to {MAX_LINES}", code="value-out-of-range")
+        # shapes
         expected = {
             "origin": (lines, 2, 3),
             "rotation": (lines, 2, 3, 3),
@@ -92,36 +87,47 @@ class Platform:
         for name, shape in expected.items():
             actual = np.shape(getattr(self, name))
             if actual != shape:
-                problems.add(f"{name} has shape {actual}, expected {shape}")
+                problems.add(f"{name} has shape {actual}", expected=f"{shape}", code="dims-wrong")
         edges = self.column_edges.shape
-        if len(edges) != 1 or not 2 <= edges[0] <= MOST_COLUMNS + 1:
+        if len(edges) != 1 or not 2 <= edges[0] <= MAX_COLUMNS + 1:
             problems.add(
-                f"column_edges has shape {edges}, expected columns + 1, of 1 to {MOST_COLUMNS} columns"
+                f"column_edges has shape {edges}",
+                expected=f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
+                code="dims-wrong",
             )
         if np.asarray(self.time).dtype != np.int64:
             problems.add(
-                f"time is {np.asarray(self.time).dtype}, expected int64 nanoseconds after the first line"
+                f"time is {np.asarray(self.time).dtype}",
+                expected="int64 nanoseconds after the first line",
+                code="type-wrong",
             )
-
-    def _check_values(self, problems: Problems) -> None:
+        problems.raise_if_any()
+        # values
         turned = self.rotation @ self.rotation.swapaxes(-1, -2)
         if not np.allclose(turned, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
-            problems.add("rotation holds matrices that are no rotations")
+            problems.add("rotation contains matrices that are not rotations", code="rotation-invalid")
         for name in ("column_edges", "along_edges"):
             edges = getattr(self, name)
-            if not (np.diff(edges) > 0).all() or np.abs(edges).max() > STEEPEST:
-                problems.add(f"{name} do not increase, or look more than 85 degrees aside; expected tangents")
+            if not (np.diff(edges) > 0).all() or np.abs(edges).max() > MAX_VIEW_TANGENT:
+                problems.add(
+                    f"{name} do not increase, or exceed 85 degrees",
+                    expected="tangents of view angles",
+                    code="edges-invalid",
+                )
         if not 0 <= self.exposure_time < 3600:
-            problems.add(f"exposure_time={self.exposure_time!r}, expected seconds from 0 on")
+            problems.add(
+                f"exposure_time={self.exposure_time!r}",
+                expected="a number of seconds from 0 to below 3600",
+                code="value-out-of-range",
+            )
+        problems.raise_if_any()
 
     @property
     def lines(self) -> int:
-        """Scan lines."""
         return len(self.origin)
 
     @property
     def columns(self) -> int:
-        """Columns of the camera."""
         return len(self.column_edges) - 1
 
     @property
@@ -172,7 +178,7 @@ def turns(rotation: Floats) -> Floats:
 
 
 def matrices(rotation: Floats) -> Floats:
-    """Return what turns camera directions into the scene's, of quaternions, shape (..., 3, 3).
+    """Return rotation matrices from camera directions to the scene's, of quaternions, shape (..., 3, 3).
 
     Examples
     --------
@@ -200,7 +206,7 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    """Return roll, pitch, heading halfway between two rotations [degree], of (line, 2, 3, 3), (line, 3)."""
+    """Return roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree]."""
     sum_of_both = _SCENE @ rotation.sum(axis=1)
     # the rotation nearest to the sum is the one halfway (Moakher 2002)
     left, _, right = np.linalg.svd(sum_of_both)

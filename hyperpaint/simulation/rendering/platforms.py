@@ -1,4 +1,4 @@
-"""Where the camera is and how it is turned at the begin and at the end of every exposure: flights."""
+"""Flights: position and attitude of the camera at the begin and end of every exposure."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hyperpaint.simulation.setting_checks import check_whole, finite_floats, mom
 from hyperpaint.simulation.settings import MAX_SEED
 
 from .platform_geometry import (
-    MOST_COLUMNS,
-    MOST_LINES,
+    MAX_COLUMNS,
+    MAX_LINES,
+    MAX_VIEW_TANGENT,
     START,
-    STEEPEST,
     Platform,
     interpolate,
     matrices,
@@ -27,8 +27,8 @@ from .platform_geometry import (
     turns,
 )
 
+#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
 IFOV = 7.4e-6 / 12e-3
-"""Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad]."""
 
 _WOBBLE = 16  # key of the random stream
 _WOBBLE_RATES = np.geomspace(0.15, 6.0, 9)  # Hz
@@ -142,9 +142,9 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
     weights = _WOBBLE_RATES**-0.5
     weights *= np.sqrt(2.0 / (weights**2).sum())
     oscillations = np.zeros((number, *moment.shape))
-    for one, (rate, phase) in zip(oscillations, zip(rates, phases, strict=True), strict=True):
+    for oscillation, (rate, phase) in zip(oscillations, zip(rates, phases, strict=True), strict=True):
         for weight, r, p in zip(weights, rate, phase, strict=True):
-            one += weight * np.sin(2.0 * np.pi * r * moment + p)
+            oscillation += weight * np.sin(2.0 * np.pi * r * moment + p)
     return oscillations
 
 
@@ -169,7 +169,7 @@ def note_pushbroom_faults(
         found = f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}"
         problems.add(found, mend="shorten the exposure, or lengthen the period", code="exposure-too-long")
     angle = _pixel_angle(values)
-    if angle * values["columns"] / 2 > STEEPEST:
+    if angle * values["columns"] / 2 > MAX_VIEW_TANGENT:
         aside = np.degrees(np.arctan(angle * values["columns"] / 2))
         problems.add(
             f"{spelled('columns', values['columns'])}: the outer ones look {aside:.1f} degrees aside",
@@ -195,8 +195,8 @@ _PLACE: dict[str, Any] = {
     "kind": "numbers", "unit": "m", "length": 2, "least": -1e6, "most": 1e6,
 }  # fmt: skip
 _FACTS = (
-    Fact(name="lines", kind="whole", least=1, most=MOST_LINES, needed=True, doc="lines of the cube"),
-    Fact(name="columns", kind="whole", least=1, most=MOST_COLUMNS, needed=True, doc="columns of the cube"),
+    Fact(name="lines", kind="whole", least=1, most=MAX_LINES, needed=True, doc="lines of the cube"),
+    Fact(name="columns", kind="whole", least=1, most=MAX_COLUMNS, needed=True, doc="columns of the cube"),
     Fact(
         name="altitude", key="altitude_m", kind="number", unit="m", scale=1.0, least=0.1, most=1e5,
         default=15.0, doc="height above z = 0",
@@ -331,16 +331,31 @@ def platform_from_poses(
     poses = {
         name: finite_floats(values, name, problems)
         for name, values in (
-            ("east", east), ("north", north), ("up", up), ("roll", roll), ("pitch", pitch),
-            ("heading", heading), ("boresight", boresight), ("lever_arm", lever_arm),
+            ("east", east),
+            ("north", north),
+            ("up", up),
+            ("roll", roll),
+            ("pitch", pitch),
+            ("heading", heading),
+            ("boresight", boresight),
+            ("lever_arm", lever_arm),
         )
-    }  # fmt: skip
+    }
     _check_poses(poses, seconds, problems)
-    check_whole(problems, "columns", columns, 1, MOST_COLUMNS)
+    check_whole(problems, "columns", columns, 1, MAX_COLUMNS)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()
-    _check_lines(seconds, at, exposure_time, line_time is None, problems)
+    slack = exposure_time / 2 if line_time is None else 1e-9
+    early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
+    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
+        problems.add(
+            f"lines are exposed from {early:.6f} to {late:.6f} s",
+            expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
+            code="lines-outside-poses",
+        )
+    if len(at) > MAX_LINES:
+        problems.add(f"{len(at)} lines", expected=f"at most {MAX_LINES}", code="size-too-large")
     problems.raise_if_any()
     moment = at[:, None] + exposure_time * np.array([-0.5, 0.5])
     before = np.clip(np.searchsorted(seconds, moment, side="right") - 1, 0, len(seconds) - 2)
@@ -360,59 +375,56 @@ def platform_from_poses(
 def _clock(
     time: ArrayLike, line_time: ArrayLike | None, problems: Problems
 ) -> tuple[np.datetime64 | None, Floats, Floats]:
-    """Return the moment that counts as zero (None: unknown), and both times as seconds."""
+    """Return the zero moment (None for seconds), and both times as seconds."""
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
     if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):
         problems.add(
-            f"{poses.size} pose times and {lines.size} line times, expected two poses and one line at least"
+            f"{poses.size} pose times and {lines.size} line times",
+            expected="at least two poses and one line",
+            code="pose-missing",
         )
         problems.raise_if_any()
     if (poses.dtype.kind == "M") != (lines.dtype.kind == "M"):
         problems.add(
-            f"time is {poses.dtype}, line_time {lines.dtype}; expected both datetime64 or both seconds"
+            f"time is {poses.dtype}, line_time {lines.dtype}",
+            expected="both datetime64 or both seconds",
+            code="type-wrong",
         )
         problems.raise_if_any()
     base = None
     if poses.dtype.kind == "M":
         if np.isnat(poses).any() or np.isnat(lines).any():
-            problems.add("time or line_time holds NaT; expected a time for each")
+            problems.add("time or line_time contains NaT", expected="a time for each", code="time-missing")
             problems.raise_if_any()
         base = poses[0].astype("datetime64[ns]")
         poses, lines = (
-            (each.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for each in (poses, lines)
+            (times.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for times in (poses, lines)
         )
     return base, finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
 
 
 def _check_poses(poses: dict[str, Floats], seconds: Floats, problems: Problems) -> None:
     if not (np.diff(seconds) > 0).all():
-        problems.add("time does not increase from pose to pose")
+        problems.add("time does not increase from pose to pose", code="time-unordered")
     elif seconds[-1] - seconds[0] > 1e8:
-        problems.add("time spans more than three years; expected seconds")
+        problems.add("time spans more than three years", expected="seconds", code="value-out-of-range")
     for name, values in poses.items():
         expected = (3,) if name in ("boresight", "lever_arm") else seconds.shape
         if values.shape != expected:
-            problems.add(f"{name} has shape {values.shape}, expected {expected}")
+            problems.add(f"{name} has shape {values.shape}", expected=f"{expected}", code="dims-wrong")
         elif values.size and not np.abs(values).max() <= 1e6:
             problems.add(
-                f"{name} holds values beyond 1e6; expected a local frame in metres, angles in degrees"
+                f"{name} has values beyond 1e6",
+                expected="a local frame in metres, angles in degrees",
+                code="value-out-of-range",
             )
     problems.raise_if_any()
     turned = quaternions(poses["roll"], poses["pitch"], poses["heading"])
     apart = np.abs((turned[1:] * turned[:-1]).sum(axis=-1))
     if (apart < np.cos(np.radians(45.0))).any():
         where = int(np.argmin(apart))
-        problems.add(f"the platform turns by over 90 degrees between poses {where} and {where + 1}")
-
-
-def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, problems: Problems) -> None:
-    slack = exposure_time / 2 if own else 1e-9
-    early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
-    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
         problems.add(
-            f"lines are exposed from {early:.6f} to {late:.6f} s, "
-            f"the poses span {seconds[0]:.6f} to {seconds[-1]:.6f} s"
+            f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
+            code="turn-too-large",
         )
-    if len(at) > MOST_LINES:
-        problems.add(f"{len(at)} lines, expected at most {MOST_LINES}")

@@ -1,4 +1,4 @@
-"""Populations of spectra behind the factors of a scene: which members there are, and how they vary in space.
+"""Populations of spectra behind the factors of a scene: their members, and how they vary in space.
 
 A pixel shows one member of the population of what it shows most of: in the products of its paths, the factor
 of that surface is multiplied by member over mean, band by band. Paths stay as they were traced; what other
@@ -8,54 +8,46 @@ the surface gives the rank, so that each is equally likely and neighbours resemb
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
+from hyperpaint.simulation.transport.texturing import Grain, Texture, member_rows
 
 from .camera_bands import BandSet
 from .painting import FactorSpectra
 from .scene_record import SceneRecord
 from .weathering import Octaves
 
-if TYPE_CHECKING:
-    from hyperpaint.simulation.transport.texturing import Grain, Texture
+#: Mean below which a member is not divided by it [1].
+_MIN_MEAN = 1e-4
 
-_DARKEST = 1e-4
-"""Mean below which a member is not divided by it [1]."""
-
-_BRIGHTEST = 50.0
-"""Member over mean at the most: noise about a mean of nearly nothing [1]."""
+#: Member over mean at the most: noise about a mean of nearly nothing [1].
+_MAX_RATIO = 50.0
 
 
 class Populations(NamedTuple):
-    """Members of all populations of a scene, as the mixing of paths takes them."""
+    """Members of all populations of a scene, as needed by the mixing of paths."""
 
     grain: Grain
     factor: Array  # (row,) that a member changes
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
-        """Return what pixels show at places (3, line, column) [m]; see `texturing.member_rows`."""
-        from hyperpaint.simulation.transport.texturing import member_rows
-
+        """Return the members of pixels at places (3, line, column) [m]; see `texturing.member_rows`."""
         return self.of_rows(member_rows(material, instance, place, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
-        """Return what pixels show, of rows of members (line, column)."""
-        from hyperpaint.simulation.transport.texturing import Texture
-
+        """Return the members of pixels, by rows (line, column)."""
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
-    """Return the populations of a scene's materials; None where no spectrum has one.
+    """Return the populations of a scene's materials; None if no spectrum has one.
 
     The mean over the members of a population is the spectrum itself, in every band.
     """
-    from hyperpaint.simulation.transport.texturing import Grain
-
     count = np.zeros((2, len(record.materials)), np.int64)
     members: list[tuple[Octaves, int, int, Floats]] = []
     for place, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
@@ -84,19 +76,17 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 
 
 def _over_mean(rows: Floats) -> Floats:
-    """Return members (member, band) over their mean, the dark ones first."""
+    """Return members (member, band) over their mean, darkest first."""
     mean = rows.mean(axis=0)
-    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _DARKEST)
-    ratio = np.minimum(ratio, _BRIGHTEST)
+    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN)
+    ratio = np.minimum(ratio, _MAX_RATIO)
     # what was cut off below 0 or above 1 must not change the mean
-    ratio /= np.maximum(ratio.mean(axis=0), _DARKEST)
+    ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
     return np.asarray(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
 
 
 def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
-    """Return the rows of the members that pixels show, (line, column); see `texturing.member_rows`."""
-    from hyperpaint.simulation.transport.texturing import member_rows
-
+    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

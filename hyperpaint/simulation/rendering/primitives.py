@@ -1,4 +1,4 @@
-"""Shapes that things in a scene are put together from: plates, boxes, tubes, lofts, with smooth normals."""
+"""Shapes that things in a scene are built from: plates, boxes, tubes, lofts, with smooth normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .scene import PARTS, Instance, Scene, has_area
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles whose materials are still words.
+    """Triangles whose materials are named by words.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Mesh:
         return replace(self, vertices=self.vertices + np.asarray(offset, np.float64))
 
     def scene(self, materials: dict[str, Material], instance: Instance) -> Scene:
-        """Return the mesh as one thing, made of what ``materials`` gives for each of its surfaces."""
+        """Return the mesh as one thing; ``materials`` gives the material of each of its surfaces."""
         return Scene(
             instance.name,
             self.vertices,
@@ -65,7 +65,7 @@ class Mesh:
 
 
 def put_together(meshes: Sequence[Mesh]) -> Mesh:
-    """Return one mesh of several; surfaces of one name become one.
+    """Return one mesh of several; surfaces with one name become one.
 
     Examples
     --------
@@ -214,19 +214,19 @@ def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.ob
     return Mesh(grid.reshape(-1, 3), faces, numbers.repeat(2), tuple(words), parts.repeat(2))
 
 
-MOST_AROUND = 256
-"""Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred."""
+#: Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred.
+MAX_FACES_AROUND = 256
 
 
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
-    """Return the mesh with normals that are smooth but where it bends by more than ``crease`` [degree].
+    """Return the mesh with smooth normals except where it bends by more than ``crease`` [degree].
 
     The normal at a corner of a triangle is the mean of the normals of the triangles around its vertex that
     lie within ``crease`` of its own, weighted by their angles there, so that it does not matter how a
     surface is cut into triangles (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several
     normals becomes several vertices. Vertices must be shared, as `lattice` shares them. Triangles without
-    area are dropped. Where more than `MOST_AROUND` triangles meet, each keeps its own normal: they hardly
-    bend from one to the next, and every one would be held against all others.
+    area are dropped. Where more than `MAX_FACES_AROUND` triangles meet, each keeps its own normal: they bend
+    little from one to the next, and comparing all pairs would take long.
 
     Examples
     --------
@@ -236,7 +236,14 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     """
     with_area = has_area(mesh.vertices, mesh.faces)
     faces = mesh.faces[with_area]
-    unit, angle = _directions_and_angles(mesh.vertices[faces])
+    # unit normals of the triangles, and the angles at their corners
+    corners = mesh.vertices[faces]
+    to_next = np.roll(corners, -1, axis=1) - corners
+    to_last = -np.roll(to_next, 1, axis=1)
+    turned = np.cross(to_next, to_last)
+    sine = np.linalg.norm(turned, axis=2)
+    angle = np.arctan2(sine, (to_next * to_last).sum(axis=2)).reshape(-1)
+    unit = turned[:, 0] / sine[:, :1]
     vertex = faces.reshape(-1)
     order = np.argsort(vertex, kind="stable")
     counts = np.bincount(vertex, minlength=len(mesh.vertices))
@@ -245,7 +252,7 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     place = np.arange(len(order)) - starts
     own = unit[order // 3]
     total = np.zeros((len(order), 3))
-    crowded = sizes > MOST_AROUND
+    crowded = sizes > MAX_FACES_AROUND
     total[crowded] = own[crowded]
     left = np.flatnonzero(~crowded)
     for step in range(int(sizes[left].max(initial=0))):  # corner against the step-th next around its vertex
@@ -266,18 +273,8 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     )
 
 
-def _directions_and_angles(corners: Floats) -> tuple[Floats, Floats]:
-    """Return unit normals of triangles (face, 3, 3), and the angles at their corners, shape (face * 3,)."""
-    to_next = np.roll(corners, -1, axis=1) - corners
-    to_last = -np.roll(to_next, 1, axis=1)
-    turned = np.cross(to_next, to_last)
-    sine = np.linalg.norm(turned, axis=2)
-    angle = np.arctan2(sine, (to_next * to_last).sum(axis=2)).reshape(-1)
-    return turned[:, 0] / sine[:, :1], angle
-
-
 def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:
-    """Return the first of all corners of one vertex and normal, and for every corner which of them it is."""
+    """Return the first corner of every distinct vertex and normal, and for every corner its distinct one."""
     # normals to 21 bits an axis, in one number: sorting is what takes time in a large mesh
     steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)
     code = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]

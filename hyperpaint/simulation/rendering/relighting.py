@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+import dask
+import dask.array as da
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
@@ -35,17 +38,22 @@ from .four_curves import Atmosphere, preset_atmosphere
 from .lighting import SHARES, Lighting, make_lighting, traced_sun
 from .painting import FactorSpectra, factor_spectra
 from .populations import Populations, populations_of, rows_of_pixels
-from .scene_record import LabelTables, SceneRecord, TraceSettings
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
+from .scene_record import LabelTables, SceneRecord
 
 _PATHS = ("transport_weight", "transport_path", "distance")
+
+#: Layers of the traced dataset that no light changes.
 _UNLIT_LAYERS = (
-    "material", "instance", "surface_class", "car_id", "purity", "distance", "east", "north", "up",
-)  # fmt: skip
-"""Layers of the traced dataset that no light changes."""
+    "material",
+    "instance",
+    "surface_class",
+    "car_id",
+    "purity",
+    "distance",
+    "east",
+    "north",
+    "up",
+)
 
 _COVERED = 1.5  # full widths around the bands' centres that an atmosphere must cover
 
@@ -151,7 +159,13 @@ def relight(
     """
     record, settings = SceneRecord.from_attrs(traced.attrs)
     variables = require(traced, _PATHS, "radiance from traced paths")
-    sky = _atmosphere(atmosphere)
+    sky = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
+    if not isinstance(sky, Atmosphere):
+        raise SchemaError(
+            f"atmosphere is {type(sky).__name__}",
+            expected="an Atmosphere or the name of a preset",
+            code="type-wrong",
+        )
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     _check(camera, sky, columns)
@@ -159,14 +173,20 @@ def relight(
     painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    light = _lighting(camera, record, settings, sky, painted)
+    # light and camera are one node of the graph, shared by all tasks
+    shared = (camera, record.codes(settings), sky, settings, painted(BandResponses(camera).grid))
+    light = dask.delayed(make_lighting, pure=True)(*shared)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
     varied: Any = factors
     if isinstance(variation, BrokenClouds):
         varied = _shadowed(traced, variation, paths[0].chunks[0])
     cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
-    line = _dataset(cubes, traced, camera, _tables(record, painted))
+    names = [""] * len(record.materials)  # spectra of the bases
+    for factor, name in zip(record.factors, painted.names, strict=True):
+        if not (factor.flakes or factor.through):
+            names[factor.material] = name
+    line = _dataset(cubes, traced, camera, LabelTables.of(record, names))
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
@@ -184,15 +204,6 @@ def relight(
     return line.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
 
 
-def _atmosphere(atmosphere: Any) -> Atmosphere:
-    light = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
-    if not isinstance(light, Atmosphere):
-        raise SchemaError(
-            f"atmosphere is {type(light).__name__}, expected an Atmosphere or the name of a preset one"
-        )
-    return light
-
-
 def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
     problems = Problems("the traced scene cannot be relit", SchemaError)
     low = bands.wavelength[0] + bands.nodes.min() - _COVERED * bands.fwhm[0]
@@ -200,55 +211,59 @@ def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
     first, last = atmosphere.wavelength[[0, -1]]
     if first > low or last < high:
         problems.add(
-            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm, the bands and their sides "
-            f"{low:.1f} to {high:.1f} nm"
+            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm",
+            expected=f"the range of the bands and their wings, {low:.1f} to {high:.1f} nm",
+            code="atmosphere-coverage",
         )
     if bands.wavelength_shift is not None and bands.wavelength_shift.size != columns:
         problems.add(
-            f"wavelength_shift has {bands.wavelength_shift.size} columns, the traced scene {columns}"
+            f"wavelength_shift has {bands.wavelength_shift.size} columns",
+            expected=f"{columns}, as the traced scene",
+            code="length-mismatch",
         )
     problems.raise_if_any()
 
 
 def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
-    """Return factors (line, 2), None for ones."""
     if variation is None:
         return None
     factors = np.asarray(variation, np.float64)
     if factors.shape != (2, lines):
-        raise SchemaError(f"variation has shape {factors.shape}, expected (2, along_track) = (2, {lines})")
+        raise SchemaError(
+            f"variation has shape {factors.shape}",
+            expected=f"(2, along_track) = (2, {lines})",
+            code="dims-wrong",
+        )
     if not np.isfinite(factors).all() or (factors < 0).any():
-        raise SchemaError("variation holds factors that are negative or not finite")
+        raise SchemaError("variation has factors that are negative or not finite", code="value-out-of-range")
     return np.ascontiguousarray(factors.T)
 
 
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
-    """Return the factors of every pixel under broken clouds (line, 2, column), lazily."""
-    import dask.array as da
-
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
     seconds = (traced["time"].data - first) / np.timedelta64(1, "s")
     times = da.asarray(seconds).rechunk((chunks,))
     columns = places[0].shape[1]
     return da.blockwise(
-        _factors_task, "lvx", clouds, None, places[0], "lx", places[1], "lx", times, "l",
-        new_axes={"v": 2}, dtype=np.float64, meta=np.empty((0, 2, columns)),
-    )  # fmt: skip
+        _factors_task,
+        "lvx",
+        clouds,
+        None,
+        places[0],
+        "lx",
+        places[1],
+        "lx",
+        times,
+        "l",
+        new_axes={"v": 2},
+        dtype=np.float64,
+        meta=np.empty((0, 2, columns)),
+    )
 
 
 def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Array) -> Array:
     return np.moveaxis(clouds.factors(east, north, seconds[:, None]), 0, 1)
-
-
-def _lighting(
-    bands: BandSet, record: SceneRecord, settings: TraceSettings, sky: Atmosphere, painted: FactorSpectra
-) -> Any:
-    """Return the `Lighting` that all tasks share, lazily: one node of the graph."""
-    import dask
-
-    factors = painted(BandResponses(bands).grid)
-    return dask.delayed(make_lighting, pure=True)(bands, record.codes(settings), sky, settings, factors)
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
@@ -265,10 +280,7 @@ _PLACES = ("material", "instance", "east", "north", "up")
 def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
-    """Return which member of its population every pixel shows (lazily, row of a table), and the table."""
-    import dask
-    import dask.array as da
-
+    """Return the population member of every pixel (lazily, row of a table), and the table."""
     populations = populations_of(record, painted, bands)
     if populations is None:
         return None
@@ -290,9 +302,7 @@ def _lazy_cubes(
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
-    """Return radiance, reflectance and shares; each costs what it needs and no more."""
-    import dask.array as da
-
+    """Return radiance, reflectance and shares; without truth, radiance needs one task per block."""
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
     if isinstance(variation, da.Array):
@@ -318,7 +328,7 @@ def _lazy_cubes(
 
 
 def _only(nested: Any) -> Any:
-    """Return the one block of dims that have only one, which dask hands over in lists."""
+    """Return the sole block of dims with one block, which dask passes in lists."""
     while isinstance(nested, list):
         (nested,) = nested
     return nested
@@ -332,9 +342,14 @@ def _surface_task(
 
 
 def _radiance_task(
-    light: Lighting, weight: Any, code: Any, variation: Any, rows: Any, populations: Populations | None,
+    light: Lighting,
+    weight: Any,
+    code: Any,
+    variation: Any,
+    rows: Any,
+    populations: Populations | None,
     distance: Array,
-) -> Array:  # fmt: skip
+) -> Array:
     surface = _surface_task(light, weight, code, variation, rows, populations)
     return light.at_sensor(surface, distance, in_place=True)
 
@@ -347,19 +362,9 @@ def _shares_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Arr
     return light.shares(_only(weight), _only(code), _only(variation))
 
 
-def _tables(record: SceneRecord, painted: FactorSpectra) -> LabelTables:
-    names = [""] * len(record.materials)
-    for factor, name in zip(record.factors, painted.names, strict=True):
-        if not (factor.flakes or factor.through):
-            names[factor.material] = name
-    return LabelTables.of(record, names)
-
-
 def _dataset(
     cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
 ) -> xr.Dataset:
-    import xarray as xr
-
     variables = {
         name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
         for name, array in cubes.items()
@@ -379,9 +384,12 @@ def _dataset(
             line[name] = traced[name].variable
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
-            tables.paint_id.__getitem__, traced["material"].reset_coords(drop=True), dask="parallelized",
-            output_dtypes=[dtype_of("paint_id")], keep_attrs=True,
-        )  # fmt: skip
+            tables.paint_id.__getitem__,
+            traced["material"].reset_coords(drop=True),
+            dask="parallelized",
+            output_dtypes=[dtype_of("paint_id")],
+            keep_attrs=True,
+        )
         line["paint_id"] = label(paint_id, "paint_id", **tables.attrs("paint_id"))
     return line
 
@@ -390,20 +398,21 @@ _FWHM, _STEP = 3.0, 1.0  # nm, of the field spectrometer
 _GRID_STEP = 0.05  # nm
 _REACH = 3.3  # full widths of its line shape
 _MARGIN = np.timedelta64(10**9, "ns")  # how far the record goes beyond the lines
-_MOST_TIMES = 2000
+_MAX_TIMES = 2000
 
 
 def _irradiance_record(
-    traced: xr.Dataset, atmosphere: Atmosphere, sun_cosine: float, bands: BandSet,
+    traced: xr.Dataset,
+    atmosphere: Atmosphere,
+    sun_cosine: float,
+    bands: BandSet,
     variation: Floats | BrokenClouds | None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
 
     It is cut around the bands, begins before the flight and ends after it; where the light varies from line
     to line, (line, 2), it follows, lazily.
     """
-    import xarray as xr
-
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
     times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -411,7 +420,8 @@ def _irradiance_record(
         seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
         values = (variation.factors(*variation.station, seconds).T @ spectra).astype(np.float32)
     elif variation is not None:
-        values = _varied(traced, times, variation, spectra)
+        record = dask.delayed(_at_times, pure=True)(traced["time"].data, times, variation, spectra)
+        values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
     gap = np.diff(times).max() / np.timedelta64(1, "s")
     variables = {
         "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
@@ -427,7 +437,7 @@ def _irradiance_record(
 
 
 def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple[Floats, Floats]:
-    """Return the channels [nm], and what they see of direct and diffuse light, (2, channel)."""
+    """Return the channels [nm], and their direct and diffuse irradiance, (2, channel)."""
     wavelength = atmosphere.wavelength
     reach = _REACH * _FWHM
     low = max(wavelength[0], bands.lowest() - 4 * _FWHM)
@@ -442,29 +452,21 @@ def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple
 
 
 def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
-    """Return when the spectrometer measures: before and after the flight, and between where light varies."""
+    """Return the sampling times: before and after the flight, and between where light varies."""
     try:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:
         raise SchemaError(
-            f"no traced dataset (see hyperpaint.simulation.trace): time_coverage_start or _end: {error}"
+            f"not a traced dataset: time_coverage_start or _end: {error}",
+            mend="use one from hyperpaint.simulation.trace",
+            code="metadata-damaged",
         ) from error
     between = np.empty(0, "datetime64[ns]")
     if lines:
         span = int(np.asarray(last - first, "timedelta64[ns]").astype(np.int64))
-        steps = np.linspace(0, span, min(max(lines, 2), _MOST_TIMES)).astype(np.int64)
+        steps = np.linspace(0, span, min(max(lines, 2), _MAX_TIMES)).astype(np.int64)
         between = first + np.unique(steps).astype("timedelta64[ns]")
     return np.concatenate([[first - _MARGIN], between, [last + _MARGIN]]).astype("datetime64[ns]")
-
-
-def _varied(traced: xr.Dataset, times: Any, variation: Floats, spectra: Floats) -> Any:
-    import dask
-    import dask.array as da
-
-    line_times = traced["time"].data
-    shape = (times.size, spectra.shape[1])
-    values = dask.delayed(_at_times, pure=True)(line_times, times, variation, spectra)
-    return da.from_delayed(values, shape, dtype=dtype_of("irradiance"))
 
 
 def _at_times(line_times: Any, times: Any, variation: Floats, spectra: Floats) -> NDArray[np.float32]:

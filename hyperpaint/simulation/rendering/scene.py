@@ -1,4 +1,4 @@
-"""A scene: triangles, what they are made of, and which thing they belong to."""
+"""A scene: triangles with their materials and instances."""
 
 from __future__ import annotations
 
@@ -17,16 +17,32 @@ from hyperpaint.simulation.setting_checks import check_choice
 
 from .materials import Material
 
+#: What a thing in a scene can be.
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
-"""What a thing in a scene can be."""
 
+#: Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part.
 PARTS = (
-    "", "roof", "bonnet", "boot", "door", "wing", "bumper", "pillar", "windscreen", "rear_window",
-    "side_window", "bed", "seam", "wheel", "lamp", "mirror", "plate", "underbody",
-)  # fmt: skip
-"""Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part."""
+    "",
+    "roof",
+    "bonnet",
+    "boot",
+    "door",
+    "wing",
+    "bumper",
+    "pillar",
+    "windscreen",
+    "rear_window",
+    "side_window",
+    "bed",
+    "seam",
+    "wheel",
+    "lamp",
+    "mirror",
+    "plate",
+    "underbody",
+)
 
-_SMALLEST_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
+_MIN_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
 
 
 @dataclass(frozen=True)
@@ -204,8 +220,10 @@ class Scene:
         if face_material is None:
             if len(materials) != 1:
                 raise SchemaError(
-                    f"scene of {thing.name!r} has {len(materials)} materials and no face_material, "
-                    "expected the number of the material of every triangle; give face_material="
+                    f"scene of {thing.name!r} has {len(materials)} materials and no face_material",
+                    expected="the number of the material of every triangle",
+                    mend="pass face_material=",
+                    code="argument-missing",
                 )
             face_material = np.zeros(count, np.int32)
         return cls(
@@ -221,7 +239,7 @@ class Scene:
 
     @classmethod
     def join(cls, scenes: Sequence[Scene], name: str = "scene") -> Scene:
-        """Return one scene with everything of several; equal materials become one.
+        """Return one scene with the content of several; equal materials become one.
 
         Parameters
         ----------
@@ -369,7 +387,7 @@ def plane(
 def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
-    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros where the length is known."""
+    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros of the known length."""
     array = np.asarray(values)
     if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)
@@ -377,9 +395,11 @@ def _array(
     if array.ndim != len(shape) or any(
         w is not None and w != f for w, f in zip(shape, array.shape, strict=True)
     ):
-        problems.add(f"{name} have the shape {array.shape}, expected {wanted}")
+        problems.add(f"{name} has shape {array.shape}", expected=wanted, code="dims-wrong")
     elif array.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
-        problems.add(f"{name} are {array.dtype}, expected numbers as {np.dtype(dtype)} holds them")
+        problems.add(
+            f"{name} is {array.dtype}", expected=f"numbers that fit {np.dtype(dtype)}", code="type-wrong"
+        )
     else:
         # whole numbers stay wide until their range has been looked at
         return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
@@ -392,24 +412,29 @@ def _check_finite(problems: Problems, name: str, values: NDArray[Any]) -> None:
         where = ", ".join(str(index) for index in bad[:5])
         more = ", ..." if len(bad) > 5 else ""
         problems.add(
-            f"{name} {where}{more} ({len(bad)} of {len(values)}) are not finite; mend or remove them"
+            f"{name} {where}{more} ({len(bad)} of {len(values)}) are not finite",
+            mend="mend or remove them",
+            code="not-finite",
         )
 
 
 def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, of: str) -> None:
     if numbers.size and (numbers.min() < 0 or numbers.max() >= count):
         problems.add(
-            f"{name} hold numbers from {numbers.min()} to {numbers.max()}, but there are {count} {of}, "
-            f"counted from 0"
+            f"{name} has numbers from {numbers.min()} to {numbers.max()}",
+            expected=f"numbers of {count} {of}, counted from 0",
+            code="index-out-of-range",
         )
 
 
 def _check_names(problems: Problems, what: str, names: Sequence[str]) -> None:
     if "" in names:
-        problems.add(f"{what} {names.index('')} has an empty name")
+        problems.add(f"{what} {names.index('')} has an empty name", code="name-empty")
     if len(set(names)) < len(names):
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
-        problems.add(f"{what} names used for more than one: {', '.join(twice[:5])}; names must differ")
+        problems.add(
+            f"several {what}s are named {', '.join(twice[:5])}", mend="rename them", code="name-duplicate"
+        )
 
 
 def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
@@ -418,18 +443,15 @@ def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which triangles have an area, shape (face,): are not so thin that they have no direction."""
+    """Return which triangles have an area, shape (face,); thinner ones have no direction."""
     edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     longest = (edges**2).sum(axis=2).max(axis=1)
-    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _SMALLEST_SHAPE * longest)
+    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _MIN_SHAPE * longest)
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
-    """Warn where triangles of a scene without area are dropped."""
+    """Warn of triangles without area, which are dropped."""
     if not with_area.all():
         dropped = int((~with_area).sum())
-        warnings.warn(
-            f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
-            PaintWarning,
-            stacklevel=4,
-        )
+        msg = f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped"
+        warnings.warn(PaintWarning(msg, code="triangle-without-area"), stacklevel=4)

@@ -1,4 +1,4 @@
-"""What a traced dataset keeps of its scene and of how it was traced, and the labels that follow from it."""
+"""Attributes of a traced dataset: its scene and trace settings, and the labels that follow from them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hyperpaint.simulation.setting_checks import check_number, check_whole
 from hyperpaint.simulation.settings import MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
-    MOST_SUNS,
+    MAX_SUNS,
     SOURCE_BITS,
     PathCodes,
 )
@@ -26,14 +26,15 @@ from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
 from .scene_spectra import FOURTEEN
 
-_MOST_SLOTS = 4096
+_MAX_SLOTS = 4096
+
+#: Angular radius of the sun [degree].
 SUN_RADIUS_DEG = 0.267
-"""Angular radius of the sun [degree]."""
 
 
 @dataclass(frozen=True)
 class TraceSettings:
-    """How a scene is traced.
+    """Settings of a trace.
 
     Attributes
     ----------
@@ -59,18 +60,24 @@ class TraceSettings:
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
-        if not 1 <= len(self.suns) <= MOST_SUNS:
-            problems.add(f"{len(self.suns)} suns, expected 1 to {MOST_SUNS}")
+        if not 1 <= len(self.suns) <= MAX_SUNS:
+            problems.add(f"{len(self.suns)} suns", expected=f"1 to {MAX_SUNS}", code="sun-number")
         for number, sun in enumerate(self.suns):
             if len(sun) != 2 or not all(np.isfinite(sun)):
-                problems.add(f"sun {number} is {sun!r}, expected (zenith, azimuth) in degrees")
+                problems.add(
+                    f"sun {number} is {sun!r}", expected="(zenith, azimuth) in degrees", code="sun-unreadable"
+                )
             elif not 0.0 <= sun[0] < 90.0:
-                problems.add(f"sun {number} has zenith {sun[0]:g}, expected 0 to below 90 degrees")
+                problems.add(
+                    f"sun {number} has zenith {sun[0]:g}",
+                    expected="0 to below 90 degrees",
+                    code="value-out-of-range",
+                )
         check_whole(problems, "samples", self.samples, 1, MOST_SAMPLES)
         check_whole(problems, "depth", self.depth, 1, 32)
         check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
         if self.slots is not None:
-            check_whole(problems, "slots", self.slots, 1, _MOST_SLOTS)
+            check_whole(problems, "slots", self.slots, 1, _MAX_SLOTS)
         check_number(problems, "sun_radius", self.sun_radius, 0.0, 45.0)
         problems.raise_if_any()
 
@@ -81,11 +88,11 @@ class TraceSettings:
             return self.slots
         clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
         sources = len(self.suns) + 1 + self.overcast + clear
-        return min(_MOST_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
+        return min(_MAX_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
 
     @classmethod
     def of(cls, suns: Any, **settings: Any) -> TraceSettings:
-        """Return the settings for suns given in any sequence.
+        """Return the settings for suns in any sequence.
 
         Raises
         ------
@@ -95,7 +102,9 @@ class TraceSettings:
         try:
             directions = tuple(tuple(float(angle) for angle in sun) for sun in suns)
         except (TypeError, ValueError):
-            raise SchemaError(f"suns={suns!r}, expected a list of (zenith, azimuth) in degrees") from None
+            raise SchemaError(
+                f"suns={suns!r}", expected="a list of (zenith, azimuth) in degrees", code="sun-unreadable"
+            ) from None
         return cls(directions, **settings)  # type: ignore[arg-type]
 
 
@@ -138,7 +147,7 @@ class SceneRecord:
 
     @classmethod
     def of(cls, scene: Scene) -> SceneRecord:
-        """Return what is kept of a scene."""
+        """Return the record of a scene."""
         count = len(scene.materials)
         pairs = np.unique(scene.face_instance.astype(np.int64) * count + scene.face_material)
         members: list[list[int]] = [[] for _ in scene.instances]
@@ -147,7 +156,7 @@ class SceneRecord:
         return cls(scene.name, scene.materials, scene.instances, tuple(map(tuple, members)), scene.factors)
 
     def to_attrs(self, settings: TraceSettings) -> dict[str, Any]:
-        """Return attributes of a traced dataset, of text and numbers only."""
+        """Return attributes of a traced dataset, text and numbers only."""
         instances = [
             {**asdict(instance), "materials": list(members)}
             for instance, members in zip(self.instances, self.members, strict=True)
@@ -169,7 +178,7 @@ class SceneRecord:
 
     @classmethod
     def from_attrs(cls, attrs: Mapping[Any, Any]) -> tuple[SceneRecord, TraceSettings]:
-        """Return what `to_attrs` was given.
+        """Return the record and settings from attributes that `to_attrs` wrote.
 
         Raises
         ------
@@ -178,25 +187,31 @@ class SceneRecord:
         """
         if "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS:
             raise SchemaError(
-                "this scene was traced by an older hyperpaint: its paths have 3 bits for their source, "
-                f"expected {SOURCE_BITS}, and know no clear sky",
+                "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",
+                expected=f"{SOURCE_BITS} bits",
                 mend="trace the scene again",
+                code="trace-outdated",
             )
-        problems = Problems("this is no traced dataset (see hyperpaint.simulation.trace)", SchemaError)
+        problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
         texts = {
             name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
         for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
-                problems.add(f"attribute {name!r} is {attrs.get(name)!r}, expected a whole number")
+                problems.add(
+                    f"attribute {name!r} is {attrs.get(name)!r}",
+                    expected="a whole number",
+                    code="metadata-damaged",
+                )
         problems.raise_if_any()
         try:
             materials = tuple(map(_material, texts["materials"]))
-            members = tuple(tuple(map(int, each.pop("materials"))) for each in texts["instances"])
-            instances = tuple(Instance(**each) for each in texts["instances"])
-            factors = tuple(Factor(**each) for each in texts["factors"])
+            members = tuple(tuple(map(int, fields.pop("materials"))) for fields in texts["instances"])
+            instances = tuple(Instance(**fields) for fields in texts["instances"])
+            factors = tuple(Factor(**fields) for fields in texts["factors"])
             record = cls(str(attrs.get("scene", "")), materials, instances, members, factors)
-            record._check_numbers()
+            for number in (*(factor.material for factor in factors), *(n for part in members for n in part)):
+                materials[number]  # an IndexError is damage
             settings = TraceSettings.of(
                 texts["suns"],
                 samples=int(attrs["samples"]),
@@ -208,16 +223,13 @@ class SceneRecord:
             )
         except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
             raise SchemaError(
-                f"no traced dataset (see hyperpaint.simulation.trace): its attributes are damaged ({error})"
+                f"not a dataset from hyperpaint.simulation.trace: its attributes are damaged ({error})",
+                code="metadata-damaged",
             ) from error
         return record, settings
 
-    def _check_numbers(self) -> None:
-        for number in (*(factor.material for factor in self.factors), *(n for m in self.members for n in m)):
-            self.materials[number]
-
     def codes(self, settings: TraceSettings) -> PathCodes:
-        """Return how the codes of the trace are read."""
+        """Return the layout of the trace's path codes."""
         return PathCodes.of(len(self.factors), settings.depth)
 
     @property
@@ -261,14 +273,14 @@ class LabelTables:
         record
             The scene.
         names
-            Spectrum of every material, where it is not that of the scene.
+            Spectrum of every material; None for the spectra of the scene.
         """
-        given = [material.spectrum for material in record.materials] if names is None else list(names)
+        spectra = [material.spectrum for material in record.materials] if names is None else list(names)
         is_paint = [material.kind == "paint" for material in record.materials]
         # built-in paints first, all of them: a number means the same paint in every scene of a training set
-        others = {name for name, paint in zip(given, is_paint, strict=True) if paint}.difference(FOURTEEN)
+        others = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(FOURTEEN)
         paints = (*FOURTEEN, *sorted(others))
-        number = [paints.index(name) if paint else -1 for name, paint in zip(given, is_paint, strict=True)]
+        number = [paints.index(name) if paint else -1 for name, paint in zip(spectra, is_paint, strict=True)]
         cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
         return cls(
             np.append(record.kinds, -1).astype(np.int16),
@@ -286,7 +298,7 @@ class LabelTables:
         }
 
     def attrs(self, name: str) -> dict[str, Any]:
-        """Return the CF attributes that say what the numbers of a label layer mean."""
+        """Return the CF flag attributes of a label layer."""
         if name not in ("surface_class", "paint_id"):
             return {}
         meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
@@ -298,13 +310,13 @@ def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any
     try:
         entries = json.loads(attrs[name])
     except KeyError:
-        problems.add(f"attribute {name!r} is missing")
+        problems.add(f"attribute {name!r} is missing", code="metadata-missing")
     except (TypeError, ValueError, RecursionError):
-        problems.add(f"attribute {name!r} is no JSON text")
+        problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
     else:
         if isinstance(entries, list) and entries:
             return entries
-        problems.add(f"attribute {name!r} holds no list")
+        problems.add(f"attribute {name!r} is not a list with entries", code="metadata-damaged")
     return []
 
 

@@ -33,11 +33,23 @@ from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
 from .weathering import WEATHERED, Weathered, leaf_transmittance
 
+#: What a paint looks like when one walks around it.
 FINISHES = ("solid", "metallic", "pearl")
-"""What a paint looks like when one walks around it."""
 
-_ADJECTIVES = ("Arctic", "Alpine", "Baltic", "Desert", "Harbour", "Imperial", "Lunar", "Monsoon", "Nordic",
-               "Polar", "Solar", "Tundra")  # fmt: skip
+_ADJECTIVES = (
+    "Arctic",
+    "Alpine",
+    "Baltic",
+    "Desert",
+    "Harbour",
+    "Imperial",
+    "Lunar",
+    "Monsoon",
+    "Nordic",
+    "Polar",
+    "Solar",
+    "Tundra",
+)
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
 _FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
 _TURNED = ":turned"  # behind the name of the spectrum of flakes
@@ -46,7 +58,7 @@ _DULLED = 0.03  # by which a coat grows rougher in a year, relatively
 
 @dataclass(frozen=True)
 class PaintSpec:
-    """A car paint: how it looks and what it is made of.
+    """A car paint: appearance and composition.
 
     Attributes
     ----------
@@ -84,40 +96,39 @@ class PaintSpec:
         return Material(name or self.name, self.name, "paint", self.coat, self.flakes)
 
 
-def _solid(name: str, colour: str, trade_name: str) -> PaintSpec:
-    return PaintSpec(name, "solid", colour, trade_name)
-
-
-def _metallic(name: str, colour: str, trade_name: str, share: float) -> PaintSpec:
-    return PaintSpec(name, "metallic", colour, trade_name, flakes=Flakes(share))
-
-
+#: Name, colour, trade name and flake share of the paints of the catalogue.
 _CATALOGUE = {
-    spec.name: spec
-    for spec in (
-        _solid("white", "white", "Polar White"),
-        _metallic("silver", "silver", "Lunar Silver", 0.5),
-        _metallic("grey", "grey", "Harbour Grey", 0.3),
-        _solid("black", "black", "Carbon Black"),
-        _solid("ir_black", "black", "Night Glass Black"),
-        _solid("red", "red", "Signal Red"),
-        _solid("dark_red", "dark red", "Garnet Red"),
-        _metallic("blue", "blue", "Baltic Blue", 0.15),
-        _solid("light_blue", "light blue", "Alpine Blue"),
-        _metallic("green", "green", "Tundra Green", 0.15),
-        _solid("yellow", "yellow", "Solar Yellow"),
-        _solid("orange", "orange", "Desert Orange"),
-        _solid("beige", "beige", "Dune Beige"),
-        _metallic("brown", "brown", "Umber Brown", 0.2),
+    name: PaintSpec(
+        name,
+        "metallic" if share else "solid",
+        colour,
+        trade_name,
+        flakes=Flakes(share) if share else None,
+    )
+    for name, colour, trade_name, share in (
+        ("white", "white", "Polar White", 0.0),
+        ("silver", "silver", "Lunar Silver", 0.5),
+        ("grey", "grey", "Harbour Grey", 0.3),
+        ("black", "black", "Carbon Black", 0.0),
+        ("ir_black", "black", "Night Glass Black", 0.0),
+        ("red", "red", "Signal Red", 0.0),
+        ("dark_red", "dark red", "Garnet Red", 0.0),
+        ("blue", "blue", "Baltic Blue", 0.15),
+        ("light_blue", "light blue", "Alpine Blue", 0.0),
+        ("green", "green", "Tundra Green", 0.15),
+        ("yellow", "yellow", "Solar Yellow", 0.0),
+        ("orange", "orange", "Desert Orange", 0.0),
+        ("beige", "beige", "Dune Beige", 0.0),
+        ("brown", "brown", "Umber Brown", 0.2),
     )
 }
 
+#: Names of fourteen plausible car paints, those of the paper's figure of one car park under three skies.
 FOURTEEN = tuple(_CATALOGUE)
-"""Names of fourteen plausible car paints, those of the paper's figure of one car park under three skies."""
 
 
 def paint_spec(name: str) -> PaintSpec:
-    """Return what is known of a paint by the name of its spectrum.
+    """Return a paint by the name of its spectrum.
 
     Parameters
     ----------
@@ -142,20 +153,21 @@ def paint_spec(name: str) -> PaintSpec:
     parsed = parse_name(name)
     if parsed is None or parsed[2]:
         raise SchemaError(
-            f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, "
-            "pigment:<family>:<number> or fleet-<number>"
+            f"there is no paint {name!r}",
+            expected=f"one of {', '.join(FOURTEEN)}, pigment:<family>:<number> or fleet-<number>",
+            code="paint-unknown",
         )
     return generate_paint(parsed[0], parsed[1])
 
 
 def is_paint(name: str) -> bool:
-    """Return whether a spectrum is a car paint that is known here, of a catalogue or generated."""
+    """Return whether a spectrum is a car paint of the catalogue or a generated one."""
     named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
     return named and not name.endswith(":flakes")
 
 
 def fleet_names(first: int, count: int) -> tuple[str, ...]:
-    """Return the names of so many cars of the fleet.
+    """Return the names of ``count`` cars of the fleet.
 
     Examples
     --------
@@ -166,7 +178,7 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 
 
 def _fleet_spec(number: int) -> PaintSpec:
-    """Return the paint of a car of the fleet: an older coat is duller."""
+    """Return the paint of a car of the fleet; older coats are duller."""
     car, name = fleet_paint(number), f"fleet-{number}"
     flakes = None
     if car.flake_share:
@@ -178,8 +190,6 @@ def _fleet_spec(number: int) -> PaintSpec:
 
 
 def _fleet_base(car: FleetPaint) -> Weathered:
-    """Return what shows of a car between its flakes, with the dust that lies on it."""
-
     def members(wavelength: Floats) -> Floats:
         return car.weathered(coated_reflectance(car.pigments.albedo(wavelength), car.index), wavelength)
 
@@ -211,12 +221,12 @@ def generate_paint(family: str, number: int) -> PaintSpec:
 
 
 def pigments_of(family: str, number: int) -> Pigments:
-    """Return what is in a generated paint."""
+    """Return the pigments of a generated paint."""
     return _generate(family, number)[1]
 
 
 def parse_name(name: str) -> tuple[str, int, bool] | None:
-    """Return family, number and whether the flakes are meant, of the name of a generated spectrum."""
+    """Return family, number and whether it names flakes, for the name of a generated spectrum."""
     match = _NAME.fullmatch(name)
     if match is None or match[1] not in FAMILIES:
         return None
@@ -226,9 +236,15 @@ def parse_name(name: str) -> tuple[str, int, bool] | None:
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     if family not in FAMILIES:
-        raise SchemaError(f"there is no family of paints {family!r}; expected one of {', '.join(FAMILIES)}")
+        raise SchemaError(
+            f"there is no paint family {family!r}",
+            expected=f"one of {', '.join(FAMILIES)}",
+            code="choice-unknown",
+        )
     if not 0 <= number < 10**9:
-        raise SchemaError(f"the number of a paint is {number!r}, expected 0 to 999999999")
+        raise SchemaError(
+            f"the number of a paint is {number!r}", expected="0 to 999999999", code="value-out-of-range"
+        )
     rng = np.random.default_rng([FAMILIES.index(family), number])
     hue = str(rng.choice(list(HUES)))
     adjective = str(rng.choice(_ADJECTIVES))
@@ -246,21 +262,20 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
 
 
 def _flakes_of(name: str, finish: str, share: float) -> Flakes:
-    """Return the flakes of a generated paint, before their lobe is known."""
     spectrum = f"{name}:flakes"
     return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED if finish == "pearl" else "")
 
 
 def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
-    """Return flakes whose lobe gives a paint its flop index, or the nearest that it can have."""
+    """Return flakes whose lobe gives a paint its flop index, or the nearest possible one."""
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
     return flakes_of_flop(flop, paint, grid, body, pigments.flakes(grid), nearest=True)
 
 
+#: Reflectance factor, 0 to 1, by wavelength [nm].
 Spectrum = Callable[[Floats], Floats]
-"""Reflectance factor, 0 to 1, by wavelength [nm]."""
 
 
 def _without_mirror(paint: Paint) -> Spectrum:
@@ -276,6 +291,7 @@ _LEAF = Plain(0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bu
 _RED_LENS = Plain(0.03, 0.0, [Edge(606.0, 7.0, 0.35)])
 _REFLECTOR = Plain(0.30, 0.05)  # behind a clear lens
 
+#: The named spectra; generated paints are reached by `spectrum_of` alone.
 SPECTRA: dict[str, Spectrum] = {
     **MATERIALS,
     **{name: _without_mirror(paint) for name, paint in {**CAR_PAINTS, **_MORE_PAINTS}.items()},
@@ -296,7 +312,6 @@ SPECTRA: dict[str, Spectrum] = {
     "patch": Plain(0.055, 0.05),
     **WEATHERED,
 }
-"""The named spectra; generated paints are reached by `spectrum_of` alone."""
 
 
 def spectrum_of(name: str) -> Spectrum:
@@ -327,7 +342,7 @@ def spectrum_of(name: str) -> Spectrum:
     True
     >>> spectrum_of("panel_21")
     Traceback (most recent call last):
-    hyperpaint.base.errors.SchemaError: there is no spectrum 'panel_21'; did you mean 'panel_20'?
+    hyperpaint.base.errors.SchemaError: ... 'panel_21'; did you mean 'panel_20'? [spectrum-unknown]
     """
     turned = name.endswith(":flakes" + _TURNED)
     name = name.removesuffix(_TURNED) if turned else name
@@ -350,11 +365,11 @@ def spectrum_of(name: str) -> Spectrum:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)
     hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}"
-    raise SchemaError(f"there is no spectrum {name!r}; {hint}")
+    raise SchemaError(f"there is no spectrum {name!r}", mend=hint, code="spectrum-unknown")
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:
-    """Return ``spectrum`` for any wavelength: straight lines leave 0 to 1 far from where they were drawn."""
+    """Return ``spectrum`` clipped to 0 to 1: straight lines leave it far from their points."""
 
     def limited(wavelength: Floats) -> Floats:
         grid = np.asarray(wavelength, dtype=np.float64)

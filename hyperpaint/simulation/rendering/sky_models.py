@@ -39,14 +39,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.setting_checks import check_number
 
 
 def check_wavelengths(wavelength: Floats) -> None:
-    """Refuse what is no grid of wavelengths.
+    """Raise unless wavelengths are a positive, increasing grid.
 
     Raises
     ------
@@ -54,25 +54,42 @@ def check_wavelengths(wavelength: Floats) -> None:
         The grid has not one dim and two samples, or they are not positive, finite and increasing.
     """
     if wavelength.ndim != 1 or wavelength.size < 2:
-        raise SchemaError(f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples")
+        raise SchemaError(
+            f"wavelength has shape {wavelength.shape}",
+            expected="one dim and at least 2 samples",
+            code="dims-wrong",
+        )
     if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
-        raise SchemaError("wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates")
+        raise SchemaError(
+            "wavelength is not positive, finite and increasing",
+            mend="sort it and drop duplicates",
+            code="wavelength-unordered",
+        )
 
 
 def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
-    """Note what cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
+    """Note curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
     grid = curves["wavelength"]
     try:
         check_wavelengths(grid)
     except SchemaError as error:
-        problems.add(str(error))
+        own = error.problem
+        problems.add(own.found, expected=own.expected, mend=own.mend, code=own.code)
     for name, curve in curves.items():
         if curve.shape != grid.shape:
-            problems.add(f"{name} has shape {curve.shape}, expected that of wavelength, {grid.shape}")
+            problems.add(
+                f"{name} has shape {curve.shape}",
+                expected=f"{grid.shape}, as wavelength",
+                code="grid-mismatch",
+            )
         elif not np.isfinite(curve).all():
-            problems.add(f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite")
+            problems.add(
+                f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite", code="not-finite"
+            )
         elif (curve < 0.0).any():
-            problems.add(f"{name} falls to {curve.min():.4g}, expected nothing below 0")
+            problems.add(
+                f"{name} falls to {curve.min():.4g}", expected="nothing below 0", code="value-out-of-range"
+            )
 
 
 def built_in_sky(
@@ -115,7 +132,9 @@ def relative_air_mass(sun_zenith: float) -> float:
     (10.31, 11.47)
     """
     if not 0.0 <= sun_zenith <= 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
+        )
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
 
 
@@ -127,24 +146,24 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     """
     check_wavelengths(wavelength)
     mass = relative_air_mass(sun_zenith)
-    try:
+    with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
         from pvlib.spectrum import spectrl2
-    except ImportError as error:
-        needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
-        raise needed from error
     angles = {"apparent_zenith": sun_zenith, "aoi": sun_zenith, "surface_tilt": 0.0, "relative_airmass": mass}
     table = spectrl2(**angles, **air)
     coarse = np.asarray(table["wavelength"], dtype=np.float64)
     first, last = wavelength[[0, -1]]
     if not (coarse[0] <= first and last <= coarse[-1]):
-        span = f"from {first:g} to {last:g} nm"
-        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
+        raise SchemaError(
+            f"wavelength goes from {first:g} to {last:g} nm",
+            expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
+            code="value-out-of-range",
+        )
     sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
     return sun, sky
 
 
 class Spread(NamedTuple):
-    """Shares of a clear sky's functions in the diffuse irradiance, see `Atmosphere`."""
+    """Shares of the clear-sky functions in the diffuse irradiance, see `Atmosphere`."""
 
     molecular: Floats
     aureole: Floats
@@ -153,7 +172,7 @@ class Spread(NamedTuple):
 def clear_spread(
     wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
 ) -> Spread:
-    """Return how a clear sky's light is spread.
+    """Return the shares of the clear-sky functions.
 
     None where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
     """
@@ -162,14 +181,14 @@ def clear_spread(
     return Spread(molecular, aureole)
 
 
+#: Share of the cosine part in the diffuse irradiance of a CIE overcast sky.
 CIE_OVERCAST_SHARE = 4.0 / 7.0
-"""Share of the cosine part in the diffuse irradiance of a CIE overcast sky."""
 
 _CLOUD_REFERENCE_NM = 490.0
 
 
 def cloud_factor(oktas: float) -> float:
-    """Return the part of a clear sky's global irradiance that ``oktas`` eighths of cloud leave.
+    """Return the part of a clear sky's global irradiance that remains under ``oktas`` eighths of cloud.
 
     Parameters
     ----------
@@ -187,7 +206,7 @@ def cloud_factor(oktas: float) -> float:
     0.25
     """
     if not 0.0 <= oktas <= 8.0:
-        raise SchemaError(f"oktas={oktas!r}, expected 0 (clear) to 8 (overcast)")
+        raise SchemaError(f"oktas={oktas!r}", expected="0 (clear) to 8 (overcast)", code="value-out-of-range")
     return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
 
 
@@ -273,13 +292,16 @@ class Haze:
         check_number(problems, "visibility", self.visibility, 0.0, _CONTRAST / _MOLECULES, above=True)
         check_number(problems, "angstrom", self.angstrom, 0.0, 4.0)
         if not -1.0 < self.asymmetry < 1.0:
-            problems.add(f"asymmetry={self.asymmetry!r}, expected a number between -1 and 1")
+            problems.add(
+                f"asymmetry={self.asymmetry!r}",
+                expected="a number between -1 and 1",
+                code="value-out-of-range",
+            )
         for name in ("scattering_albedo", "ground"):
             check_number(problems, name, getattr(self, name), 0.0, 1.0)
         problems.raise_if_any()
 
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
-        """Return the extinction of molecules and of haze [m-1]."""
         relative = wavelength / _HAZE_REFERENCE_NM
         molecules = _MOLECULES * relative**_MOLECULES_EXPONENT
         particles = (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
@@ -319,11 +341,11 @@ class Haze:
 
 
 def _backward_share(g: float) -> float:
-    """Return the share of Henyey-Greenstein scattering at more than 90 degrees."""
+    """Return the share of Henyey-Greenstein scattering beyond 90 degrees."""
     if abs(g) < 1e-6:
         return 0.5  # the formula is 0/0 there; its slope is -3/4
     return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
 
 
+#: Usual clear air: a visibility of 23 km.
 HAZE = Haze()
-"""Usual clear air: a visibility of 23 km."""

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
+from numcodecs.blosc import SHUFFLE, Blosc
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
@@ -28,27 +32,22 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.sky_functions import function_shapes
+from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
+from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.path_codes import PathCodes
+from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 from .four_curves import Atmosphere, preset_atmosphere
+from .platform_geometry import Platform
+from .scene import Scene
 from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSettings, sun_vectors
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
-
-    from hyperpaint.simulation.transport.hierarchy import Geometry
-    from hyperpaint.simulation.transport.path_blocks import Block, Sources
-    from hyperpaint.simulation.transport.surfaces import Surfaces
-
-    from .platform_geometry import Platform
-    from .scene import Scene
 
 Sun = tuple[float, float] | Atmosphere | str
 
 
 class PreparedScene(NamedTuple):
-    """A scene as the kernel takes it; made once, shared by all tasks."""
+    """A scene as the kernel takes it; prepared once, shared by all tasks."""
 
     geometry: Geometry
     surfaces: Surfaces
@@ -59,10 +58,7 @@ class PreparedScene(NamedTuple):
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
-    """Sort a scene's triangles for rays, and gather what is known of its surfaces."""
-    from hyperpaint.simulation.transport.hierarchy import build_geometry
-    from hyperpaint.simulation.transport.path_blocks import Sources
-
+    """Build the hierarchy of a scene's triangles, and the tables of its surfaces."""
     record = SceneRecord.of(scene)
     geometry = build_geometry(
         scene.vertices, scene.faces, scene.normals, scene.face_material, scene.face_instance
@@ -73,12 +69,6 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
         shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
         sources = sources._replace(shapes=shapes)
     labels = LabelTables.of(record)
-    return PreparedScene(geometry, _surfaces(record), sources, record.codes(settings), settings, labels)
-
-
-def _surfaces(record: SceneRecord) -> Surfaces:
-    from hyperpaint.simulation.transport.surfaces import surfaces_of
-
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     base_factor = np.full(len(coats), -1, np.int32)
@@ -87,7 +77,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         plate = through_factor if factor.through else base_factor
         metal = turned_factor if factor.turned else flake_factor
         (metal if factor.flakes else plate)[factor.material] = number
-    return surfaces_of(
+    surfaces = surfaces_of(
         np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
         np.radians([0.0 if coat is None else coat.waviness for coat in coats]),
@@ -98,6 +88,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         through_factor,
         turned_factor=turned_factor,
     )
+    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, labels)
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
@@ -110,9 +101,6 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
 def _trace_rays(
     prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
 ) -> Block:
-    from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
-    from hyperpaint.simulation.transport.paths import trace_lines
-
     chosen = prepared.settings
     numbers = Settings(first_line, chosen.samples, chosen.depth, prepared.codes.digit_bits, chosen.seed)
     block = Block.empty(len(origin), chosen.slot_count, edges[0].size - 1, len(chosen.suns))
@@ -214,9 +202,11 @@ def trace(
         sun_radius=sun_radius,
     )
     if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:
-        raise SchemaError(f"chunk_lines={chunk_lines!r}, expected a whole number above 0")
+        raise SchemaError(
+            f"chunk_lines={chunk_lines!r}", expected="a whole number above 0", code="value-out-of-range"
+        )
     record = SceneRecord.of(scene)
-    record.codes(settings)  # whether they fit is said now, not in a task
+    record.codes(settings)  # raises here, before any task, if they do not fit
     arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
     return _labelled(arrays, record, platform, settings)
 
@@ -249,10 +239,7 @@ _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 def _lazy_arrays(
     scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
 ) -> dict[str, da.Array]:
-    """Return every variable as a dask array; one task a block makes all."""
-    import dask
-    import dask.array as da
-
+    """Return every variable as a dask array; one task a block computes all."""
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
     packed = dask.delayed(_packed(scene), name=name, traverse=False)
@@ -274,20 +261,16 @@ def _lazy_arrays(
 
 
 def _packed(scene: Scene) -> bytes:
-    """Return a scene for the graph, at a third of its size: dask warns where a graph is sent above 10 MB."""
-    from numcodecs.blosc import SHUFFLE, Blosc
-
+    """Return a compressed scene for the graph: dask warns above 10 MB."""
     return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
 
 
 def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
-    from numcodecs.blosc import Blosc
-
     return prepare_scene(pickle.loads(Blosc().decode(packed)), settings)
 
 
 def _poses(platform: Platform) -> Array:
-    """Return number, origin and rotation of every line in one structured array, shape (line,)."""
+    """Return number, origin and rotation of every scan line in one structured array, shape (line,)."""
     poses = np.empty(
         platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
     )
@@ -297,7 +280,6 @@ def _poses(platform: Platform) -> Array:
 
 
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
-    """Return all variables of a block of lines."""
     block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
     east, north, up = (np.ascontiguousarray(block.position[:, axis]) for axis in range(3))
     return {
@@ -319,8 +301,6 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
 def _labelled(
     arrays: dict[str, da.Array], record: SceneRecord, platform: Platform, settings: TraceSettings
 ) -> xr.Dataset:
-    import xarray as xr
-
     labels = LabelTables.of(record)
     utc = platform.utc.astype("datetime64[ns]")
     coords = {

@@ -1,4 +1,4 @@
-"""What years and weather make of surfaces: populations of spectra that vary over the ground and over cars.
+"""Weathered surfaces: populations of spectra that vary over the ground and over cars.
 
 Asphalt is bitumen worn off its stones, with stains and dust; painted lines wear down to it; concrete darkens;
 lawns have dry blades. Dust lies on everything as a thin diffuse layer. It covers the part c of a surface of
@@ -26,7 +26,7 @@ from .materials import fresnel_reflectance, hemispherical_reflectance
 
 @dataclass(frozen=True)
 class Octaves:
-    """How a population varies over a surface.
+    """Spatial variation of a population over a surface.
 
     Attributes
     ----------
@@ -44,15 +44,15 @@ class Octaves:
     is_averaged: bool = True
 
 
+#: Of the members of a library: a third each of dirt and curvature over a body part, of patches, and of noise.
 MEASURED = Octaves((0.20, 0.05, 0.0125), (1 / 3, 1 / 3, 1 / 3), is_averaged=False)
-"""Of the members of a library: a third each of dirt and curvature over a panel, of patches, and of noise."""
 
 
+#: Reflectance of mineral dust: brownish, brighter in the near infrared.
 DUST = Plain(0.24, 0.20, [Edge(530.0, 60.0, 0.05)])
-"""Reflectance of mineral dust: brownish, brighter in the near infrared."""
 
+#: Of a weathered surface.
 MEMBERS = 96
-"""Of a weathered surface."""
 
 _DRY = Plain(0.26, 0.40, [Edge(680.0, 40.0, 0.03), Bump(968.0, 22.0, -0.02)])  # blades
 _PATCH = Plain(0.055, 0.05)  # mended asphalt, young
@@ -98,12 +98,12 @@ class Weathered:
         return np.asarray(self.population(grid.ravel()).mean(axis=0).reshape(grid.shape))
 
 
+#: Refractive index of leaf tissue, and how many plates a leaf is like.
 LEAF_INDEX, LEAF_LAYERS = 1.42, 1.55
-"""Refractive index of leaf tissue, and how many plates a leaf is like."""
 
 
 def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Floats]:
-    """Return diffuse reflectance and transmittance of a leaf by what one of its plates passes inside [1].
+    """Return diffuse reflectance and transmittance of a leaf from the transmittance inside a plate [1].
 
     A leaf is a pile of plates, whose two streams Stokes (1862) has summed; the first plate is met within 40
     degrees of its normal, the others by diffuse light (Allen et al., J. Opt. Soc. Am. 59, 1376, 1969;
@@ -133,7 +133,7 @@ def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Fl
 
 
 def leaf_transmittance(reflectance: Floats) -> Floats:
-    """Return what a leaf of a diffuse reflectance passes [1]; one brighter than leaves are passes the rest.
+    """Return the transmittance of a leaf of a diffuse reflectance [1], at most 1 minus the reflectance.
 
     Examples
     --------
@@ -188,6 +188,7 @@ def _grass(wavelength: Floats) -> Floats:
 _SLABS = Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
 _STONES = Octaves((3.0, 1.0, 0.35, 0.12, 0.04, 0.012), (0.14, 0.08, 0.06, 0.07, 0.15, 0.50))
 
+#: Weathered surfaces by the names of their spectra.
 WEATHERED: dict[str, Weathered] = {
     "worn_asphalt": Weathered(_asphalt(MATERIALS["asphalt"], 1), _STONES),
     "worn_patch": Weathered(_asphalt(_PATCH, 2), _STONES),
@@ -197,4 +198,3 @@ WEATHERED: dict[str, Weathered] = {
     ),
     "mixed_grass": Weathered(_grass, Octaves((2.0, 0.60, 0.20, 0.06, 0.02), (0.20, 0.15, 0.15, 0.25, 0.25))),
 }
-"""Weathered surfaces by the names of their spectra."""

@@ -25,7 +25,7 @@ class PathTable(NamedTuple):
 
 @borrowing_kernel
 def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
-    """Return a code with one factor more, its digits still in descending order."""
+    """Return a code with one more factor, its digits still in descending order."""
     digit = np.int64(factor) + 1
     full = (np.int64(1) << digit_bits) - 1
     place = FIRST_DIGIT
@@ -65,7 +65,6 @@ def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
 
 @borrowing_kernel
 def _sort(table: PathTable, count: int, by_weight: bool) -> None:
-    """Sort the places in use (Shell's sort: short lists, no memory)."""
     places = table.used
     gap = 1
     while gap < count // 3:
@@ -83,7 +82,7 @@ def _sort(table: PathTable, count: int, by_weight: bool) -> None:
 
 @borrowing_kernel
 def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
-    """Keep ``slots`` of the codes, unbiased, their total unchanged; return how many are kept.
+    """Keep ``slots`` of the codes without bias or change of their total; return the number kept.
 
     The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
     proportional to its weight, and gives all that are taken the same weight.
@@ -94,7 +93,7 @@ def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
     for i in range(count - 1, -1, -1):
         rest += sums[places[i]]
     exact = 0
-    # a code heavier than an even share of the rest is always taken: as it is
+    # a code heavier than an even share of the rest is always kept, with its weight
     while exact < slots and sums[places[exact]] * (slots - exact) > rest:
         rest -= sums[places[exact]]
         exact += 1

@@ -1,4 +1,4 @@
-"""Random numbers that belong to a place: (seed, line, column, sample, draw), whoever asks, in any order.
+"""Random numbers keyed by place: (seed, line, column, sample, draw), independent of the order of calls.
 
 A stream that is drawn from in turn would give other numbers for other blocks of lines. Counters give numbers
 that do not depend on one another (`uniforms`); the first reflections of a pixel's paths share out the
@@ -58,7 +58,7 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 
 @borrowing_kernel
 def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple[float, float, float, float]:
-    """Return four numbers inside (0, 1) that belong to one draw of one sample of one pixel.
+    """Return four numbers inside (0, 1) for one draw of one sample of one pixel.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def even_pair(key: Any, sample: Any, draw: Any, mask: Any) -> tuple[float, float
 
 @borrowing_kernel
 def _mixed(x: Any) -> Any:
-    """Return a word that tells nothing of the given one (C. Wellons, "Prospecting for hash functions")."""
+    """Return a hash of a word (C. Wellons, "Prospecting for hash functions")."""
     x ^= x >> _16
     x = (x * _MIX_0) & _MASK
     x ^= x >> _15
@@ -130,7 +130,6 @@ def _mixed(x: Any) -> Any:
 
 @borrowing_kernel
 def _reversed(x: Any) -> Any:
-    """Return a word with its 32 bits in opposite order."""
     x = ((x >> _1) & _ODD) | ((x & _ODD) << _1)
     x = ((x >> _2) & _PAIRS) | ((x & _PAIRS) << _2)
     x = ((x >> _4) & _NIBBLES) | ((x & _NIBBLES) << _4)
@@ -140,7 +139,7 @@ def _reversed(x: Any) -> Any:
 
 @borrowing_kernel
 def _scrambled(x: Any, seed: Any) -> Any:
-    """Return a word whose bits are flipped as lower ones say (Laine and Karras 2011, Vegdahl's constants)."""
+    """Return a word with bits flipped by lower bits (Laine and Karras 2011, Vegdahl's constants)."""
     x = (x + seed) & _MASK
     x ^= (x * _OWEN_0) & _MASK
     x ^= (x * _OWEN_1) & _MASK

@@ -1,4 +1,4 @@
-"""Triangles in a hierarchy of boxes, and what a ray meets among them.
+"""Triangles in a hierarchy of boxes, and their intersection with rays.
 
 A node holds the boxes of its two children. Triangles are stored in the order of the leaves, so that a leaf
 is a run of them.
@@ -14,14 +14,199 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .building import build_nodes
 from .vectors import Vector
+
+_BINS = 16
+_MAX_LEAF_TRIANGLES = 4
+_TRAVERSAL = 1.5  # cost of a node, in tests of a triangle
+_MAX_LEVELS_BY_COST = 56  # below it a run is halved by count: at most 31 levels more
+_WHOLE, _SWEPT, _CENTRES = 3 * _BINS, 3 * _BINS + 1, 3 * _BINS + 2  # boxes behind those of the bins
+
+
+class _Room(NamedTuple):
+    boxes: Array  # (3 bins + 3, 6): of the bins of the three axes, and three more
+    counts: Array  # (3 bins,) triangles in the bins
+    costs: Array  # (bins,) of all bins from one on
+    waiting: Array  # (256, 4) runs not split yet: start, stop, level, child
+
+
+def build_nodes(triangles: Array) -> tuple[Array, Array, Array]:
+    """Return nodes, links (see `Geometry`) and the order of the triangles (face, 3, 3) in the leaves.
+
+    Runs are split where the expected cost of a ray is lowest (surface area heuristic over bins: I. Wald, "On
+    fast construction of SAH-based bounding volume hierarchies", IEEE RT 2007).
+    """
+    count = len(triangles)
+    boxes = np.empty((count, 6))
+    boxes[:, :3] = triangles.min(axis=1)
+    boxes[:, 3:] = triangles.max(axis=1)
+    # more than the roundings of a test, so that no ray passes between a triangle and its box
+    margin = 1e-12 * (1.0 + float(np.abs(boxes).max(initial=0.0)))
+    boxes[:, :3] -= margin
+    boxes[:, 3:] += margin
+    order = np.arange(count)
+    nodes = np.empty((2 * max(count, 1), 6))
+    nodes[:2] = [np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf]
+    links = np.empty(2 * max(count, 1), np.int64)
+    links[:2] = -1  # leaves without triangles
+    room = _Room(
+        np.empty((3 * _BINS + 3, 6)),
+        np.empty(3 * _BINS, np.int64),
+        np.empty(_BINS),
+        np.empty((256, 4), np.int64),
+    )
+    used = 2 * _split_runs(boxes, order, nodes, links, room)
+    # lowest and highest side by side, as rays take them
+    return nodes[:used, [0, 3, 1, 4, 2, 5]].ravel(), links[:used].copy(), order
+
+
+@borrowing_kernel
+def _clear(boxes: Array, at: int) -> None:
+    for k in range(3):
+        boxes[at, k] = np.inf
+        boxes[at, k + 3] = -np.inf
+
+
+@borrowing_kernel
+def _widen(boxes: Array, at: int, others: Array, other: int) -> None:
+    for k in range(3):
+        boxes[at, k] = min(boxes[at, k], others[other, k])
+        boxes[at, k + 3] = max(boxes[at, k + 3], others[other, k + 3])
+
+
+@borrowing_kernel
+def _measure(boxes: Array, at: int, floor: float) -> Any:
+    """Return the surface area heuristic's measure of a box: half its area; flat boxes get a little more."""
+    dx = boxes[at, 3] - boxes[at, 0]
+    dy = boxes[at, 4] - boxes[at, 1]
+    dz = boxes[at, 5] - boxes[at, 2]
+    return dx * dy + dy * dz + dz * dx + floor * (dx + dy + dz)
+
+
+@borrowing_kernel
+def _bin(boxes: Array, at: int, axis: int, low: float, per_length: float) -> int:
+    place = int((0.5 * (boxes[at, axis] + boxes[at, axis + 3]) - low) * per_length)
+    return min(max(place, 0), _BINS - 1)
+
+
+@borrowing_kernel
+def _bins_per_length(room: _Room, axis: int) -> float:
+    """Return bins per length; 0 if all centres coincide."""
+    extent = room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]
+    return _BINS / extent if extent > 1e-200 else 0.0
+
+
+@borrowing_kernel
+def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
+    for at in range(3 * _BINS):
+        _clear(room.boxes, at)
+        room.counts[at] = 0
+    for axis in range(3):
+        low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
+        for i in range(start, stop):
+            at = axis * _BINS + _bin(boxes, order[i], axis, low, per_length)
+            room.counts[at] += 1
+            _widen(room.boxes, at, boxes, order[i])
+
+
+@borrowing_kernel
+def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
+    """Return the lowest cost of a split, its axis, and the first bin on its high side; infinite if none."""
+    cost, best_axis, best_bin = np.inf, 0, 0
+    floor = 0.0
+    for axis in range(3):
+        floor = max(floor, 1e-6 * (room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]))
+    for axis in range(3):
+        first = axis * _BINS
+        _clear(room.boxes, _SWEPT)
+        total = 0
+        for at in range(_BINS - 1, 0, -1):
+            total += room.counts[first + at]
+            _widen(room.boxes, _SWEPT, room.boxes, first + at)
+            room.costs[at] = total * _measure(room.boxes, _SWEPT, floor) if total > 0 else np.inf
+        _clear(room.boxes, _SWEPT)
+        total = 0
+        for at in range(1, _BINS):
+            total += room.counts[first + at - 1]
+            _widen(room.boxes, _SWEPT, room.boxes, first + at - 1)
+            if 0 < total < count:
+                split_cost = total * _measure(room.boxes, _SWEPT, floor) + room.costs[at]
+                if split_cost < cost:
+                    cost, best_axis, best_bin = split_cost, axis, at
+    return cost, best_axis, best_bin
+
+
+@borrowing_kernel
+def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
+    _clear(room.boxes, _WHOLE)
+    _clear(room.boxes, _CENTRES)
+    for i in range(start, stop):
+        _widen(room.boxes, _WHOLE, boxes, order[i])
+        for k in range(3):
+            centre = 0.5 * (boxes[order[i], k] + boxes[order[i], k + 3])
+            room.boxes[_CENTRES, k] = min(room.boxes[_CENTRES, k], centre)
+            room.boxes[_CENTRES, k + 3] = max(room.boxes[_CENTRES, k + 3], centre)
+
+
+@borrowing_kernel
+def _partition(
+    boxes: Array, order: Array, start: int, stop: int, axis: int, first_high: int, room: _Room
+) -> int:
+    """Move a run's triangles of low bins to its front; return where the others begin."""
+    low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
+    last = stop - 1
+    while start <= last:
+        if _bin(boxes, order[start], axis, low, per_length) < first_high:
+            start += 1
+        else:
+            order[start], order[last] = order[last], order[start]
+            last -= 1
+    return start
+
+
+@borrowing_kernel
+def _push(room: _Room, size: int, start: int, stop: int, level: int, child: int) -> int:
+    room.waiting[size, 0], room.waiting[size, 1] = start, stop
+    room.waiting[size, 2], room.waiting[size, 3] = level, child
+    return size + 1
+
+
+@borrowing_kernel
+def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Room) -> int:
+    """Write nodes and links, sort ``order`` by leaf, and return the number of nodes."""
+    used = 1
+    size = _push(room, 0, 0, order.size, 0, 0) if order.size > 0 else 0
+    while size > 0:
+        size -= 1
+        start, stop = room.waiting[size, 0], room.waiting[size, 1]
+        level, child = room.waiting[size, 2], room.waiting[size, 3]
+        count = stop - start
+        _enclose(boxes, order, start, stop, room)
+        for k in range(6):
+            nodes[child, k] = room.boxes[_WHOLE, k]
+        cost, axis, first_high = np.inf, 0, 0
+        if count > 1 and level < _MAX_LEVELS_BY_COST:
+            _fill_bins(boxes, order, start, stop, room)
+            cost, axis, first_high = _best_split(count, room)
+        own = _measure(room.boxes, _WHOLE, 0.0)
+        if count <= _MAX_LEAF_TRIANGLES and count * own <= cost + _TRAVERSAL * own:
+            links[child] = -(16 * start + count) - 1
+            continue
+        cut = (start + stop) // 2
+        if cost < np.inf:
+            cut = _partition(boxes, order, start, stop, axis, first_high, room)
+        links[child] = used
+        size = _push(room, size, start, cut, level + 1, 2 * used)
+        size = _push(room, size, cut, stop, level + 1, 2 * used + 1)
+        used += 1
+    return used
+
 
 #: Length of the stack of a traversal; `building` keeps every branch shorter.
 STACK = 96
 
 #: Coordinates beyond this [m] are refused: products of lengths must not overflow.
-_LARGEST = 1e9
+_MAX_COORDINATE_M = 1e9
 
 _0, _1, _2, _3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _4, _5, _6, _9, _12 = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(9), np.uint64(12)
@@ -104,8 +289,8 @@ def build_geometry(
         raise ValueError(f"{len(shading)} normals for {len(points)} vertices")
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
         raise ValueError(f"faces number corners {corners.min()} to {corners.max()} of {len(points)} vertices")
-    if not (np.abs(points) <= _LARGEST).all():
-        raise ValueError(f"vertices must be finite and within {_LARGEST:g} m")
+    if not (np.abs(points) <= _MAX_COORDINATE_M).all():
+        raise ValueError(f"vertices must be finite and within {_MAX_COORDINATE_M:g} m")
 
     triangles = points[corners]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -132,7 +317,7 @@ def build_geometry(
 
 
 class _Ray(NamedTuple):
-    """A ray as the tests of boxes and triangles take it."""
+    """A ray as the tests of boxes and triangles need it."""
 
     sides: tuple[Any, Any, Any]  # of a box that it enters by, for each axis: 0 the lowest, 1 the highest
     origin: Vector
@@ -144,7 +329,7 @@ class _Ray(NamedTuple):
 
 @borrowing_kernel
 def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
-    """Return where a ray enters a box, from 0 on; `_FAR` where it misses it before ``limit``."""
+    """Return the distance at which a ray enters a box, from 0 on; `_FAR` for a miss before ``limit``."""
     (nx, ny, nz), (ox, oy, oz), (ix, iy, iz) = ray.sides, ray.origin, ray.inverse
     near = (nodes[at + nx] - ox) * ix
     far = (nodes[at + (nx ^ _1)] - ox) * ix
@@ -164,13 +349,13 @@ def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
 
 @borrowing_kernel
 def _inverse(x: float) -> float:
-    """Return 1 / x, and something huge but finite for what is nearly zero."""
+    """Return 1 / x; large but finite near zero."""
     return 1.0 / x if abs(x) > 1e-150 else 1e150
 
 
 @borrowing_kernel
 def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
-    """Return the axes of a ray's own frame: the last is the one it runs along most."""
+    """Return the axes of a ray's own frame: the last is the dominant one."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         return _1, _2, _0
@@ -181,7 +366,6 @@ def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
 
 @borrowing_kernel
 def _component(axis: Any, x: float, y: float, z: float) -> float:
-    """Return the component of a vector along an axis."""
     if axis == _0:
         return x
     return y if axis == _1 else z
@@ -221,7 +405,6 @@ def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, 
 
 @borrowing_kernel
 def _ray_of(origin: Vector, direction: Vector) -> _Ray:
-    """Return a ray as boxes and triangles take it."""
     ox, oy, oz = origin
     dx, dy, dz = direction
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
@@ -237,7 +420,7 @@ def _ray_of(origin: Vector, direction: Vector) -> _Ray:
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
-    """Return the first triangle that a ray meets.
+    """Return the first triangle that a ray hits.
 
     Parameters
     ----------
@@ -292,7 +475,7 @@ def closest(
 
 @borrowing_kernel
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
-    """Return whether a ray meets anything; parameters as for `closest`."""
+    """Return whether a ray hits any triangle; parameters as for `closest`."""
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
     ray = _ray_of(origin, direction)
     size = 0

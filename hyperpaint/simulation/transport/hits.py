@@ -1,16 +1,60 @@
-"""Where a ray meets a surface, and where light goes on from it: normals, lifted points, waves of the coat."""
+"""Hits of rays on surfaces: normals, lifted points, waves of the coat.
+
+Orange peel is a clear coat that has set in waves of millimetres to a centimetre.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .hierarchy import Geometry
-from .vectors import Frame, Vector, along, dot, frame_of
-from .waviness import waved
+from .vectors import Frame, Vector, along, dot, frame_of, unit
+
+
+def _waves(count: int = 8) -> np.ndarray:
+    """Return wave vectors [rad/m] and phases [rad], (wave, 4): all directions, lengths of 3 to 12 mm."""
+    place = np.arange(count) + 0.5
+    z, angle = 1.0 - place / count, np.pi * (1.0 + np.sqrt(5.0)) * place  # a spiral over half a sphere
+    across = np.sqrt(1.0 - z**2)
+    length = 3e-3 * 4.0 ** ((place * 0.6180339887498949) % 1.0)
+    directions = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+    phase = 2.0 * np.pi * ((place * 0.7548776662466927) % 1.0)
+    return np.concatenate([2.0 * np.pi / length[:, None] * directions, phase[:, None]], axis=1)
+
+
+#: Waves that add up to the height of a coat over its surface.
+WAVES = _waves()
+
+
+@borrowing_kernel
+def waved(normal: Vector, point: Vector, slope: float) -> Vector:
+    """Return the normal of a wavy surface.
+
+    Parameters
+    ----------
+    normal
+        Of the surface without waves.
+    point
+        Where on it [m]; the waves stand in space, so that a place has the same normal whoever asks.
+    slope
+        Root mean square of the slope, over all directions of the normal [rad].
+    """
+    gradient = (0.0, 0.0, 0.0)
+    for k in range(WAVES.shape[0]):
+        x, y, z, phase = WAVES[k, 0], WAVES[k, 1], WAVES[k, 2], WAVES[k, 3]
+        rise = math.cos(x * point[0] + y * point[1] + z * point[2] + phase) / math.sqrt(x * x + y * y + z * z)
+        gradient = along(gradient, (x, y, z), rise)
+    # cos^2 is 1/2 on an average, the part of a wave along a surface 2/3 of its square
+    gradient = along((0.0, 0.0, 0.0), gradient, slope * math.sqrt(3.0 / WAVES.shape[0]))
+    level = along(gradient, normal, -dot(gradient, normal))
+    return unit((normal[0] - level[0], normal[1] - level[1], normal[2] - level[2]))
+
 
 #: A direction at a smaller cosine does not face a surface.
 FACING = 1e-9
@@ -30,14 +74,12 @@ class Hit(NamedTuple):
 
 @borrowing_kernel
 def _corner(array: Array, face: int, corner: int) -> Vector:
-    """Return a vector that belongs to the corner of a triangle."""
     at = 9 * face + 3 * corner
     return array[at], array[at + 1], array[at + 2]
 
 
 @borrowing_kernel
 def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
-    """Return the mean of what belongs to the corners."""
     point = along((0.0, 0.0, 0.0), _corner(array, face, 0), weights[0])
     point = along(point, _corner(array, face, 1), weights[1])
     return along(point, _corner(array, face, 2), weights[2])
@@ -85,7 +127,7 @@ def _on_smooth_surface(
 def hit_at(
     geometry: Geometry, face: int, weights: Vector, direction: Vector, slope: float
 ) -> tuple[Hit, Vector]:
-    """Return where a path goes on from a surface, and the point of the triangle itself.
+    """Return the hit from which a path continues, and the point on the triangle.
 
     ``slope`` is that of the coat's waves [rad], 0 for a flat one.
     """
@@ -115,11 +157,11 @@ def behind(hit: Hit, point: Vector) -> Hit:
 
 @borrowing_kernel
 def _lifted(point: Vector, normal: Vector) -> Vector:
-    """Return a point lifted off its surface by more than rounding may have sunk it."""
+    """Return a point lifted off its surface by more than the rounding error."""
     return along(point, normal, _LIFT * (1.0 + abs(point[0]) + abs(point[1]) + abs(point[2])))
 
 
 @borrowing_kernel
 def leaves(hit: Hit, direction: Vector) -> bool:
-    """Return whether a direction leads away from a surface: a shading normal may promise too much."""
+    """Return whether a direction leads away from a surface; a shading normal alone can be wrong."""
     return hit.raised or dot(hit.own, direction) > 0.0

@@ -17,7 +17,7 @@ _MULTIPLIER = np.uint64(0x9E3779B1)
 
 
 def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
-    """Return the distinct codes of a block, and which of them each code is.
+    """Return the distinct codes of a block, and the index of every code among them.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
 
 @borrowing_kernel
 def _number(flat: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
-    """Write numbers of codes in the order they come; return how many, -1 where the table is too small."""
+    """Write the numbers of codes in order of appearance; return the count, -1 for too small a table."""
     mask = table.size - 1
     number = 0
     for i in range(flat.size):
@@ -135,10 +135,19 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    _check(weight, index, spectra.shape[1:], out)
+    # refuse what the loops would read or write outside of
+    lines, _, columns = weight.shape
+    shape = spectra.shape[1:]
+    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
+        raise ValueError(
+            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
+        )
+    if out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
+    if index.size and int(index.max()) >= shape[0]:
+        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
     first = np.ascontiguousarray(node, np.int64)
     share = np.ascontiguousarray(node_weight, np.float32)
-    columns = out.shape[2]
     if first.shape != (columns,) or share.ndim != 2 or len(share) != columns:
         raise ValueError(f"nodes {first.shape} and weights {share.shape} for {columns} columns")
     if columns and not (first.min() >= 0 and first.max() + share.shape[1] <= len(spectra)):
@@ -155,22 +164,8 @@ def mix_shifted(
     _mix_shifted(weights, rows, spectra, first, share, texture, sums, out)
 
 
-def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> None:
-    """Refuse what the loops would read or write outside of."""
-    lines, _, columns = weight.shape
-    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
-        raise ValueError(
-            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
-        )
-    if out.dtype != np.float32 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
-    if index.size and int(index.max()) >= shape[0]:
-        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
-
-
 @borrowing_kernel
 def _clear(sums: Array) -> None:
-    """Set all to zero."""
     for column in range(sums.shape[0]):
         for band in range(sums.shape[1]):
             sums[column, band] = 0
@@ -178,14 +173,12 @@ def _clear(sums: Array) -> None:
 
 @borrowing_kernel
 def _add_row(sums: Array, at: int, table: Array, node: int, row: int, weight: Any) -> None:
-    """Add weight times a spectrum to one row of ``sums``."""
     for band in range(table.shape[2]):
         sums[at, band] += weight * table[node, row, band]
 
 
 @borrowing_kernel
 def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> None:
-    """Write spectra of columns ``first`` to ``last`` band by band."""
     for band in range(out.shape[1]):
         for column in range(first, last):
             out[line, band, column] = sums[column - first, band]
@@ -193,7 +186,6 @@ def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> No
 
 @borrowing_kernel
 def _is_changed(factors: Array, path: int, factor: int) -> bool:
-    """Return whether a path has a factor."""
     has = False
     for digit in range(factors.shape[1]):
         has = has or factors[path, digit] == factor
@@ -202,17 +194,23 @@ def _is_changed(factors: Array, path: int, factor: int) -> bool:
 
 @borrowing_kernel
 def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> None:
-    """Add what the member of a pixel changes to what it does not."""
+    """Add the population term of the pixel to the constant term."""
     for band in range(sums.shape[1]):
         sums[column, band] += changed[column, band] * ratio[row, band]
 
 
 @borrowing_kernel
 def _mix_shifted(
-    weight: Array, index: Array, table: Array, node: Array, node_weight: Array, texture: Texture,
-    sums: Array, out: Array,
-) -> None:  # fmt: skip
-    """See `mix_shifted`; ``sums`` (2, column, band) is of what no member changes, and of what one does."""
+    weight: Array,
+    index: Array,
+    table: Array,
+    node: Array,
+    node_weight: Array,
+    texture: Texture,
+    sums: Array,
+    out: Array,
+) -> None:
+    """Compute `mix_shifted`; ``sums`` (2, column, band) holds the constant and the population term."""
     columns = out.shape[2]
     for line in range(out.shape[0]):
         for first in range(0, columns, _TILE):

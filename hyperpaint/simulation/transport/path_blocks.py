@@ -1,4 +1,4 @@
-"""What a trace of some lines is given, and what it writes."""
+"""Inputs and outputs of the trace of a block of lines."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 from .hierarchy import Geometry
-from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MOST_SUNS, USABLE_BITS
+from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MAX_SUNS, USABLE_BITS
 from .surfaces import Surfaces
 
 
 class Rays(NamedTuple):
-    """Where the camera looks from, and to, for the lines of a block.
+    """Camera position and view for the lines of a block.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Rays(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """What shines, beside the uniform sky.
+    """Light sources beside the uniform sky.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Sources(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What is recorded; allocated by the caller. NaN (labels: -1) where every sample sees the sky.
+    """Recorded paths and labels; allocated by the caller. NaN (labels: -1) if every sample sees the sky.
 
     Attributes
     ----------
@@ -125,7 +125,6 @@ class Settings(NamedTuple):
 
 
 def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
-    """Return shape and type of the parts of a block."""
     flat, slotted, sunned = (lines, columns), (lines, slots, columns), (lines, suns, columns)
     return [
         (slotted, np.float32),
@@ -143,7 +142,7 @@ def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple
 def check(
     geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
 ) -> None:
-    """Refuse what compiled loops would run wild on.
+    """Refuse inputs that compiled loops cannot handle.
 
     Raises
     ------
@@ -159,9 +158,9 @@ def check(
     if seed >= 2**63 or max(first_line + len(rays.origin), samples) > 2**32:
         wrong.append("seed must fit 63 bits, the numbers of lines and samples 32")
     suns = len(sources.suns)
-    if suns > MOST_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
+    if suns > MAX_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
         wrong.append(
-            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MOST_SUNS}"
+            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}"
         )
     elif np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8):
         wrong.append(f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns")

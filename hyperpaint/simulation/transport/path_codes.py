@@ -1,4 +1,4 @@
-"""The code of a path: which source its light came from, and which spectra it was multiplied by.
+"""The code of a path: the source of its light, and the spectra it was multiplied by.
 
 One int64 says it all, so that a stored table of weights needs no key:
 
@@ -22,26 +22,26 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
+#: Numbers of the sources.
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
-"""Numbers of the sources."""
 
-MOST_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
-"""Suns that one trace holds."""
+#: Suns that one trace holds.
+MAX_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
 
+#: Functions of the clear sky of a sun, beside the uniform one.
 CLEAR_SKY_FUNCTIONS = 2
-"""Functions of the clear sky of a sun, beside the uniform one."""
 
+#: Bits of the source; a trace says so in its attributes, since there were 3 once.
 SOURCE_BITS = 5
-"""Bits of the source; a trace says so in its attributes, since there were 3 once."""
 
+#: Numbers that a source may have.
 SOURCES = 1 << SOURCE_BITS
-"""Numbers that a source may have."""
 
+#: Bits of the flags.
 MIRROR, INDIRECT = 1 << SOURCE_BITS, 2 << SOURCE_BITS
-"""Bits of the flags."""
 
+#: Lowest bit of the first digit, and bits of a code that is not negative.
 FIRST_DIGIT, USABLE_BITS = SOURCE_BITS + 2, 63
-"""Lowest bit of the first digit, and bits of a code that is not negative."""
 
 
 def source_of(codes: Ints) -> Ints:
@@ -50,7 +50,7 @@ def source_of(codes: Ints) -> Ints:
 
 
 def is_direct(codes: Ints) -> Bools:
-    """Return which paths begin at a sun; what begins at the sky is diffuse."""
+    """Return which paths begin at a sun; light of the sky is diffuse."""
     source = source_of(codes)
     return np.asarray((source >= FIRST_SUN) & (source < FIRST_CLEAR_SKY))
 
@@ -67,7 +67,7 @@ def is_indirect(codes: Ints) -> Bools:
 
 @dataclass(frozen=True)
 class PathCodes:
-    """Where the digits stand in the codes of one trace.
+    """Digit layout of the path codes of one trace.
 
     Attributes
     ----------
@@ -99,14 +99,14 @@ class PathCodes:
             The digits do not fit into 63 bits.
         """
         if depth < 1:
-            raise SchemaError(f"depth={depth}, expected at least 1 scattering")
+            raise SchemaError(f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range")
         bits = max(factors, 1).bit_length()
         if FIRST_DIGIT + depth * bits > USABLE_BITS:
             most = (USABLE_BITS - FIRST_DIGIT) // bits
             raise SchemaError(
-                f"{factors} spectra and depth={depth} do not fit into the code of a path; "
-                "there is a spectrum for each material, two where it has flakes; "
-                f"with so many depth is at most {most}"
+                f"{factors} spectra and depth={depth} do not fit into the code of a path",
+                mend=f"take depth={most} or less, or fewer materials (those with flakes count twice)",
+                code="path-code-too-long",
             )
         return cls(depth, bits)
 
@@ -120,7 +120,7 @@ class PathCodes:
         return code
 
     def factors(self, codes: Ints) -> Ints:
-        """Return the factors of every code, shape (code, depth); -1 where there is none."""
+        """Return the factors of every code, shape (code, depth); -1 for none."""
         shifts = FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
         return np.asarray(digits - 1)

@@ -12,27 +12,27 @@ added up.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
+from hyperpaint.light.sky_functions import HORIZON_SHIFT
 
 from .codes import PathTable, add_path, with_factor, write_paths
 from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import STACK, Geometry, closest, occluded
 from .hits import FACING, Hit, behind, hit_at, leaves
 from .path_blocks import Block, Rays, Settings, Sources, check
-from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_SUN, INDIRECT, MIRROR, SKY
-from .skies import record_sky
+from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_CLEAR_SKY, FIRST_SUN, INDIRECT, MIRROR, OVERCAST_SKY, SKY
 from .surfaces import (
     BLURRED_ALPHA,
     COAT,
     ENDED,
     FLAKES,
+    MIN_ALPHA,
     RECYCLED,
-    SMALLEST_ALPHA,
     TWICE,
     WAVINESS,
     WIDENED_ALPHA,
@@ -47,6 +47,45 @@ from .surfaces import (
 )
 from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
 
+
+@borrowing_kernel
+def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
+    """Add an escaped path once for every sky: its weight times the sky's value in that direction.
+
+    Parameters
+    ----------
+    table
+        Of the pixel.
+    sources
+        Their skies are recorded; ``shapes`` is an array, empty for no clear sky.
+    code, beta
+        Code of the path without a source, and its weight.
+    direction
+        Where it leaves to, a unit vector; upwards, there is no sky below the horizon.
+    """
+    add_path(table, code | SKY, beta)
+    up = direction[2]
+    if sources.overcast:
+        add_path(table, code | OVERCAST_SKY, 1.5 * up * beta)
+    if sources.shapes.size == 0:
+        return
+    u = math.log(up + HORIZON_SHIFT)
+    for sun in range(sources.suns.shape[0]):
+        towards = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
+        t = math.acos(min(1.0, max(-1.0, dot(direction, towards))))
+        for function in range(CLEAR_SKY_FUNCTIONS):
+            value = beta * _value(sources.shapes, sun, function, u, t)
+            add_path(table, code | FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function, value)
+
+
+@borrowing_kernel
+def _value(shapes: Array, sun: int, function: int, u: float, t: float) -> float:
+    """Return a sky function over a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`."""
+    c = shapes[sun, function]
+    power = u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
+    return math.exp(power)
+
+
 # what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
 _PIXEL, _TIME, _BODY, _COAT, _SECOND, _SUN = 0, 1, 2, 3, 4, 6
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
@@ -55,8 +94,6 @@ _LOBES = 6  # codes that a sun adds at a surface
 
 
 class _Room(NamedTuple):
-    """Memory of one pixel at a time."""
-
     stack: Array  # (STACK,) nodes of a traversal
     entries: Array  # (STACK,) and where the ray enters them
     table: PathTable
@@ -68,15 +105,13 @@ class _Room(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """What paths meet."""
-
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
 
 
 class _Place(NamedTuple):
-    """What the random numbers of a path belong to."""
+    """Key of a path's random numbers."""
 
     seed: int
     line: int
@@ -87,7 +122,7 @@ class _Place(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """Light on its way, followed backwards."""
+    """A path of light, followed backwards."""
 
     origin: Vector
     direction: Vector
@@ -98,7 +133,7 @@ class _Path(NamedTuple):
 
 
 class _Codes(NamedTuple):
-    """Codes that a path has after each lobe of a surface, without a source."""
+    """Codes of a path after each lobe of a surface, without a source."""
 
     base: int
     coat: int
@@ -180,7 +215,6 @@ def trace_lines(
 
 
 def _room(settings: Settings, suns: int) -> _Room:
-    """Return memory for the paths of a pixel."""
     of_skies = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # either branch may end in the sky
     most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + of_skies)
     size = 1 << max(4, (2 * most - 1).bit_length())
@@ -198,7 +232,6 @@ def _room(settings: Settings, suns: int) -> _Room:
 
 @borrowing_kernel
 def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Block) -> None:
-    """Trace every pixel of a block."""
     mask = 1
     while mask < settings.samples:
         mask *= 2
@@ -216,13 +249,12 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Bl
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
             scale = 1.0 / max(room.first[0], 1.0)
             write_paths(room.table, scale, draw, block.weight, block.code, line, column)
-            if room.first[0] == 0.0:  # nothing is met: nothing can be said
+            if room.first[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 
 
 @borrowing_kernel
 def _clear_pixel(room: _Room) -> None:
-    """Forget the pixel before."""
     for i in range(room.table.in_use[0]):
         room.table.codes[room.table.used[i]] = -1
     room.table.in_use[0] = 0
@@ -233,7 +265,7 @@ def _clear_pixel(room: _Room) -> None:
 
 @borrowing_kernel
 def _vote(label: int, distinct: int, room: _Room) -> int:
-    """Count a sample's first hit, and return the number of distinct pairs of labels."""
+    """Count a sample's first hit; return the number of distinct label pairs."""
     for i in range(distinct):
         if room.labels[i] == label:
             room.votes[i] += 1
@@ -247,7 +279,6 @@ def _vote(label: int, distinct: int, room: _Room) -> int:
 def _write_pixel(
     block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Room
 ) -> None:
-    """Write what the first hits say."""
     best = 0
     for i in range(1, distinct):
         more = room.votes[i] > room.votes[best]
@@ -268,7 +299,6 @@ def _write_pixel(
 
 @borrowing_kernel
 def _camera_ray(rays: Rays, line: int, column: int, u: float, v: float, w: float) -> tuple[Vector, Vector]:
-    """Return a ray through a pixel at some time of the exposure; attitude and position change evenly."""
     right = rays.column_edges[column] + u * (rays.column_edges[column + 1] - rays.column_edges[column])
     forward = rays.along_edges[0] + v * (rays.along_edges[1] - rays.along_edges[0])
     a = _camera_axes(rays, line, 0, forward, right)
@@ -280,7 +310,6 @@ def _camera_ray(rays: Rays, line: int, column: int, u: float, v: float, w: float
 
 @borrowing_kernel
 def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) -> Vector:
-    """Return a direction of the camera in the scene's axes, at one end of the exposure."""
     r = rays.rotation[line, end]
     return (
         r[0, 0] * forward + r[0, 1] * right + r[0, 2],
@@ -291,7 +320,6 @@ def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) 
 
 @borrowing_kernel
 def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
-    """Return a direction to a point of a sun's disc, evenly over its solid angle."""
     middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
@@ -307,14 +335,7 @@ def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vect
 
 
 @borrowing_kernel
-def _as_label(material: Any, instance: Any) -> Any:
-    """Return two labels as one number, which sorts by material first."""
-    return np.int64(material) << 32 | np.int64(instance)
-
-
-@borrowing_kernel
 def _record_first(sources: Sources, room: _Room, distance: float, point: Vector, normal: Vector) -> None:
-    """Add up what is known of the first hits."""
     room.first[0] += 1.0
     room.first[1] += distance
     for k in range(3):
@@ -328,7 +349,7 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 def _trace_sample(
     scene: _Scene, rays: Rays, line: int, place: _Place, settings: Settings, room: _Room
 ) -> int:
-    """Follow one ray of the camera, record what it gathers, and return the labels of its first hit."""
+    """Follow one camera ray, record its light, and return the labels of its first hit."""
     geometry, surfaces, sources = scene
     u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
     w, _ = even_pair(place.key, place.sample, _TIME, place.mask)
@@ -339,9 +360,7 @@ def _trace_sample(
     material = geometry.face_material[face]
     hit, point = hit_at(geometry, face, weights, direction, surfaces.numbers[material, WAVINESS])
     back = (-direction[0], -direction[1], -direction[2])
-    lobes = lobes_at(
-        surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), SMALLEST_ALPHA
-    )
+    lobes = lobes_at(surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), MIN_ALPHA)
     _record_first(sources, room, distance, point, hit.frame[2])
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
     _record_suns(scene, room, hit, lobes, codes, 1.0, place, 0)
@@ -369,7 +388,8 @@ def _trace_sample(
         _follow(
             scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), place, settings, 0
         )
-    label: int = _as_label(material, geometry.face_instance[face])
+    # two labels as one number, which sorts by material first
+    label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])  # type: ignore[assignment]
     return label
 
 
@@ -377,7 +397,7 @@ def _trace_sample(
 def _codes_after(
     surfaces: Surfaces, material: int, code: int, mirrored: int, spent: int, settings: Settings
 ) -> _Codes:
-    """Return the codes of a path after each lobe of a surface; ``mirrored`` is that after its coat."""
+    """Return the codes of a path after each lobe of a surface; ``mirrored`` is the one after its coat."""
     bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
     by_flakes = turned = with_factor(code, flakes, bits)
     recycled = twice = -1
@@ -390,7 +410,7 @@ def _codes_after(
 
 @borrowing_kernel
 def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
-    """Return the codes of a path that has passed a plate, which has one lobe."""
+    """Return the codes of a path through a plate, which has one lobe."""
     through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
     return _Codes(through, through, through, -1, -1, through)
 
@@ -399,7 +419,7 @@ def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settin
 def _code_of(
     codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, place: _Place, turn: int
 ) -> tuple[int, int]:
-    """Return the code of the lobe that was followed (turned flakes by chance), and its number of factors."""
+    """Return the code of the followed lobe (turned flakes by chance), and its number of factors."""
     if kind == COAT:
         return codes.coat, spent
     if kind == FLAKES and codes.turned != codes.flakes:
@@ -414,7 +434,7 @@ def _code_of(
 
 @borrowing_kernel
 def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Settings, branch: int) -> None:
-    """Follow a path from its first surface on, and record what it gathers.
+    """Follow a path from its first surface on, and record its light.
 
     ``branch`` is 1 for a path that left by the coat: its random numbers are others.
     """
@@ -469,7 +489,7 @@ def _record_suns(
     place: _Place,
     bounce: int,
 ) -> None:
-    """Add what a surface reflects of the suns that it sees.
+    """Add the reflected light of the visible suns at a surface.
 
     A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
     """

@@ -1,4 +1,4 @@
-"""What a surface does with light: Fresnel's equations, the GGX microfacet lobe, the diffuse lobe, their sum.
+"""Reflection by surfaces: Fresnel's equations, the GGX microfacet lobe, the diffuse lobe, their sum.
 
 Directions are given in the frame of the surface, z along its normal, and point away from it. Four lobes add
 up: the clear coat, metal flakes under it, light of the flakes that the coat throws back at the paint, and the
@@ -24,7 +24,7 @@ from hyperpaint.base.jit import borrowing_kernel
 from .vectors import Vector, dot, unit
 
 #: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
-SMALLEST_ALPHA = 5e-4
+MIN_ALPHA = 5e-4
 
 #: Nodes of the tables of lost light, evenly over the square root of the cosine: losses are at grazing angles.
 _NODES = 32
@@ -38,7 +38,7 @@ _LOST = _SINGLE + _NODES  # first node of the part of the light that flakes alon
 
 
 class Surfaces(NamedTuple):
-    """What is known of every material. Made by `surfaces_of`; few arrays, since every call hands them on.
+    """Properties of all materials in a few arrays, which every kernel call passes on; see `surfaces_of`.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ class Lobes(NamedTuple):
 
 @borrowing_kernel
 def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
-    """Return what a table of a material says of a cosine."""
+    """Return a material's table interpolated at a cosine."""
     place = math.sqrt(min(cosine, 1.0)) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -232,7 +232,7 @@ def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _between(row: Array, first: int, cosine: float) -> Any:
-    """Return the same of a single row."""
+    """Return the table of a single row interpolated at a cosine."""
     place = math.sqrt(cosine) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -241,7 +241,7 @@ def _between(row: Array, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
-    """Return the part of the light from a direction that enters a coat (or leaves it, towards there)."""
+    """Return the part of the light from a direction that enters a coat (or leaves it in that direction)."""
     if index <= 1.0:
         return 1.0
     return 1.0 - fresnel(cosine, index) * _at_node(numbers, material, _SINGLE, cosine)
@@ -268,8 +268,8 @@ def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, 
     return Lobes(
         material,
         index,
-        max(numbers[material, _ALPHA], SMALLEST_ALPHA),
-        max(numbers[material, _FLAKE_ALPHA], SMALLEST_ALPHA),
+        max(numbers[material, _ALPHA], MIN_ALPHA),
+        max(numbers[material, _FLAKE_ALPHA], MIN_ALPHA),
         least_alpha,
         share,
         view,
@@ -305,13 +305,12 @@ def _mirror(view: Vector, light: Vector, alpha: float, radius: float) -> tuple[f
 
 @borrowing_kernel
 def _refracted(direction: Vector, index: float) -> Vector:
-    """Return the direction under a smooth coat."""
     return direction[0] / index, direction[1] / index, refracted_cosine(direction[2], index)
 
 
 @borrowing_kernel
 def turned_part(lobes: Lobes, light: Vector) -> float:
-    r"""Return the part of turned flakes' spectrum in what flakes send from a direction to the view, 0 to 1.
+    r"""Return the part of the turned flakes' spectrum in light from a direction to the view, 0 to 1.
 
     A film of optical thickness d on a flake has the phase :math:`2 \pi d \cos\theta_f / \lambda`, with
     :math:`1 - \cos\theta_f \approx \sin^2\theta_f / 2` in proportion to :math:`\sin^2\theta` of light that
@@ -327,12 +326,12 @@ def turned_part(lobes: Lobes, light: Vector) -> float:
 def sun_weights(
     numbers: Array, lobes: Lobes, light: Vector, mirrored: Vector, radius: float
 ) -> tuple[float, float, float, float]:
-    """Return what base, coat, flakes and recycled light make of a sun: pi f cos_i, without the factors.
+    """Return pi f cos_i of base, coat, flakes and recycled light for a sun, without the factors.
 
     Parameters
     ----------
     numbers, lobes
-        Of the materials, and of one as it is seen.
+        Of all materials, and lobes of one in the viewing direction.
     light, mirrored
         Towards the sun, in the frame of the surface and in that of its coat.
     radius
@@ -359,14 +358,14 @@ def sun_weights(
 
 @borrowing_kernel
 def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
-    """Return how recycled light depends on a direction: 1 on an average over diffuse light."""
+    """Return the directional dependence of recycled light: 1 on average over diffuse light."""
     whole = numbers[material, _RETURNED]
     return entered * _at_node(numbers, material, _LOST, cosine) / whole if whole > 0.0 else 0.0
 
 
 @borrowing_kernel
 def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the lobe that a path follows, where to, and what its weight is multiplied by.
+    """Return the lobe that a path follows, its new direction, and the factor of its weight.
 
     Directions along the coat are in its own frame. Stretches of ``u`` belong to the lobes, and its place in
     one is as even as the whole: points that cover a square evenly do so for the directions of each lobe.
@@ -383,14 +382,14 @@ def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vect
 
 @borrowing_kernel
 def scatter_coat(lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for the coat alone, followed for certain."""
+    """Return the same for the coat alone."""
     direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, u, v)
     return COAT if weight > 0.0 else ENDED, direction, weight
 
 
 @borrowing_kernel
 def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for what lies under the coat: base, flakes or recycled light."""
+    """Return the same for the layers under the coat: base, flakes or recycled light."""
     direct = lobes.share * (1.0 - lobes.lost)
     twice = direct + lobes.share * (lobes.share - direct)
     if u < direct:
@@ -452,13 +451,13 @@ def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) 
 
 @borrowing_kernel
 def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
-    """Write what single reflections by a coat, and by flakes under it (alpha 0: none), account for.
+    """Write the energy of single reflections by a coat, and by flakes under it (alpha 0: none).
 
     Sums over the facets that are visible, as paths meet them; then the means over diffuse light. ``row`` are
     the columns of a material from the transmission of diffuse light on.
     """
     single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
-    alpha, count = max(alpha, SMALLEST_ALPHA), _DRAWS * _DRAWS
+    alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
     for node in range(_NODES):
         cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
         view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
@@ -474,7 +473,7 @@ def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> 
         total = 0.0
         for i in range(count):
             u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
-            out, weight = _leave_flakes(view, index, max(flake_alpha, SMALLEST_ALPHA), u, v)
+            out, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
             if weight > 0.0:
                 total += weight * (1.0 - fresnel(out[2], index) * _between(row, single, out[2]))
         row[lost + node] = max(0.0, 1.0 - total / count)

@@ -1,4 +1,4 @@
-"""Which member of its population every pixel shows: smooth random fields over the places of a scene.
+"""Members of populations shown by pixels: smooth random fields over the places of a scene.
 
 A field is value noise on cubes of a lattice, smoothly between their corners, of variance one everywhere:
 
@@ -28,7 +28,7 @@ _SIN = tuple(math.sin(angle) for angle in (0.4, 1.5, 2.3, 0.9))
 
 
 class Grain(NamedTuple):
-    """How populations vary from place to place; arrays of a row for every material.
+    """Spatial variation of populations; arrays with a row for every material.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Grain(NamedTuple):
 
 
 class Texture(NamedTuple):
-    """What turns the mean spectra of pixels into those of members.
+    """Ratios that turn the mean spectra of pixels into those of members.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Texture(NamedTuple):
 
 
 def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
-    """Return the row of the member that every pixel shows, (line, column) int32; -1 where there is none.
+    """Return the member row of every pixel, (line, column) int32; -1 for none.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def member_rows(material: Array, instance: Array, place: Array, grain: Grain, se
 
 
 def _pixel_sizes(place: Array) -> Array:
-    """Return the median distance of neighbours in every line [m]: of that line alone, whatever the block."""
+    """Return the median distance of neighbours in every scan line [m], from that scan line alone."""
     if place.shape[2] < 2:
         return np.zeros(place.shape[1])
     apart = np.hypot(*np.diff(place[:2], axis=2))
@@ -116,7 +116,6 @@ def _pixel_sizes(place: Array) -> Array:
 def _write_rows(
     material: Array, instance: Array, place: Array, pixel: Array, grain: Grain, seed: int, rows: Array
 ) -> None:
-    """Write the member of every pixel that has one."""
     for line in range(rows.shape[0]):
         for column in range(rows.shape[1]):
             made_of = material[line, column]
@@ -162,10 +161,14 @@ def _smooth(t: float) -> float:
 
 @borrowing_kernel
 def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
-    """Return the normal number of a corner (Box & Muller 1958)."""
+    """Return the normal number of a lattice corner (Box & Muller 1958)."""
     a, b, _, _ = philox(
-        np.uint64(int(i) & _MASK), np.uint64(int(j) & _MASK), np.uint64(int(k) & _MASK),
-        np.uint64(octave), np.uint64(int(instance) & _MASK), np.uint64(seed),
-    )  # fmt: skip
+        np.uint64(int(i) & _MASK),
+        np.uint64(int(j) & _MASK),
+        np.uint64(int(k) & _MASK),
+        np.uint64(octave),
+        np.uint64(int(instance) & _MASK),
+        np.uint64(seed),
+    )
     radius = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP))
     return radius * math.cos(2.0 * math.pi * (np.float64(b) + 0.5) * _STEP)

@@ -13,13 +13,11 @@ Frame: TypeAlias = tuple[Vector, Vector, Vector]
 
 @borrowing_kernel
 def dot(a: Vector, b: Vector) -> float:
-    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @borrowing_kernel
 def along(origin: Vector, direction: Vector, distance: float) -> Vector:
-    """Return origin + distance x direction."""
     return (
         origin[0] + distance * direction[0],
         origin[1] + distance * direction[1],
@@ -29,14 +27,13 @@ def along(origin: Vector, direction: Vector, distance: float) -> Vector:
 
 @borrowing_kernel
 def unit(a: Vector) -> Vector:
-    """Return a vector of length 1 in the same direction."""
     scale = 1.0 / math.sqrt(dot(a, a))
     return scale * a[0], scale * a[1], scale * a[2]
 
 
 @borrowing_kernel
 def frame_of(z: Vector) -> Frame:
-    """Return three unit vectors at right angles, the last of them given.
+    """Return three orthonormal vectors, the last one given.
 
     T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
     """
@@ -48,13 +45,12 @@ def frame_of(z: Vector) -> Frame:
 
 @borrowing_kernel
 def in_frame(frame: Frame, a: Vector) -> Vector:
-    """Return a vector's components along the axes of a frame."""
     return dot(frame[0], a), dot(frame[1], a), dot(frame[2], a)
 
 
 @borrowing_kernel
 def from_frame(frame: Frame, a: Vector) -> Vector:
-    """Return the vector that has these components along the axes of a frame."""
+    """Return the vector with these components along the axes of a frame."""
     x, y, z = frame
     return (
         a[0] * x[0] + a[1] * y[0] + a[2] * z[0],

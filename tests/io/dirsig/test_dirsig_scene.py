@@ -19,7 +19,7 @@ from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
 from hyperpaint.io.dirsig.scene_texts import texture_picture
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance
-from hyperpaint.simulation.rendering.mesh_formats import parse_obj
+from hyperpaint.simulation.rendering.mesh_files import parse_obj
 from hyperpaint.simulation.rendering.scene import Instance, Scene
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 

@@ -7,7 +7,7 @@ import pytest
 from support.transport_scenes import COMPILED, code, materials, staring, sun, suns, traced, weight_of
 
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.waviness import waved
+from hyperpaint.simulation.transport.hits import waved
 
 SKY, SUN = 0, 2
 

@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_refused(change: dict, words: str) -> None:
 def test_nodes_outside_the_table_are_refused() -> None:
     weight, index = np.ones((1, 1, 2), np.float32), np.zeros((1, 1, 2), np.int32)
     table, out = np.ones((4, 1, 3)), np.empty((1, 3, 2), np.float32)
-    with pytest.raises(ValueError, match="need nodes up to 4, the table has 4"):
+    with pytest.raises(ValueError, match="nodes up to 4"):
         mix_shifted(weight, index, table, np.array([0, 1]), np.ones((2, 4)), out)
     with pytest.raises(ValueError, match="for 2 columns"):
         mix_shifted(weight, index, table, np.array([0]), np.ones((2, 4)), out)
