@@ -83,7 +83,10 @@ def apply_alignment(
         "the alignment",
     )
     if CROSS_TRACK not in dataset.dims:
-        raise SchemaError(f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}")
+        raise SchemaError(
+            f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}",
+            code="dim-missing",
+        )
     columns = dataset.sizes[CROSS_TRACK]
     each = _by_window(alignment)
     reliable = each["flag"].values == 0
@@ -103,18 +106,18 @@ def _by_window(alignment: xr.Dataset) -> xr.Dataset:
     problems = Problems("this is no alignment; expected what align_to_irradiance returns", SchemaError)
     for name in _NEEDED:
         if name not in alignment.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
     for dim in (BAND, CROSS_TRACK):
         if dim not in alignment.dims:
-            problems.add(f"dim {dim!r} is missing")
+            problems.add(f"dim {dim!r} is missing", code="dim-missing")
     if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing")
+        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     problems.raise_if_any()
     each = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _NEEDED[:5]:
         if set(each[name].dims) != {_WINDOW, CROSS_TRACK}:
             dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
-            problems.add(f"{name!r} is on {dims}, expected {CROSS_TRACK}")
+            problems.add(f"{name!r} is on {dims}", expected=f"{CROSS_TRACK}", code="dims-wrong")
     problems.raise_if_any()
     return each.transpose(_WINDOW, ...)
 
@@ -124,14 +127,16 @@ def _check(each: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, 
     problems = Problems("the alignment cannot be applied", SchemaError)
     bands, columns = shape
     if each.sizes[BAND] != bands or not -0.5 < float(each["column"].max()) <= columns - 1:
-        problems.add("it was found on a line with other bands or columns")
+        problems.add("it was found on a line with other bands or columns", code="grid-mismatch")
     if degree < 0:
-        problems.add(f"degree={degree}, expected 0 or more")
+        problems.add(f"degree={degree}", expected="0 or more", code="value-out-of-range")
     for centre, number in zip(np.ravel(each["window_centre"]), reliable.sum(axis=1), strict=True):
         if number < degree + 1:
             problems.add(
-                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm, expected at least "
-                f"{degree + 1} for a polynomial of degree {degree}; see 'flag', or average groups of columns"
+                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm",
+                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
+                mend="see 'flag', or average groups of columns",
+                code="columns-too-few",
             )
     problems.raise_if_any()
 

@@ -180,13 +180,15 @@ def align_to_irradiance(
 def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: float) -> None:
     problems = Problems("the alignment cannot be found", SchemaError)
     if not 0 <= degree <= 12:
-        problems.add(f"degree={degree}, expected 0 to 12")
+        problems.add(f"degree={degree}", expected="0 to 12", code="value-out-of-range")
     if group < 1:
-        problems.add(f"group={group}, expected a number of columns")
+        problems.add(f"group={group}", expected="a number of columns", code="value-out-of-range")
     if not 0.0 < max_shift <= 10.0:
-        problems.add(f"max_shift={max_shift:g}, expected a length up to 10 nm")
+        problems.add(f"max_shift={max_shift:g}", expected="a length up to 10 nm", code="value-out-of-range")
     if not max_uncertainty > 0.0:
-        problems.add(f"max_uncertainty={max_uncertainty:g}, expected a length above 0 nm")
+        problems.add(
+            f"max_uncertainty={max_uncertainty:g}", expected="a length above 0 nm", code="value-out-of-range"
+        )
     problems.raise_if_any()
 
 

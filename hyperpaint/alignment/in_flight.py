@@ -101,7 +101,9 @@ def align(
     ('applied', -0.3)
     """
     if apply not in ALIGNMENTS:
-        raise SchemaError(f"apply={apply!r}, expected {', '.join(map(repr, ALIGNMENTS))}")
+        raise SchemaError(
+            f"apply={apply!r}", expected=f"{', '.join(map(repr, ALIGNMENTS))}", code="choice-unknown"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaintWarning)  # said where the line itself is computed

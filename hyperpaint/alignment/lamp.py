@@ -88,7 +88,9 @@ class Declared:
         given = self.wavelength_shift
         if not (np.isfinite(given).all() and np.abs(given).max() <= _MOST_SHIFT):
             raise SchemaError(
-                f"'wavelength_shift' must be finite and at most {_MOST_SHIFT:g} nm; check its units"
+                f"'wavelength_shift' must be finite and at most {_MOST_SHIFT:g} nm",
+                mend="check its units",
+                code="wavelength-shift-range",
             )
         return np.broadcast_to(given, (self.wavelength.size, columns))
 
@@ -184,7 +186,11 @@ def shares_of_samples(
     level_of_line = level[before] + weight * (level[after] - level[before])
     seen = np.flatnonzero(np.isfinite(level_of_line))
     if seen.size == 0:
-        raise SchemaError("no line of the flight has irradiance at its time; are the clocks right?")
+        raise SchemaError(
+            "no line of the flight has irradiance at its time",
+            mend="are the clocks right?",
+            code="irradiance-time-gap",
+        )
     share = np.zeros(len(light.spectra))
     np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
     np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
@@ -199,8 +205,12 @@ def _level(light: Light, low: float, high: float) -> Floats:
     inside &= np.isnan(light.spectra[is_there]).mean(axis=0) <= 0.1 if is_there.any() else False
     if not inside.any():
         raise SchemaError(
-            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) holds "
-            "nothing in the window; there is no lamp to align to"
+            (
+                f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} "
+                "nm) holds nothing in the window"
+            ),
+            mend="there is no lamp to align to",
+            code="irradiance-coverage",
         )
     level = light.spectra[:, inside].mean(axis=1)
     return np.where(level > 0.0, level, np.nan)
@@ -225,9 +235,14 @@ def table_of_bands(
     covered = np.isfinite(table.log).all(axis=(0, 1))
     if covered.sum() < fewest:
         raise SchemaError(
-            f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
-            f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
-            f"{bands.wavelength.max():.1f} nm, expected at least {fewest}; there is no lamp to align to"
+            (
+                f"the irradiance record ({channels.min():g} to {channels.max():g} nm, "
+                f"{width.max():g} nm wide) covers {covered.sum()} of the {covered.size} bands "
+                f"from {bands.wavelength.min():.1f} to {bands.wavelength.max():.1f} nm"
+            ),
+            expected=f"at least {fewest}",
+            mend="there is no lamp to align to",
+            code="irradiance-coverage",
         )
     return table
 

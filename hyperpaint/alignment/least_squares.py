@@ -282,16 +282,21 @@ def checked_windows(window: Any) -> list[Window]:
     except (TypeError, ValueError):  # texts, or pairs of unlike lengths
         given = np.empty(0)
     if given.ndim not in (1, 2) or given.shape[-1] != 2 or not given.size:
-        problems.add("expected a lowest and a highest wavelength [nm], or several such pairs")
+        problems.add(
+            "expected a lowest and a highest wavelength [nm], or several such pairs", code="window-unreadable"
+        )
         problems.raise_if_any()
     pairs = [(float(low), float(high)) for low, high in np.atleast_2d(given)]
     for low, high in pairs:
         if not (np.isfinite([low, high]).all() and low < high):
-            problems.add(f"({low:g}, {high:g}): the lowest wavelength must be below the highest [nm]")
+            problems.add(
+                f"({low:g}, {high:g}): the lowest wavelength must be below the highest [nm]",
+                code="window-reversed",
+            )
     in_order = sorted(pairs)
     for (_, high), (low, _) in itertools.pairwise(in_order):
         if low < high:
-            problems.add(f"windows overlap from {low:g} to {high:g} nm")
+            problems.add(f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
     problems.raise_if_any()
     return pairs
 
@@ -304,8 +309,10 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
     for (low, high), inside in zip(windows, chosen, strict=True):
         if inside.sum() < fewest:
             problems.add(
-                f"{low:g} to {high:g} nm holds {inside.sum()} good bands, expected at least {fewest} for "
-                f"a polynomial of degree {degree}, shift and width; widen the window or lower degree="
+                f"{low:g} to {high:g} nm holds {inside.sum()} good bands",
+                expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
+                mend="widen the window or lower degree=",
+                code="bands-too-few",
             )
     problems.raise_if_any()
     return chosen

@@ -124,7 +124,8 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= _FEWEST_BANDS)).all():
         raise SchemaError(
             "too few bands for the oxygen residual: it needs one in 755-765 nm and "
-            f"{_FEWEST_BANDS} in its shoulders, 740-753 and 775-788 nm, in every column"
+            f"{_FEWEST_BANDS} in its shoulders, 740-753 and 775-788 nm, in every column",
+            code="bands-too-few",
         )
     used = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used], np.ones(cube.sizes[ALONG_TRACK]), progress)

@@ -98,7 +98,11 @@ def _check_lengths(values: dict[str, float], high: float) -> None:
     problems = Problems("the etendue cannot be computed", SchemaError)
     for name, value in values.items():
         if not 0 < value < high:
-            problems.add(f"{name}={value!r}, expected above 0 and below {high:g}, in metres and radians")
+            problems.add(
+                f"{name}={value!r}",
+                expected=f"above 0 and below {high:g}, in metres and radians",
+                code="value-out-of-range",
+            )
     problems.raise_if_any()
 
 
@@ -190,7 +194,7 @@ def anchor_to_radiance(
     0.05
     """
     if scale not in ("element", "common"):
-        raise SchemaError(f"scale {scale!r}, expected 'element' or 'common'")
+        raise SchemaError(f"scale {scale!r}", expected="'element' or 'common'", code="choice-unknown")
     response_inputs = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, response_inputs, spectrum)
@@ -206,7 +210,9 @@ def anchor_to_radiance(
         gain = own * factor
     if not np.isfinite(gain).any():
         raise SchemaError(
-            "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
+            "no element is covered by the source's spectrum and lit by it",
+            mend="check wavelengths and dark",
+            code="source-coverage",
         )
     anchor = f"radiance of a known source, {scale} scale"
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
@@ -237,23 +243,31 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         if name not in frames.variables:
-            problems.add(f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]")
+            problems.add(
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
+                code="variable-missing",
+            )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
     if len(exposure) != 1 or not exposure[0] > 0:
-        problems.add(f"'exposure_time' {exposure.tolist()}, expected one positive number")
+        problems.add(
+            f"'exposure_time' {exposure.tolist()}", expected="one positive number", code="exposure-invalid"
+        )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         if not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK}:
             problems.add(
-                f"{array.name!r} has dims {tuple(map(str, array.dims))}, "
-                "expected ([along_track,] band, cross_track)"
+                f"{array.name!r} has dims {tuple(map(str, array.dims))}",
+                expected="([along_track,] band, cross_track)",
+                code="dims-wrong",
             )
     for array in (counts, dark):
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
         if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
-            problems.add(f"{array.name!r} has sizes {sizes}, the calibration {expected}")
+            problems.add(
+                f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
+            )
     problems.raise_if_any()
     others = [dim for dim in counts.dims if dim not in _ELEMENT]
     full = None
@@ -269,8 +283,10 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
     signal = linearity_of(calibration).net(raw, bare)
     if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
         warnings.warn(
-            f"{int(saturated.sum())} elements are saturated in the anchor's frames",
-            PaintWarning,
+            PaintWarning(
+                f"{int(saturated.sum())} elements are saturated in the anchor's frames",
+                code="elements-saturated",
+            ),
             stacklevel=3,
         )
         signal = np.where(saturated, np.nan, signal)
@@ -286,9 +302,13 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
         return 0.0
     if "dark_rate" not in calibration.variables:
         raise SchemaError(
-            f"dark at another exposure: frames at {exposure * 1e3:g} ms, dark at "
-            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and the calibration has no "
-            "dark_rate; take a dark at the exposure of the frames"
+            (
+                f"dark at another exposure: frames at {exposure * 1000.0:g} ms, dark at "
+                f"{', '.join((f'{t * 1000.0:g}' for t in np.unique(taken)))} ms, and the "
+                "calibration has no dark_rate"
+            ),
+            mend="take a dark at the exposure of the frames",
+            code="dark-exposure-differs",
         )
     rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
     return np.asarray(rate * (exposure - float(np.mean(taken))))
@@ -298,18 +318,28 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
     """Return the mean of a spectrum over the response of every element (band, cross_track)."""
     if spectrum.ndim != 1:
         raise SchemaError(
-            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}, expected one, of wavelengths"
+            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
+            expected="one, of wavelengths",
+            code="dims-wrong",
         )
     dim = spectrum.dims[0]
     axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
-        raise SchemaError(f"wavelengths of the source have units {axis.attrs['units']!r}, expected nm")
+        raise SchemaError(
+            f"wavelengths of the source have units {axis.attrs['units']!r}",
+            expected="nm",
+            code="units-not-convertible",
+        )
     grid = (
         (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
     )
     values = spectrum.to_numpy().astype(np.float64)
     if grid.size < 2 or not (np.diff(grid) > 0).all():
-        raise SchemaError("wavelengths of the source's radiance do not increase; sort them")
+        raise SchemaError(
+            "wavelengths of the source's radiance do not increase",
+            mend="sort them",
+            code="wavelength-unordered",
+        )
     shift = calibration["wavelength_shift"] if "wavelength_shift" in calibration.variables else None
     shifts = np.zeros((1, 1)) if shift is None else shift.to_numpy()
     shifts = np.atleast_2d(shifts)
@@ -404,12 +434,20 @@ def calibration_from_coefficients(
     """
     wanted = VARIABLES["radiance_gain"].units
     if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
-        raise SchemaError(f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}")
+        raise SchemaError(
+            f"coefficients have dims {tuple(map(str, coefficients.dims))}",
+            expected=f"{_ELEMENT}",
+            code="dims-wrong",
+        )
     gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
     units = str(coefficients.attrs.get("units", ""))
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
         if exposure_time is None or not exposure_time > 0:
-            raise SchemaError(f"coefficients in {units!r} hold at one exposure; give exposure_time [s]")
+            raise SchemaError(
+                f"coefficients in {units!r} hold at one exposure",
+                mend="give exposure_time [s]",
+                code="exposure-missing",
+            )
         gain = convert(gain, "W m-2 sr-1 nm-1 count-1", "coefficients") * exposure_time
     else:
         gain = convert(gain, wanted, "coefficients")

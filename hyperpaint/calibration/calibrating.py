@@ -145,10 +145,15 @@ def calibrate(
     given: Any = sweep
     if not isinstance(given, xr.Dataset):
         raise SchemaError(
-            f"sweep is {type(given).__name__}, expected a Dataset; open its store with xarray.open_zarr"
+            f"sweep is {type(given).__name__}",
+            expected="a Dataset",
+            mend="open its store with xarray.open_zarr",
+            code="type-wrong",
         )
     if srf_shape is not None and srf_shape not in SHAPES:
-        raise SchemaError(f"srf_shape {srf_shape!r}, expected one of {', '.join(SHAPES)}, or None")
+        raise SchemaError(
+            f"srf_shape {srf_shape!r}", expected=f"one of {', '.join(SHAPES)}, or None", code="choice-unknown"
+        )
     lab = check_sweep(sweep, absolute=absolute)
     tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
     bad = _bad_at_the_door(lab, bad_elements)
@@ -199,8 +204,9 @@ def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) ->
     if isinstance(linearity, xr.DataArray):
         if linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords:
             raise SchemaError(
-                f"the table linearity= has dims {tuple(map(str, linearity.dims))}, expected one, "
-                "linearity_counts, with a coordinate of measured counts"
+                f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
+                expected="one, linearity_counts, with a coordinate of measured counts",
+                code="dims-wrong",
             )
         table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
         table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
@@ -223,9 +229,11 @@ def _with_differences(
         return read, lines, differences
     if lab.variance is None:
         warnings.warn(
-            "neither counts_variance nor electrons_per_count is given: the noise of the lines is estimated "
-            "from their distances to the fits, and uncertainties of single elements are rough",
-            PaintWarning,
+            PaintWarning(
+                "neither counts_variance nor electrons_per_count is given: the noise of the lines is estimated "
+                "from their distances to the fits, and uncertainties of single elements are rough",
+                code="noise-missing",
+            ),
             stacklevel=3,
         )
     noise = replace(read.noise, slope=differences.slope * float(np.median(lab.frames)))
@@ -257,10 +265,12 @@ def _warn_of_beam(lab: LabSweep, areas: Floats, tolerance: float) -> None:
     problem = beam_problem(lab.wavelength, areas, tolerance)
     if problem is not None:
         warnings.warn(
-            f"flux is told per step only and so taken as equal in all lit columns, yet {problem}: the beam's "
-            "own profile would pass for response. Give flux or capture_fraction per step and cross_track, or "
-            "a flat_field",
-            PaintWarning,
+            PaintWarning(
+                f"flux is told per step only and so taken as equal in all lit columns, yet {problem}: the beam's "
+                "own profile would pass for response. Give flux or capture_fraction per step and cross_track, or "
+                "a flat_field",
+                code="flux-profile-missing",
+            ),
             stacklevel=3,
         )
 
@@ -281,7 +291,9 @@ def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bools:
     if given is not None:
         if set(given.dims) != {BAND, CROSS_TRACK} or given.transpose(BAND, CROSS_TRACK).shape != bad.shape:
             expected = f"{BAND} and {CROSS_TRACK} of {bad.shape}"
-            raise SchemaError(f"bad_elements has sizes {dict(given.sizes)}, expected {expected}")
+            raise SchemaError(
+                f"bad_elements has sizes {dict(given.sizes)}", expected=f"{expected}", code="grid-mismatch"
+            )
         bad = bad | given.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
     if bad.all():
         raise refused("no element has a finite dark that is not saturated")
@@ -298,7 +310,8 @@ def _check_lines(lab: LabSweep, read: Read) -> None:
         )
     if dark:
         warnings.warn(
-            f"no line above the noise at {listed(dark, 'nm')}: left out", PaintWarning, stacklevel=3
+            PaintWarning(f"no line above the noise at {listed(dark, 'nm')}: left out", code="steps-dark"),
+            stacklevel=3,
         )
 
 
@@ -351,7 +364,10 @@ def _warn_of_saturation(lab: LabSweep, read: Read) -> None:
         if window is not None and window.saturated.any()
     ]
     if full:
-        warnings.warn(f"saturated lines are left out: {listed(full)}", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"saturated lines are left out: {listed(full)}", code="steps-saturated"),
+            stacklevel=3,
+        )
 
 
 def _map_through(

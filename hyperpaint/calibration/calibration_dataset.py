@@ -236,11 +236,13 @@ class Result:
         if self.between is not None and self._missed:
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
             warnings.warn(
-                f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
-                "nm, as of fringes, an etalon, or a power meter that scatters: between lines the gain, and "
-                f"reflectance, may be wrong by {self.between.error:.1%}; sweep there in steps of "
-                f"{step / 4:.2g} nm",
-                PaintWarning,
+                PaintWarning(
+                    f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
+                    "nm, as of fringes, an etalon, or a power meter that scatters: between lines the gain, and "
+                    f"reflectance, may be wrong by {self.between.error:.1%}; sweep there in steps of "
+                    f"{step / 4:.2g} nm",
+                    code="steps-too-coarse",
+                ),
                 stacklevel=4,
             )
 
@@ -253,10 +255,12 @@ class Result:
             return measured.table(self.fwhm)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
         warnings.warn(
-            f"the lines show a response that is {measured.misfit:.1%} off the model {self.shape!r}, and no "
-            f"table is made of it, since {reason}: reflectance beside sharp lines of daylight may be wrong "
-            f"by {measured.effect:.1%}",
-            PaintWarning,
+            PaintWarning(
+                f"the lines show a response that is {measured.misfit:.1%} off the model {self.shape!r}, and no "
+                f"table is made of it, since {reason}: reflectance beside sharp lines of daylight may be wrong "
+                f"by {measured.effect:.1%}",
+                code="response-shape-misfit",
+            ),
             stacklevel=4,
         )
         return None
@@ -363,9 +367,11 @@ class Result:
         if self._unlit.any():
             first, last = self.surface.lit
             warnings.warn(
-                f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, but {first} to {last}: "
-                "they get no gain, and the wavelengths of the nearest lit column",
-                PaintWarning,
+                PaintWarning(
+                    f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, but {first} to {last}: "
+                    "they get no gain, and the wavelengths of the nearest lit column",
+                    code="columns-unlit",
+                ),
                 stacklevel=4,
             )
 
@@ -391,11 +397,13 @@ class Result:
         offset = self.dark_check.get("dark_offset_count", 0.0)
         if abs(offset) > _DARK_OFF:
             warnings.warn(
-                f"the bands off the lines hold {offset:+.2g} counts whatever the light of the line: the dark "
-                "is off by as much. Areas are freed of it, but out_of_band and stray_light are not, in which "
-                f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark "
-                "beside the sweep",
-                PaintWarning,
+                PaintWarning(
+                    f"the bands off the lines hold {offset:+.2g} counts whatever the light of the line: the dark "
+                    "is off by as much. Areas are freed of it, but out_of_band and stray_light are not, in which "
+                    f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark "
+                    "beside the sweep",
+                    code="dark-offset",
+                ),
                 stacklevel=4,
             )
 
@@ -405,10 +413,12 @@ class Result:
         if wide.any():
             share = float(np.max(self.lab.width / own))
             warnings.warn(
-                f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{_ILL_CONDITIONED:g} at {int(wide.sum())} of {wide.size} steps): fwhm is "
-                "ill-conditioned there; narrow the slits",
-                PaintWarning,
+                PaintWarning(
+                    f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
+                    f"{_ILL_CONDITIONED:g} at {int(wide.sum())} of {wide.size} steps): fwhm is "
+                    "ill-conditioned there; narrow the slits",
+                    code="slit-too-wide",
+                ),
                 stacklevel=4,
             )
 

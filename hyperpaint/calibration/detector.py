@@ -134,14 +134,16 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     if len(shapes) > 1:
-        problems.add(f"darks of shapes {shapes}, expected one")
+        problems.add(f"darks of shapes {shapes}", expected="one", code="grid-mismatch")
     if not all(0 < value < np.inf for value in exposures):
-        problems.add("'dark_exposure_time' is not finite and positive everywhere")
+        problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     if not model.known_rate:
         raise SchemaError(
-            f"all darks have an exposure of {exposures[0] * 1e3:g} ms; a rate needs two exposures"
+            f"all darks have an exposure of {exposures[0] * 1000.0:g} ms",
+            mend="a rate needs two exposures",
+            code="dark-exposures-few",
         )
     drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
     return xr.Dataset(
@@ -207,7 +209,9 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     """
     if not set(_ELEMENT) <= set(frames.dims):
         raise SchemaError(
-            f"flat-field frames have dims {tuple(map(str, frames.dims))}, expected {BAND} and {CROSS_TRACK}"
+            f"flat-field frames have dims {tuple(map(str, frames.dims))}",
+            expected=f"{BAND} and {CROSS_TRACK}",
+            code="dims-wrong",
         )
     others = [dim for dim in frames.dims if dim not in _ELEMENT]
     level = frames.astype(np.float64)
@@ -225,7 +229,9 @@ def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
     """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track), or raise."""
     if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
         raise SchemaError(
-            f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"
+            f"flat_field has sizes {dict(flat.sizes)}",
+            expected=f"{BAND} and {CROSS_TRACK} of {shape}",
+            code="grid-mismatch",
         )
     return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
 
@@ -265,7 +271,8 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
     if light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all():
         raise SchemaError(
-            f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts"
+            f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts",
+            code="signals-too-few",
         )
     # s light = c + a2 c^2 + ...: linear in s and the a; divided by c all measurements weigh alike
     scale = counts.max()

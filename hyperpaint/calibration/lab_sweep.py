@@ -110,7 +110,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     steps = sweep.sizes.get(STEP, 0)
     columns = sweep.sizes.get(CROSS_TRACK, 0)
     if sweep.sizes and steps < _FEWEST_STEPS:
-        problems.add(f"{steps} steps, expected at least {_FEWEST_STEPS}")
+        problems.add(f"{steps} steps", expected=f"at least {_FEWEST_STEPS}", code="steps-too-few")
     values = {
         name: np.asarray(array.to_numpy(), np.float64)
         for name, array in arrays.items()
@@ -127,14 +127,24 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
                 name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
             )
     if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
-        problems.add(f"'band_shift_time' is {float(shift):g} s, expected that of one band, some microseconds")
+        problems.add(
+            f"'band_shift_time' is {float(shift):g} s",
+            expected="that of one band, some microseconds",
+            code="value-out-of-range",
+        )
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
         worst = float(values["read_noise"].min())
-        problems.add(f"'read_noise' is {worst:g} in places, expected finite and at least zero")
+        problems.add(
+            f"'read_noise' is {worst:g} in places",
+            expected="finite and at least zero",
+            code="value-out-of-range",
+        )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
     if shape not in MONOCHROMATOR_SHAPES:
         problems.add(
-            f"attribute monochromator_shape {shape!r}, expected one of {', '.join(MONOCHROMATOR_SHAPES)}"
+            f"attribute monochromator_shape {shape!r}",
+            expected=f"one of {', '.join(MONOCHROMATOR_SHAPES)}",
+            code="choice-unknown",
         )
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
@@ -151,7 +161,9 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
         problems.add(problem)
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
     for name, array in kinds.items():
-        problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")
+        problems.add(
+            f"{name!r} has dtype {array.dtype}", expected=f"{SWEEP_VARIABLES[name].dtype}", code="type-wrong"
+        )
         del arrays[name]
     return arrays
 
@@ -161,7 +173,7 @@ def _check_order(values: dict[str, Floats], problems: Problems) -> None:
         return
     wavelength = values["step_wavelength"]
     if not np.isfinite(wavelength).all() or (wavelength <= 0).any():
-        problems.add("'step_wavelength' is not finite and positive everywhere")
+        problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
         return
     wrong = np.flatnonzero(np.diff(wavelength) <= 0)
     if wrong.size:
@@ -169,8 +181,12 @@ def _check_order(values: dict[str, Floats], problems: Problems) -> None:
             [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in wrong], "", 3
         )
         problems.add(
-            f"steps are out of order: {places}; where counts belong to these wavelengths, "
-            "sort with sweep.sortby('step_wavelength') and drop repeated ones"
+            f"steps are out of order: {places}",
+            mend=(
+                "where counts belong to these wavelengths, sort with "
+                "sweep.sortby('step_wavelength') and drop repeated ones"
+            ),
+            code="steps-unordered",
         )
 
 
@@ -197,7 +213,7 @@ def _check_positive(
         where = f" at {steps.size} of {len(values)} steps{at}"
         mend = "; measure it, or leave these steps out with sweep.isel(step=...)"
     first = values[wrong].ravel()[0]
-    problems.add(f"{name!r} is {first:g}{where}, expected {expected}{mend}")
+    problems.add(f"{name!r} is {first:g}{where}", expected=f"{expected}{mend}", code="value-out-of-range")
 
 
 def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
@@ -218,7 +234,9 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
                 "exposure_time varies" if "dark_exposure_time" not in values else "dark_exposure_time varies"
             )
             problems.add(
-                f"{where} from step to step, but there is one dark_counts; give dark_counts per step"
+                f"{where} from step to step, but there is one dark_counts",
+                mend="give dark_counts per step",
+                code="dark-per-step",
             )
             return None
         at = at[0]
@@ -229,9 +247,15 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     apart = [e for e in np.unique(exposure) if not model.reaches(float(e))]
     if apart:
         problems.add(
-            f"dark at another exposure: steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
-            f"{listed([e * 1e3 for e in model.exposures], 'ms')}; take a dark at the exposure of the steps, "
-            "or darks at two exposures about it, from which bias and rate follow to a count"
+            (
+                f"dark at another exposure: steps at {listed([e * 1000.0 for e in apart], 'ms')}, "
+                f"dark at {listed([e * 1000.0 for e in model.exposures], 'ms')}"
+            ),
+            mend=(
+                "take a dark at the exposure of the steps, or darks at two exposures about it, "
+                "from which bias and rate follow to a count"
+            ),
+            code="dark-exposure-differs",
         )
         return None
     return model

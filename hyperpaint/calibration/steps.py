@@ -183,10 +183,12 @@ def _warn_of_clipping(highest: Floats) -> None:
     same = highest >= top - _SAME_COUNT
     if (same.sum(axis=0) >= _CLIPPED).any():
         warnings.warn(
-            f"saturation_count is not given, and the highest counts repeat one value, {top:g}, in "
-            f"{int(same.sum())} elements: lines that the converter has clipped would pass; give "
-            "saturation_count",
-            PaintWarning,
+            PaintWarning(
+                f"saturation_count is not given, and the highest counts repeat one value, {top:g}, in "
+                f"{int(same.sum())} elements: lines that the converter has clipped would pass; give "
+                "saturation_count",
+                code="saturation-missing",
+            ),
             stacklevel=4,
         )
 

@@ -93,13 +93,18 @@ def quantum_efficiency(
     names = ["responsivity", "wavelength"]
     if calibration.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
-            "a quantum efficiency needs an absolute scale, which this calibration has not (absolute_scale = "
-            "'unknown'); give it one by hyperpaint.calibration.anchor_to_radiance"
+            (
+                "a quantum efficiency needs an absolute scale, which this calibration has not "
+                "(absolute_scale = 'unknown')"
+            ),
+            mend="give it one by hyperpaint.calibration.anchor_to_radiance",
+            code="scale-unknown",
         )
     if electrons_per_count is None:
         if "electrons_per_count" not in calibration.variables:
             raise SchemaError(
-                "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"
+                "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it",
+                code="variable-missing",
             )
         names.append("electrons_per_count")
     inputs = require(calibration, names, "a quantum efficiency")

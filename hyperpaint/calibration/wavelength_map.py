@@ -79,7 +79,11 @@ def fit_wavelength_map(
     across = len(np.unique(column))
     degree = min(BAND_DEGREE, different - 2)
     if degree < 1:
-        raise SchemaError(f"lines of {different} wavelengths, expected 3 or more for a wavelength map")
+        raise SchemaError(
+            f"lines of {different} wavelengths",
+            expected="3 or more for a wavelength map",
+            code="lamp-lines-few",
+        )
     degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < across]
     weight = np.ones_like(band)
     if uncertainty is not None:

@@ -190,20 +190,28 @@ def level_irradiance(
 
     if str(irradiance.attrs.get("irradiance_mount", "")).startswith(_LEVELLED):
         raise SchemaError(
-            "this record is corrected to level already (attribute irradiance_mount); open it anew"
+            "this record is corrected to level already (attribute irradiance_mount)",
+            mend="open it anew",
+            code="record-already-leveled",
         )
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
     if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
+        )
     own = record[IRRADIANCE_WAVELENGTH]
     channels = (convert(own, "nm") if "units" in own.attrs else own).values.astype(np.float64)
     sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
     usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
     if not usable.any():
-        raise SchemaError("no sample of the light sensor has an attitude; does the navigation cover it?")
+        raise SchemaError(
+            "no sample of the light sensor has an attitude",
+            mend="does the navigation cover it?",
+            code="attitude-missing",
+        )
     if not usable.all():
         text = f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude, and are NaN"
         warnings.warn(text, PaintWarning, stacklevel=2)
@@ -331,11 +339,16 @@ def _sensor(
     missing = [name for name in (*_ANGLES, *_PLACE) if name not in attitude.variables]
     clock = next((name for name in _TIMES if name in attitude.variables), None)
     if missing or clock is None:
-        problems.add(f"the attitude has no {', '.join([*missing, *([] if clock else ['time'])])}")
+        problems.add(
+            f"the attitude has no {', '.join([*missing, *([] if clock else ['time'])])}",
+            code="variable-missing",
+        )
     if np.shape(mounting) != (3,) or not np.isfinite(mounting).all():
-        problems.add(f"mounting={mounting!r}, expected roll, pitch and heading [degree]")
+        problems.add(
+            f"mounting={mounting!r}", expected="roll, pitch and heading [degree]", code="mounting-unreadable"
+        )
     if not 0.0 <= ground <= 1.0:
-        problems.add(f"ground_reflectance={ground!r}, expected 0 to 1")
+        problems.add(f"ground_reflectance={ground!r}", expected="0 to 1", code="value-out-of-range")
     response = _response(cosine_response, problems)
     problems.raise_if_any()
     convention = Convention.from_attrs(attitude.attrs) or Convention()
@@ -375,10 +388,14 @@ def _response(cosine_response: Any, problems: Problems) -> tuple[Floats, Floats]
     if cosine_response is None:
         return np.array([0.0, 90.0]), np.ones(2)
     if not hasattr(cosine_response, "coords") or "incidence" not in cosine_response.coords:
-        problems.add("cosine_response has no coordinate 'incidence' [degree]")
+        problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
         return np.array([0.0, 90.0]), np.ones(2)
     incidence = np.asarray(cosine_response["incidence"].values, np.float64)
     values = np.asarray(cosine_response.values, np.float64)
     if values.ndim != 1 or (np.diff(incidence) <= 0).any() or not ((values > 0.0) & (values < 2.0)).all():
-        problems.add("cosine_response must be 0 to 2 at incidences that increase; it is over the cosine law")
+        problems.add(
+            "cosine_response must be 0 to 2 at incidences that increase",
+            mend="it is over the cosine law",
+            code="cosine-response-invalid",
+        )
     return incidence, values

@@ -135,7 +135,11 @@ class ClearSky:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.sun_zenith < 90.0:
-            raise SchemaError(f"sun_zenith is {self.sun_zenith!r}, expected 0 to below 90 degrees")
+            raise SchemaError(
+                f"sun_zenith is {self.sun_zenith!r}",
+                expected="0 to below 90 degrees",
+                code="value-out-of-range",
+            )
 
     @property
     def mass(self) -> float:
@@ -150,7 +154,11 @@ class ClearSky:
         table = sunlight_table()
         if wavelength.size and not 300.0 <= wavelength.min() <= wavelength.max() <= 2500.0:
             span = f"{wavelength.min():g} to {wavelength.max():g} nm"
-            raise SchemaError(f"wavelength goes from {span}; the clear sky covers 300 to 2500 nm")
+            raise SchemaError(
+                f"wavelength goes from {span}",
+                mend="the clear sky covers 300 to 2500 nm",
+                code="value-out-of-range",
+            )
         above, mixed, water = (
             np.interp(wavelength, table.wavelength, part)
             for part in (table.extraterrestrial, table.mixed, table.water)

@@ -115,7 +115,9 @@ def diffuse_from_record(
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
+        )
     channels = record[IRRADIANCE_WAVELENGTH]
     channels = convert(channels, "nm") if "units" in channels.attrs else channels
     _check(latitude, longitude, calibration_uncertainty, pressure)
@@ -123,7 +125,8 @@ def diffuse_from_record(
     if not windows_in(channels.values.astype(np.float64)).centre.size:
         raise SchemaError(
             "irradiance has no channel in the intervals that are compared, "
-            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm"
+            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
+            code="irradiance-coverage",
         )
     at = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
@@ -170,11 +173,18 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
     problems = Problems("the split of irradiance is not known", SchemaError)
     if not (np.isfinite(latitude) and np.isfinite(longitude)):
-        problems.add(f"latitude {latitude}, longitude {longitude}: expected the place of the receiver")
+        problems.add(
+            f"latitude {latitude}, longitude {longitude}: expected the place of the receiver",
+            code="value-out-of-range",
+        )
     if not 0.0 < calibration <= 1.0:
-        problems.add(f"calibration_uncertainty={calibration!r}, expected above 0, at most 1")
+        problems.add(
+            f"calibration_uncertainty={calibration!r}",
+            expected="above 0, at most 1",
+            code="value-out-of-range",
+        )
     if not 3e4 <= pressure <= 1.1e5:
-        problems.add(f"pressure={pressure!r}, expected 30000 to 110000 Pa")
+        problems.add(f"pressure={pressure!r}", expected="30000 to 110000 Pa", code="value-out-of-range")
     problems.raise_if_any()
 
 

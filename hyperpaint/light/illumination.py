@@ -81,15 +81,21 @@ class Tilt:
     def __post_init__(self) -> None:
         problems = Problems("the tilt of the surface is out of range", SchemaError)
         if not 0.0 <= self.angle <= 90.0:
-            problems.add(f"angle {self.angle:g}, expected 0 to 90 degrees from level")
+            problems.add(
+                f"angle {self.angle:g}", expected="0 to 90 degrees from level", code="value-out-of-range"
+            )
         if not np.isfinite(self.azimuth):
-            problems.add(f"azimuth {self.azimuth:g}, expected degrees clockwise from north")
+            problems.add(
+                f"azimuth {self.azimuth:g}",
+                expected="degrees clockwise from north",
+                code="value-out-of-range",
+            )
         for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
             value = getattr(self, name)
             if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
-                problems.add(f"{name} {value}, expected 0 to 1")
+                problems.add(f"{name} {value}", expected="0 to 1", code="value-out-of-range")
         if self.sky not in (None, "clear", "uniform"):
-            problems.add(f"sky {self.sky!r}, expected 'clear' or 'uniform'")
+            problems.add(f"sky {self.sky!r}", expected="'clear' or 'uniform'", code="choice-unknown")
         problems.raise_if_any()
         if self.sky is None:  # said where the tilt is
             object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")
@@ -176,7 +182,11 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     given = np.zeros(columns) if wavelength_shift is None else wavelength_shift
     shift = np.atleast_2d(np.asarray(given, np.float64))
     if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
-        raise SchemaError("'wavelength_shift' must be finite and at most 20 nm; check its units")
+        raise SchemaError(
+            "'wavelength_shift' must be finite and at most 20 nm",
+            mend="check its units",
+            code="wavelength-shift-range",
+        )
     if not shift.any():
         whole = np.array([[0, columns]])
         return Smile(np.zeros(1), np.zeros((1, columns), np.float32), whole, np.zeros((1, 1), np.int64))
@@ -267,9 +277,9 @@ def match_irradiance(
     problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
     dims = schema.VARIABLES["irradiance"].dims
     if set(irradiance.dims) != set(dims):
-        problems.add(f"'irradiance' has dims {irradiance.dims}, expected {dims}")
+        problems.add(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
     elif schema.IRRADIANCE_WAVELENGTH not in irradiance.coords:
-        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing")
     problems.raise_if_any()
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
     channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
@@ -328,18 +338,22 @@ def _warn_of(matching: Matching, channels: Floats, imager: Mapping[str, Any]) ->
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:
         warnings.warn(
-            f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain above "
-            f"{MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); structure narrower than its width "
-            "stays in their reflectance",
-            PaintWarning,
+            PaintWarning(
+                f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain above "
+                f"{MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); structure narrower than its width "
+                "stays in their reflectance",
+                code="bands-too-sharp",
+            ),
             stacklevel=3,
         )
     outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))  # a row is, or is not
     if outside.size:
         warnings.warn(
-            f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
-            f"lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and become NaN",
-            PaintWarning,
+            PaintWarning(
+                f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
+                f"lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and become NaN",
+                code="bands-outside-irradiance",
+            ),
             stacklevel=3,
         )
 

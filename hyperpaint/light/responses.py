@@ -59,11 +59,15 @@ class Responses:
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
         if self.shape not in SRF_SHAPES:
-            problems.add(f"line shape {self.shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+            problems.add(
+                f"line shape {self.shape!r}",
+                expected=f"one of {', '.join(SRF_SHAPES)}",
+                code="choice-unknown",
+            )
         if not np.isfinite(wavelength).all():
-            problems.add("wavelengths must be finite [nm]")
+            problems.add("wavelengths must be finite [nm]", code="not-finite")
         if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
-            problems.add("'fwhm' must be finite and positive [nm]")
+            problems.add("'fwhm' must be finite and positive [nm]", code="fwhm-invalid")
         if self.shape == "tabulated":
             problems_of_table(problems, self.offset, self.table, wavelength.size)
         problems.raise_if_any()
@@ -127,15 +131,26 @@ class Responses:
 def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:
     """Note what is wrong with tabulated line shapes."""
     if offset is None or table is None:
-        problems.add("shape 'tabulated' needs 'srf' (band, srf_offset) and 'srf_offset' [nm]")
+        problems.add(
+            "shape 'tabulated' needs 'srf' (band, srf_offset) and 'srf_offset' [nm]",
+            code="response-table-missing",
+        )
         return
     offset, table = np.asarray(offset), np.asarray(table)
     if table.shape != (bands, offset.size):
-        problems.add(f"'srf' has shape {table.shape}, expected ({bands}, {offset.size}): (band, srf_offset)")
+        problems.add(
+            f"'srf' has shape {table.shape}",
+            expected=f"({bands}, {offset.size}): (band, srf_offset)",
+            code="length-mismatch",
+        )
     elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
-        problems.add("every row of 'srf' must be finite and have a positive sum")
+        problems.add(
+            "every row of 'srf' must be finite and have a positive sum", code="response-table-invalid"
+        )
     if offset.size < 3 or not (np.diff(offset) > 0).all():
-        problems.add("'srf_offset' must increase and have at least three values [nm]")
+        problems.add(
+            "'srf_offset' must increase and have at least three values [nm]", code="response-table-invalid"
+        )
 
 
 def _even_spacing(wavelength: Floats) -> Floats:
@@ -144,8 +159,9 @@ def _even_spacing(wavelength: Floats) -> Floats:
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
         raise SchemaError(
-            "a slit-shaped response needs the camera's band spacing, which the bands here do not give; give "
-            "'band_spacing' (band) [nm], or choose bands after the reflectance is computed"
+            ("a slit-shaped response needs the camera's band spacing, which the bands here do not give"),
+            mend=("give 'band_spacing' (band) [nm], or choose bands after the reflectance is computed"),
+            code="band-spacing-missing",
         )
     return band_spacing(wavelength)
 
@@ -331,8 +347,12 @@ def _check_size(steps: float, channels: int, *responses: Responses) -> None:
     if steps > _MOST_STEPS or steps * channels > _MOST_SAMPLES:
         widths = np.concatenate([each.fwhm for each in responses])
         raise SchemaError(
-            f"'fwhm' reaches from {widths.min():g} to {widths.max():g} nm: responses so far apart cannot be "
-            "matched; is a width wrong, or in another unit?"
+            (
+                f"'fwhm' reaches from {widths.min():g} to {widths.max():g} nm: responses so far "
+                "apart cannot be matched"
+            ),
+            mend="is a width wrong, or in another unit?",
+            code="fwhm-range",
         )
 
 

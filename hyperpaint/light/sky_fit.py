@@ -66,7 +66,9 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
 
     if "sky_radiance" not in table.variables:
         raise SchemaError(
-            "the sky's table has no sky_radiance, expected it by wavelength, zenith and azimuth"
+            "the sky's table has no sky_radiance",
+            expected="it by wavelength, zenith and azimuth",
+            code="variable-missing",
         )
     given = convert(table["sky_radiance"], "W m-2 sr-1 nm-1")
     given = given.transpose("wavelength", "sky_zenith", "sky_azimuth")
@@ -78,7 +80,9 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     lit = (cosine > 1e-3) & (given.values > 0.0).all(axis=0)
     if lit.sum() < _FEWEST:
         raise SchemaError(
-            f"sky_radiance has {int(lit.sum())} directions above the horizon, expected {_FEWEST}"
+            f"sky_radiance has {int(lit.sum())} directions above the horizon",
+            expected=f"{_FEWEST}",
+            code="sky-directions-few",
         )
     ring = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
     weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * ring)[lit]

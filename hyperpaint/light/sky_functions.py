@@ -118,7 +118,9 @@ def function_shapes(sun_zenith: float) -> Floats:
     0.5
     """
     if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
     tables, sky = _tables(), dome()
     rows = _between(tables.suns, tables.shapes, sun_zenith)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)

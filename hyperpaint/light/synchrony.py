@@ -82,7 +82,7 @@ def line_light(
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
     if valid.size == 0:
-        raise TimeError("the irradiance record holds no valid spectrum")
+        raise TimeError("the irradiance record holds no valid spectrum", code="irradiance-empty")
     missing = np.isnat(lines)
     stamps, ticks = lines.astype(np.int64), samples[valid].astype(np.int64)
     stamps = np.where(missing, ticks[0], stamps)
@@ -173,9 +173,15 @@ def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
 def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
     problems = Problems("irradiance cannot be given to lines", SchemaError)
     if max_gap is not None and not max_gap > 0:
-        problems.add(f"'irradiance_max_gap' is {max_gap:g} s, expected a positive number")
+        problems.add(
+            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+        )
     if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-        problems.add(f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s, expected 0 or more seconds")
+        problems.add(
+            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
+            expected="0 or more seconds",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
 
 
@@ -183,16 +189,26 @@ def check_irradiance_times(samples: Array) -> None:
     """Raise TimeError unless stamps are all there and increase."""
     problems = Problems("irradiance times cannot be used", TimeError)
     if not samples.size:
-        problems.add("irradiance_time has size 0: no sample is selected")
+        problems.add("irradiance_time has size 0: no sample is selected", code="empty-input")
     if np.isnat(samples).any():
-        problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
+        problems.add(
+            f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
+            mend="drop them",
+            code="time-missing",
+        )
     steps = np.diff(samples.astype(np.int64))
     same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
     if same.size:
-        problems.add(f"{same.size} duplicate stamps, first {samples[same[0]]}; keep one spectrum of each")
+        problems.add(
+            f"{same.size} duplicate stamps, first {samples[same[0]]}",
+            mend="keep one spectrum of each",
+            code="time-duplicate",
+        )
     if back.size:
         problems.add(
-            f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
+            f"stamps run backwards at {samples[back[0] + 1]}",
+            mend="sort them with .sortby('irradiance_time')",
+            code="time-unordered",
         )
     problems.raise_if_any()
 
@@ -207,14 +223,19 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     """
     if not isinstance(irradiance, xr.Dataset):
         raise SchemaError(
-            f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
-            "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+            f"irradiance= is {type(irradiance).__name__}",
+            expected=(
+                "a Dataset with 'irradiance' and 'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+            ),
+            code="type-wrong",
         )
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
     if "irradiance" not in names:
         held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
         raise SchemaError(
-            f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
+            f"the Dataset given as irradiance= holds {held}",
+            expected="'irradiance' and 'irradiance_fwhm'",
+            code="variable-missing",
         )
     own = [name for name in dataset.variables if str(name).startswith("irradiance")]
     of_line = {

@@ -66,7 +66,11 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """
     line = schema.rename_to_roles(dataset)
     if side is not None and not 1 <= side <= CHUNK_LINES:
-        raise SchemaError(f"side={side}, expected 1 to {CHUNK_LINES} lines and columns of a block")
+        raise SchemaError(
+            f"side={side}",
+            expected=f"1 to {CHUNK_LINES} lines and columns of a block",
+            code="value-out-of-range",
+        )
     stored = _stored(line, side)
     if stored is None:
         line = line if "reflectance" in line.variables else reflectance(line)

@@ -298,7 +298,8 @@ def _reflectance(
         if any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)):
             raise SchemaError(
                 "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
-                "found 'reflectance' only"
+                "found 'reflectance' only",
+                code="option-conflict",
             )
         names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
         return dataset.assign(schema.require(dataset, names, "reflectance"))
@@ -307,7 +308,9 @@ def _reflectance(
         dataset = replace_record(dataset, irradiance)
     scaling = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
-        raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
+        raise SchemaError(
+            f"keep_bits={keep_bits}", expected="1 to 23 mantissa bits of float32", code="value-out-of-range"
+        )
     cube, inputs = plan_inputs(
         dataset, stored, scaling, tilt=attitude, keep_bits=keep_bits, uncertainty=uncertainty
     )
@@ -349,8 +352,12 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
     if not set(names) & set(dataset.variables):
         held = ", ".join(map(str, dataset.data_vars)) or "no variable"
         raise SchemaError(
-            f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(COUNTED[1:])}, "
-            f"or {' or '.join(repr(name) for name in names[1:])}"
+            f"cannot compute {purpose} from {held}",
+            mend=(
+                f"expected 'counts' with {', '.join(COUNTED[1:])}, or "
+                f"{' or '.join((repr(name) for name in names[1:]))}"
+            ),
+            code="variable-missing",
         )
 
 
@@ -358,7 +365,11 @@ def _attitude(tilt: Any) -> Tilt | None:
     if tilt is None or isinstance(tilt, Tilt):
         return tilt
     if not isinstance(tilt, tuple) or len(tilt) != 2:
-        raise SchemaError(f"tilt={tilt!r}, expected hyperpaint.Tilt or (angle, azimuth) in degrees")
+        raise SchemaError(
+            f"tilt={tilt!r}",
+            expected="hyperpaint.Tilt or (angle, azimuth) in degrees",
+            code="tilt-unreadable",
+        )
     return Tilt(*tilt)
 
 

@@ -70,8 +70,12 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
         problems.add(
-            "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it one by "
-            "hyperpaint.calibration.anchor_to_radiance; reflectance can do with panel="
+            (
+                "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it "
+                "one by hyperpaint.calibration.anchor_to_radiance"
+            ),
+            mend="reflectance can do with panel=",
+            code="scale-unknown",
         )
     problems.raise_if_any()
 
@@ -126,5 +130,9 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
 def _shape(dataset: xr.Dataset, attr: str) -> str:
     shape = str(dataset.attrs.get(attr, "gaussian"))
     if shape not in schema.SRF_SHAPES:
-        raise SchemaError(f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}")
+        raise SchemaError(
+            f"attribute {attr!r} is {shape!r}",
+            expected=f"one of {', '.join(schema.SRF_SHAPES)}",
+            code="choice-unknown",
+        )
     return shape

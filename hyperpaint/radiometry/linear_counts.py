@@ -97,7 +97,8 @@ class Linearity:
             if self.measured.size < 2 or not both or (np.diff(self.measured) <= 0).any():
                 problems.add(
                     "the table of linearity needs two or more finite counts that increase, found "
-                    f"{self.measured.size} from {self.measured[:1]} to {self.measured[-1:]}"
+                    f"{self.measured.size} from {self.measured[:1]} to {self.measured[-1:]}",
+                    code="linearity-invalid",
                 )
                 return
         end = highest_count if np.isfinite(highest_count) else _HIGHEST_COUNT
@@ -105,8 +106,12 @@ class Linearity:
         linear = counts + self.correction(counts)
         if not np.isfinite(linear).all() or (np.diff(linear) <= 0).any():
             problems.add(
-                f"linearity turns back below {end:g} counts, expected linear counts that rise with the "
-                "counts: fit it over the whole range, or with a lower degree"
+                f"linearity turns back below {end:g} counts",
+                expected=(
+                    "linear counts that rise with the counts: fit it over the whole range, or with a "
+                    "lower degree"
+                ),
+                code="linearity-turning",
             )
 
 
@@ -134,7 +139,11 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
     """Return the curve that attributes alone declare; see `linearity_of`."""
     kind = attrs.get("linearity_on", DARK_SUBTRACTED)
     if kind not in (DARK_SUBTRACTED, RAW):
-        raise SchemaError(f"attribute linearity_on is {kind!r}, expected {DARK_SUBTRACTED!r} or {RAW!r}")
+        raise SchemaError(
+            f"attribute linearity_on is {kind!r}",
+            expected=f"{DARK_SUBTRACTED!r} or {RAW!r}",
+            code="choice-unknown",
+        )
     stated = attrs.get("linearity", ())
     coefficients = () if isinstance(stated, str) else polynomial(stated)
     return Linearity(coefficients, on_raw=kind == RAW)
@@ -144,5 +153,7 @@ def polynomial(coefficients: Sequence[float] | Any) -> tuple[float, ...]:
     """Return coefficients as a tuple of numbers; all of them zero are the identity."""
     numbers = tuple(float(value) for value in np.atleast_1d(np.asarray(coefficients, np.float64)))
     if not np.isfinite(numbers).all():
-        raise SchemaError(f"linearity {numbers} must be finite coefficients a2, a3 ...")
+        raise SchemaError(
+            f"linearity {numbers} must be finite coefficients a2, a3 ...", code="linearity-invalid"
+        )
     return numbers if any(numbers) else ()

@@ -146,7 +146,9 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
     for panel in panels:
         part = _judge(panel, context)
         if part.notes:
-            warnings.warn(f"{panel['name']}: {'; '.join(part.notes)}", PaintWarning, stacklevel=2)
+            warnings.warn(
+                PaintWarning(f"{panel['name']}: {'; '.join(part.notes)}", code="panel-doubtful"), stacklevel=2
+            )
         parts.append(part)
     return PanelClosure(
         np.array([part.scale for part in parts]),
@@ -166,7 +168,9 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
     valid = np.isfinite(observed)
     if not valid.any():
         raise SchemaError(
-            f"{panel['name']}'s region holds no valid pixel; it is saturated, in a gap, or outside the line"
+            f"{panel['name']}'s region holds no valid pixel",
+            mend="it is saturated, in a gap, or outside the line",
+            code="panel-empty",
         )
     ceiling = panel["ceiling"]
     if ceiling is None:  # of radiance nothing says what is saturated: the brightest sample does

@@ -27,6 +27,7 @@ def usable_panels(closure: PanelClosure) -> Array:
             option="under [[panels]] of the collect.toml name another part of it (along_track, cross_track), "
             "its attitude, tilt = [angle, azimuth], or how far it may be off, uncertainty = 0.05, or leave "
             "it out",
+            code="panel-refused",
         )
     if refused:
         text = f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}"

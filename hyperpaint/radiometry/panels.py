@@ -70,14 +70,20 @@ class Panel:
     def __post_init__(self) -> None:
         if not 0.0 <= self.uncertainty < 1.0:
             raise SchemaError(
-                f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
+                f"the panel's uncertainty is {self.uncertainty}",
+                expected="a fraction of 1, such as 0.02",
+                code="value-out-of-range",
             )
         labelled = hasattr(self.reflectance, "coords")
         if labelled and "wavelength" not in self.reflectance.coords:
-            raise SchemaError("the panel's reflectance has no coordinate 'wavelength' [nm]")
+            raise SchemaError(
+                "the panel's reflectance has no coordinate 'wavelength' [nm]", code="coordinate-missing"
+            )
         if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
             raise SchemaError(
-                f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
+                f"the panel's reflectance is {self.reflectance}",
+                expected="0 to 1, or a DataArray",
+                code="value-out-of-range",
             )
 
     def at(self, wavelength: Any) -> Any:
@@ -108,7 +114,9 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
             for row in rows
         )
     except (ValueError, TypeError, KeyError) as error:
-        raise SchemaError(f"attribute 'panels' declares no panels: {error}") from error
+        raise SchemaError(
+            f"attribute 'panels' declares no panels: {error}", code="panels-unreadable"
+        ) from error
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:
@@ -148,7 +156,9 @@ def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
     """Return panels, of which there is one at least where any was given."""
     panels = () if panel is None else (panel,) if isinstance(panel, Panel) else tuple(panel)
     if (panel is not None and not panels) or not all(isinstance(each, Panel) for each in panels):
-        raise SchemaError(f"panel={panel!r:.80}, expected hyperpaint.Panel, or several of them")
+        raise SchemaError(
+            f"panel={panel!r:.80}", expected="hyperpaint.Panel, or several of them", code="type-wrong"
+        )
     return panels
 
 
@@ -165,7 +175,8 @@ def panel_inputs(
             chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
             if not len(chosen):
                 problems.add(
-                    f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line"
+                    f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line",
+                    code="panel-outside-line",
                 )
     problems.raise_if_any()
     names = [name for name in _STATED if name in dataset.variables]

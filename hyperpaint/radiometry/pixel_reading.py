@@ -108,7 +108,7 @@ def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
     if np.ndim(place):
         return np.asarray(place)
     if not -size <= place < size:
-        raise SchemaError(f"{dim} {place} is outside of the {size} of this line")
+        raise SchemaError(f"{dim} {place} is outside of the {size} of this line", code="pixel-outside-line")
     return int(place) % size
 
 

@@ -143,23 +143,33 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
     for name in ("dark_counts", "radiance_gain"):
         if name in cube and np.shape(cube[name])[-2:] != shape[1:]:
             problems.add(
-                f"{name!r} has shape {np.shape(cube[name])}, expected (band, cross_track) = {shape[1:]}"
+                f"{name!r} has shape {np.shape(cube[name])}",
+                expected=f"(band, cross_track) = {shape[1:]}",
+                code="length-mismatch",
             )
     exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
     wrong = exposure[~(np.isfinite(exposure) & (exposure > 0))]
     if wrong.size:
-        problems.add(f"'exposure_time' must be positive, found {wrong[0]:g} s")
+        problems.add(f"'exposure_time' must be positive, found {wrong[0]:g} s", code="value-out-of-range")
     elif (exposure > 60).any():
-        problems.add(f"'exposure_time' is {exposure.max():g} s; is it in milliseconds? set its units to 'ms'")
+        problems.add(
+            f"'exposure_time' is {exposure.max():g} s",
+            mend="is it in milliseconds? set its units to 'ms'",
+            code="exposure-implausible",
+        )
     gain = np.asarray(cube.get("radiance_gain", 1.0))
     if np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0:
-        problems.add("'radiance_gain' must be positive; NaN marks a bad element")
+        problems.add(
+            "'radiance_gain' must be positive", mend="NaN marks a bad element", code="value-out-of-range"
+        )
     if not np.isfinite(gain).any():
-        problems.add("'radiance_gain' holds no finite value")
+        problems.add("'radiance_gain' holds no finite value", code="not-finite")
     full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
     if (full <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(
-            f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
+            f"'saturation_count' is {np.nanmin(full):g}",
+            expected="that of the converter, such as 4095",
+            code="saturation-implausible",
         )
     _linearity(cube).check(problems, _highest_count(cube))
     check_stray_light(cube, shape[1], exposure, problems)
@@ -254,7 +264,9 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
     stamps = np.asarray(times).astype("datetime64[ns]")
     if np.isnat(stamps).any():
         raise TimeError(
-            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT); drop these darks"
+            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
+            mend="drop these darks",
+            code="time-missing",
         )
     order = np.argsort(stamps, kind="stable")
     dark, ticks = dark[order], stamps[order].astype(np.int64)
@@ -271,9 +283,15 @@ def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Ar
     if np.ptp(taken) <= SAME_EXPOSURE_SHARE * taken.max():
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
-            f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
-            f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms; take a dark at the line's exposure, or "
-            "darks at two exposures, from which bias and rate follow"
+            (
+                f"the dark was taken at {taken[0] * 1000.0:g} ms, the line at "
+                f"{', '.join((f'{ms:g}' for ms in exposures_ms[:4]))} ms"
+            ),
+            mend=(
+                "take a dark at the line's exposure, or darks at two exposures, from which bias "
+                "and rate follow"
+            ),
+            code="dark-exposure-differs",
         )
     _judge_extrapolation(taken, exposure)
     centred = taken - taken.mean()
@@ -300,9 +318,15 @@ def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
     )
     if spans > MAX_DARK_SPANS:
         raise SchemaError(
-            f"{text}, expected {MAX_DARK_SPANS:g} at the most; take a dark at the line's exposure"
+            f"{text}",
+            expected=f"{MAX_DARK_SPANS:g} at the most",
+            mend="take a dark at the line's exposure",
+            code="dark-exposure-differs",
         )
-    warnings.warn(f"{text}: take a dark at the line's exposure", PaintWarning, stacklevel=2)
+    warnings.warn(
+        PaintWarning(f"{text}: take a dark at the line's exposure", code="dark-exposure-differs"),
+        stacklevel=2,
+    )
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
@@ -363,7 +387,9 @@ def _mean_place(degrees: Any, name: str) -> float:
     places = np.asarray(degrees, np.float64)
     places = places[np.isfinite(places)]
     if places.size == 0:
-        raise SchemaError(f"tilt= needs the sun's position, but {name!r} is missing on every line")
+        raise SchemaError(
+            f"tilt= needs the sun's position, but {name!r} is missing on every line", code="sun-missing"
+        )
     return float(places.mean())
 
 
@@ -427,7 +453,7 @@ def _at_panel(
     stamps = time[slice(*panel["lines"])]
     stamps = stamps[~np.isnat(stamps)]
     if not stamps.size:
-        raise TimeError(f"{panel['name']}: its lines have no time")
+        raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
     middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
     share = None
     is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))

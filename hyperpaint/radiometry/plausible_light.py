@@ -76,7 +76,10 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     slip = f", {judged.slip}" if judged.slip else ""
     if not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN:
         raise SchemaError(
-            f"{shown}, expected {LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}; correct its units"
+            f"{shown}",
+            expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
+            mend="correct its units",
+            code="irradiance-level",
         )
     if math.isfinite(clear):
         doubtful = not RULES.least_share <= level / clear <= RULES.most_share

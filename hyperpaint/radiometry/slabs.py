@@ -266,7 +266,7 @@ def of_panels(plan: Plan, name: str) -> Array:
     In the types of the table of variables.
     """
     if plan.closure is None or plan.panel_u is None:
-        raise SchemaError("no panel was given", expected="panel=")
+        raise SchemaError("no panel was given", expected="panel=", code="argument-missing")
     if name == "weight":
         array: Array = np.zeros((plan.rate.size, len(plan.closure.reasons)))
         array[:, [not reason for reason in plan.closure.reasons]] = (
@@ -288,7 +288,7 @@ def plan_of(cube: da.Array) -> Plan:
             plan: Plan = Delayed(key, graph).compute(scheduler="sync")
             return plan
         pending += graph.dependencies[key]
-    raise SchemaError("this array was not calibrated here: it has no plan")
+    raise SchemaError("this array was not calibrated here: it has no plan", code="plan-missing")
 
 
 def calibrated(

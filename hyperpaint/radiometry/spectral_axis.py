@@ -78,7 +78,9 @@ def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
     if (away > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(wanted).all():
         worst = np.atleast_1d(wanted)[np.atleast_1d(away).argmax()]
         raise SchemaError(
-            f"no band at {worst:g} nm; bands reach from {centres.min():g} to {centres.max():g} nm"
+            f"no band at {worst:g} nm",
+            mend=f"bands reach from {centres.min():g} to {centres.max():g} nm",
+            code="band-missing",
         )
     return nearest.item() if nearest.ndim == 0 else nearest
 
@@ -127,7 +129,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     if not products:
         raise SchemaError(
-            "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"
+            "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths",
+            mend="compute one first",
+            code="variable-missing",
         )
     if "wavelength_shift" not in dataset.variables:
         schema.warn_of_lost_belongings(dataset, "the spectrum at nominal wavelengths")
@@ -179,13 +183,17 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     """Return the first of four bands and their weights, (band, column[, 4])."""
     bands, columns = wavelength.size, shift.shape[1]
     if bands < 4:
-        raise SchemaError(f"{bands} bands are too few to interpolate between; four are needed")
+        raise SchemaError(
+            f"{bands} bands are too few to interpolate between", mend="four are needed", code="bands-too-few"
+        )
     own = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
     descending = wavelength[0] > wavelength[-1]
     axis = own[::-1] if descending else own
     if not (np.diff(axis, axis=0) > 0).all():
         raise SchemaError(
-            "wavelengths must be in order to interpolate between bands; split the cube at detector joins"
+            "wavelengths must be in order to interpolate between bands",
+            mend="split the cube at detector joins",
+            code="wavelength-unordered",
         )
     wanted = wavelength[::-1] if descending else wavelength
     first = np.empty((bands, columns), np.int64)
@@ -258,18 +266,29 @@ def smooth(
         dataset = schema.rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)
     if "reflectance" not in dataset.variables:
-        problems.add("'reflectance' is missing; call .paint.reflectance() first")
+        problems.add(
+            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
+        )
     if method not in METHODS:
-        problems.add(f"method {method!r}, expected one of {', '.join(METHODS)}")
+        problems.add(f"method {method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
     if window < 3 or window % 2 == 0:
-        problems.add(f"window {window}, expected an odd number of bands, 3 or more")
+        problems.add(
+            f"window {window}", expected="an odd number of bands, 3 or more", code="value-out-of-range"
+        )
     bands = dataset["reflectance"].sizes.get(schema.BAND) if "reflectance" in dataset else window
     if bands is None:
-        problems.add(f"'reflectance' has dims {dataset['reflectance'].dims}, none of which is 'band'")
+        problems.add(
+            f"'reflectance' has dims {dataset['reflectance'].dims}, none of which is 'band'",
+            code="dim-missing",
+        )
     elif window > bands:
-        problems.add(f"window {window} is wider than the {bands} bands")
+        problems.add(f"window {window} is wider than the {bands} bands", code="value-out-of-range")
     if method == "savitzky-golay" and not 0 <= order < window - 1:
-        problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
+        problems.add(
+            f"order {order}",
+            expected=f"0 to {window - 2} for a window of {window}",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
     cube = set(schema.CUBE) == set(array.dims)

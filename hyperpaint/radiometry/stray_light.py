@@ -39,14 +39,20 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
         D is not finite, not square, or says that most light is stray.
     """
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
-        raise SchemaError(f"{name} has shape {matrix.shape}, expected a finite square matrix over all bands")
+        raise SchemaError(
+            f"{name} has shape {matrix.shape}",
+            expected="a finite square matrix over all bands",
+            code="stray-matrix-shape",
+        )
     try:
         inverse = np.linalg.inv(np.eye(len(matrix)) + matrix)
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.inf)
     if not np.abs(inverse).sum(axis=1).max() < MAX_AMPLIFIED:
         raise SchemaError(
-            f"{name} cannot be inverted: it says that most light is stray; expected shares far below 1"
+            f"{name} cannot be inverted: it says that most light is stray",
+            mend="expected shares far below 1",
+            code="stray-matrix-singular",
         )
     return np.asarray(inverse)
 
@@ -55,23 +61,37 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
     """Note stray light that is not that of all bands of a cube, or more than can be taken off."""
     if STRAY in cube and np.shape(cube[STRAY]) != (bands, bands):
         problems.add(
-            f"{STRAY!r} is of {np.shape(cube[STRAY])[1]} bands, and {bands} are here: what they count of the "
-            "others needs all of them; choose bands of the reflectance, or drop the variable"
+            (
+                f"{STRAY!r} is of {np.shape(cube[STRAY])[1]} bands, and {bands} are here: what "
+                "they count of the others needs all of them"
+            ),
+            mend="choose bands of the reflectance, or drop the variable",
+            code="bands-selected",
         )
     shifted = cube.get("shifted_bands") or bands
     if shifted != bands:
         problems.add(
-            f"{SHIFT_TIME!r} is that of {shifted} bands, and {bands} are here: what smears into them needs "
-            "all; choose bands of the reflectance, or drop the variable"
+            (
+                f"{SHIFT_TIME!r} is that of {shifted} bands, and {bands} are here: what smears "
+                "into them needs all"
+            ),
+            mend="choose bands of the reflectance, or drop the variable",
+            code="bands-selected",
         )
     relative = float(cube.get(STRAY_U, 0.0))
     if not 0.0 <= relative < 1.0:
-        problems.add(f"{STRAY_U!r} is {relative:g}, expected a fraction of 1, such as 0.1")
+        problems.add(
+            f"{STRAY_U!r} is {relative:g}", expected="a fraction of 1, such as 0.1", code="value-out-of-range"
+        )
     shift = float(cube.get(SHIFT_TIME, 0.0))
     if not 0.0 <= shift * bands <= MAX_SMEAR_SHARE * float(exposure.min()):
         problems.add(
-            f"{SHIFT_TIME!r} is {shift:g} s, {bands} times of which are over {MAX_SMEAR_SHARE:.0%} of the "
-            f"exposure of {exposure.min():g} s; expected that of one band, some microseconds"
+            (
+                f"{SHIFT_TIME!r} is {shift:g} s, {bands} times of which are over "
+                f"{MAX_SMEAR_SHARE:.0%} of the exposure of {exposure.min():g} s"
+            ),
+            mend="expected that of one band, some microseconds",
+            code="smear-implausible",
         )
 
 

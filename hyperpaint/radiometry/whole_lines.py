@@ -68,6 +68,7 @@ def slab(
             "not compute",
             expected="lines in memory",
             mend="pass line.load(), open with chunks=None, or call .paint.reflectance() on all lines",
+            code="lines-not-loaded",
         )
     line = line.compute()  # reads what is read when asked for
     cubes = {name: line[name] for name in ("counts", "radiance") if name in line.data_vars}

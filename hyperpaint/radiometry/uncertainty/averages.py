@@ -89,10 +89,17 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     names = ("reflectance", *UNCERTAINTIES)
     problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
     for name in (name for name in names if name not in region.variables):
-        problems.add(f"{name!r} is missing; make it with .paint.reflectance(uncertainty=True)")
+        problems.add(
+            f"{name!r} is missing",
+            mend="make it with .paint.reflectance(uncertainty=True)",
+            code="variable-missing",
+        )
     for dim in over:
         if dim not in region.dims:
-            problems.add(f"{dim!r} is no dim of the region, which has {', '.join(map(str, region.dims))}")
+            problems.add(
+                f"{dim!r} is no dim of the region, which has {', '.join(map(str, region.dims))}",
+                code="dim-missing",
+            )
     problems.raise_if_any()
     rest = [dim for dim in region["reflectance"].dims if dim not in over]
     cubes = [region[name].transpose(*rest, *over).values.astype(np.float64) for name in names]

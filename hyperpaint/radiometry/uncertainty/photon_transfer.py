@@ -154,7 +154,7 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
     variance = arrays["counts_variance"].transpose(*dims).values.astype(np.float64)
     frames = arrays["frame_count"].values.astype(np.float64)
     if (frames < 2).any():
-        raise SchemaError("'frame_count' must be 2 or more: one frame has no variance")
+        raise SchemaError("'frame_count' must be 2 or more: one frame has no variance", code="frame-count")
     if "saturation_count" in arrays:
         # clipping lowers the variance before the mean reaches the end
         room = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
@@ -201,9 +201,9 @@ def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
     if lines < BLOCK_LINES:
-        problems.add(f"{lines} lines, expected {BLOCK_LINES} or more")
+        problems.add(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few")
     if bands < 3:
-        problems.add(f"{bands} bands, expected 3 or more, next to each other")
+        problems.add(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few")
     problems.raise_if_any()
     there = lines // BLOCK_LINES
     wanted = min(there, max(4, MOST_SAMPLES // (BLOCK_LINES * bands * columns)))
@@ -284,7 +284,11 @@ def _fit(points: _Points) -> _Transfer:
 
     valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
     if valid.sum() < _FEWEST:
-        raise SchemaError(f"noise cannot be estimated: {valid.sum()} variances, expected {_FEWEST} or more")
+        raise SchemaError(
+            f"noise cannot be estimated: {valid.sum()} variances",
+            expected=f"{_FEWEST} or more",
+            code="noise-not-estimable",
+        )
     freedom = np.broadcast_to(points.freedom, valid.shape)
     slope, height = _first_guess(points, valid, freedom)
     edge = chi2.ppf(_KEPT, points.freedom) / points.freedom
@@ -303,7 +307,9 @@ def _fit(points: _Points) -> _Transfer:
         used = valid & even[:, None] & (ratio < edge)
         if used.sum() < _FEWEST:
             raise SchemaError(
-                "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
+                "noise cannot be estimated: no block is homogeneous",
+                mend="give repeated frames, or a lab sweep",
+                code="noise-not-estimable",
             )
         before = slope
         slope, height, covariance = _solve(points, used, model * loss, points.variance / loss)
@@ -374,9 +380,13 @@ def _refuse_unless_sure(transfer: _Transfer) -> None:
         return
     error = np.sqrt(transfer.covariance[0, 0])
     raise SchemaError(
-        f"electrons per count are uncertain: signals of {transfer.low:.0f} to {transfer.high:.0f} counts "
-        f"give a slope of {transfer.slope:.3g} +- {error:.2g} counts of variance a count; "
-        "take a line with dark and bright surfaces, or repeated frames of several levels"
+        (
+            f"electrons per count are uncertain: signals of {transfer.low:.0f} to "
+            f"{transfer.high:.0f} counts give a slope of {transfer.slope:.3g} +- {error:.2g} "
+            "counts of variance a count"
+        ),
+        mend="take a line with dark and bright surfaces, or repeated frames of several levels",
+        code="electrons-uncertain",
     )
 
 

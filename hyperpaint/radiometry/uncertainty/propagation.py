@@ -59,12 +59,15 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     """
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
     if "counts" not in dataset.variables:
-        problems.add("'counts' is missing: noise follows from counts, not from radiance alone")
+        problems.add(
+            "'counts' is missing: noise follows from counts, not from radiance alone", code="variable-missing"
+        )
     for name in NOISE:
         if name not in dataset.variables:
             problems.add(
-                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}; it comes with a "
-                "calibration, or from line.assign(hp.radiometry.estimate_noise(line))"
+                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}",
+                mend=("it comes with a calibration, or from line.assign(hp.radiometry.estimate_noise(line))"),
+                code="variable-missing",
             )
     problems.raise_if_any()
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables]
@@ -218,14 +221,19 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
         used = array[~bad] if array.shape == bad.shape else array
         used = used[~np.isnan(used)]
         if used.size == 0:
-            problems.add(f"{name!r} holds no value")
+            problems.add(f"{name!r} holds no value", code="not-finite")
             continue
         positive = name == "electrons_per_count"
         if not np.isfinite(used).all() or used.min() < 0 or (positive and used.min() == 0):
             wanted = "positive" if positive else "0 or more"
-            problems.add(f"{name!r} must be finite and {wanted}, found {used.min():g} to {used.max():g}")
+            problems.add(
+                f"{name!r} must be finite and {wanted}, found {used.min():g} to {used.max():g}",
+                code="value-out-of-range",
+            )
         elif name not in _ABSOLUTE and used.max() > 1.0:
             problems.add(
-                f"{name!r} is {used.max():g}; it is relative, expected a fraction of 1, such as 0.02"
+                f"{name!r} is {used.max():g}; it is relative",
+                expected="a fraction of 1, such as 0.02",
+                code="value-out-of-range",
             )
     problems.raise_if_any()
