@@ -14,6 +14,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
+#: What is used of an alignment.
 _NEEDED = (
     "flag",
     "shift_correction",
@@ -23,7 +24,6 @@ _NEEDED = (
     "column",
     "window_centre",
 )
-"""What is used of an alignment."""
 _WINDOW = "window"
 
 

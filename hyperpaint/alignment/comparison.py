@@ -94,8 +94,8 @@ COMPARISON = ComparisonRules()
 
 _COARSE_STEP_NM = 0.25
 _ITERATIONS = 8
+#: Neighbouring bands whose errors are taken for one: a channel's noise reaches as far as both responses.
 _CLUSTER_BANDS = 4
-"""Neighbouring bands whose errors are taken for one: a channel's noise reaches as far as both responses."""
 _DERIVATIVE_NM, _DERIVATIVE_WIDTH = 0.02, 0.01
 _LEAST_RESIDUAL = 2e-4
 

@@ -37,8 +37,8 @@ from .least_squares import (
 )
 from .oxygen import mean_over_lines, radiance_of_bands
 
+#: Pixels below which a column is not used.
 FEWEST_PIXELS = 8
-"""Pixels below which a column is not used."""
 #: Units and meaning of what the check reports; wavelength_shift and fwhm are those of the table.
 _REPORTED = {
     "wavelength_shift_u": ("nm", "Standard uncertainty of the wavelength shift"),

@@ -17,8 +17,8 @@ from .comparison import COMPARISON, Comparison, ComparisonRules, compared
 from .sunlines import Instruments, divided
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
+#: Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm].
 VNIR_END_NM = 1000.0
-"""Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm]."""
 
 
 def align(

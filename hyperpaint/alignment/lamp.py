@@ -25,8 +25,8 @@ from hyperpaint.light.responses import (
 )
 from hyperpaint.light.synchrony import line_light
 
+#: Declared shift beyond which units are wrong [nm].
 _MOST_SHIFT = 20.0
-"""Declared shift beyond which units are wrong [nm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +117,10 @@ def _imager(values: dict[str, Array], shape: str) -> Responses:
     )  # fmt: skip
 
 
+#: Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm.
 SHIFT_STEP = 0.5
-"""Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm."""
+#: Widths over the declared ones at which irradiance is matched.
 FACTORS = np.linspace(0.6, 1.6, 9)
-"""Widths over the declared ones at which irradiance is matched."""
 
 
 @dataclass(frozen=True)

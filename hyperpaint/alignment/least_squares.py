@@ -13,8 +13,8 @@ from hyperpaint.base.errors import Problems, SchemaError
 
 from .lamp import FACTORS, Declared, IrradianceTable
 
+#: Relative departure that numbers of float32 and the matching leave in the best of cases.
 RESIDUAL_FLOOR = 1e-4
-"""Relative departure that numbers of float32 and the matching leave in the best of cases."""
 _ITERATIONS = 12
 _FEWEST_FREEDOM = 3
 
@@ -245,15 +245,15 @@ def _uncertainties(
 
 Window = tuple[float, float]
 
+#: Where to look [nm]: the oxygen A band and the water around 940 nm, without vegetation's red edge.
 WINDOWS = ((740.0, 800.0), (890.0, 985.0))
-"""Where to look [nm]: the oxygen A band and the water around 940 nm, without vegetation's red edge."""
+#: How far beyond a window the irradiance record must reach to be used unasked [nm].
 _RECORD_MARGIN = 15.0
-"""How far beyond a window the irradiance record must reach to be used unasked [nm]."""
+#: Why a column is not used.
 FLAGS = {"no_data": 1, "too_noisy": 2, "at_limit": 4, "record_too_coarse": 8}
-"""Why a column is not used."""
 MAX_NOISE_GAIN = 3.0
+#: Ratio of the windows' variances up to which they are taken for one.
 _SAME_NOISE = 3.0
-"""Ratio of the windows' variances up to which they are taken for one."""
 
 
 def default_windows(declared: Declared, degree: int) -> list[Window]:

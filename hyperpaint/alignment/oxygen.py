@@ -15,8 +15,8 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
 
+#: Lines that bad elements are recognised in.
 _FIRST_LINES = 64
-"""Lines that bad elements are recognised in."""
 
 
 def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.DataArray:
@@ -60,10 +60,10 @@ def mean_over_lines(
         return np.where(bad | (pixels == 0), np.nan, total / pixels), pixels
 
 
+#: Where reflectance is free of the oxygen A band seen 6 nm wide [nm].
 SHOULDERS = ((740.0, 753.0), (775.0, 788.0))
-"""Where reflectance is free of the oxygen A band seen 6 nm wide [nm]."""
+#: Bands weigh less the farther they are from here, to nothing at this distance [nm].
 CENTRE, REACH = 760.0, 5.0
-"""Bands weigh less the farther they are from here, to nothing at this distance [nm]."""
 _FEWEST_BANDS = 4
 
 

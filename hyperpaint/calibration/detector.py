@@ -15,14 +15,14 @@ from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 from hyperpaint.base.units import takes_quantities
 
 _ELEMENT = (BAND, CROSS_TRACK)
+#: Relative difference of exposures below which they count as one: what drivers round to.
 _SAME_EXPOSURE = 1e-3
-"""Relative difference of exposures below which they count as one: what drivers round to."""
 
+#: Times the shortest and the longest exposure of the darks that their model is carried to.
 _BEYOND = 2.0
-"""Times the shortest and the longest exposure of the darks that their model is carried to."""
 
+#: Uncertainty [count] of a dark that follows from a model, beyond which it is none.
 _DARK_U = 1.0
-"""Uncertainty [count] of a dark that follows from a model, beyond which it is none."""
 
 
 @dataclass(frozen=True, eq=False)

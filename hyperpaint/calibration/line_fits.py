@@ -26,14 +26,14 @@ from hyperpaint.kernels.line_fits import (
     profiles,
 )
 
+#: Line shapes that a sweep distinguishes, and what the kernel calls them.
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
-"""Line shapes that a sweep distinguishes, and what the kernel calls them."""
 
+#: Share of the brightest column from which a column counts as lit.
 LIT = 0.2
-"""Share of the brightest column from which a column counts as lit."""
 
+#: Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area.
 REACH = 2.2
-"""Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area."""
 
 _DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
 _FEWEST_BESIDE = 12  # bands beyond a window from which its background is estimated

@@ -18,14 +18,14 @@ from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 
 from .line_fits import Window
 
+#: Bands outside a line, at least, from which what scatters beside it is known.
 _FEWEST_OUTSIDE = 4
-"""Bands outside a line, at least, from which what scatters beside it is known."""
+#: Bins of distance beside a line by which what scatters rises towards it, exponentially, by e at the most.
 _NEAREST_BINS = 3
-"""Bins of distance beside a line by which what scatters rises towards it, exponentially, by e at the most."""
 
 
+#: Relative standard uncertainty of what scatters into a line's window, told from what does beside it [1].
 _WING_U = 0.25
-"""Relative standard uncertainty of what scatters into a line's window, told from what does beside it [1]."""
 
 
 class OffLines(NamedTuple):

@@ -21,8 +21,8 @@ from .wavelength_map import WavelengthMap
 
 Tick = Callable[[], None]
 
+#: Where a noise model comes from; a third source is what the sweep states.
 FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
-"""Where a noise model comes from; a third source is what the sweep states."""
 
 _CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a line does so in one, or two
 _SAME_COUNT = 0.25

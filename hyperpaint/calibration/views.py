@@ -20,8 +20,8 @@ from .detector import deviant_darks
 from .lab_sweep import LabSweep, check_sweep
 from .line_fits import SHAPES, find_line
 
+#: [J m]
 PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
-"""[J m]"""
 
 
 def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:

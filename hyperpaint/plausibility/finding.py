@@ -130,8 +130,8 @@ _LIST = (
         refused=False,
     ),
 )
+#: Every kind of finding, by its name.
 KINDS = {kind.name: kind for kind in _LIST}
-"""Every kind of finding, by its name."""
 
 
 @dataclass(frozen=True)

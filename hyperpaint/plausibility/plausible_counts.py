@@ -9,8 +9,8 @@ import numpy as np
 from .cube_sample import CubeSample
 from .finding import KINDS, Finding
 
+#: Share of the elements [1] that a frame counter or status word takes at the most: a column in 640.
 STRAY_SHARE = 2e-3
-"""Share of the elements [1] that a frame counter or status word takes at the most: a column in 640."""
 
 
 def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:

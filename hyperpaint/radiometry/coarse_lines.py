@@ -15,10 +15,10 @@ from .counts_to_reflectance import reflectance
 from .slabs import line_chunked
 
 SCREEN_LINES = 1000
+#: Pixels along a side of a block: what is stored is at most a sixteenth of the cube.
 SMALLEST_SIDE = 4
-"""Pixels along a side of a block: what is stored is at most a sixteenth of the cube."""
+#: Mantissa bits of a stored mean: as good as half precision, in a type that netCDF holds, and as small.
 MEANS_BITS = 10
-"""Mantissa bits of a stored mean: as good as half precision, in a type that netCDF holds, and as small."""
 
 _SIDE = "block_side"
 

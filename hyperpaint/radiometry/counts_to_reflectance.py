@@ -45,8 +45,8 @@ _BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR 
 _BITS_OF_LIGHT = (
     Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
 )
+#: Bits that are found anew, for each product; others were set elsewhere, and stay.
 _OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
-"""Bits that are found anew, for each product; others were set elsewhere, and stay."""
 
 
 @takes_quantities()

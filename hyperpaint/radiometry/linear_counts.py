@@ -20,16 +20,16 @@ from hyperpaint.kernels.arguments import DetectorModel
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
+#: Terms of a polynomial that the kernel computes [1]; more of them take the way of a table.
 _TERMS = 4
-"""Terms of a polynomial that the kernel computes [1]; more of them take the way of a table."""
+#: Places at which the kernel knows a curve [1]: every eighth count of 16 bits, so that between them a bend of
+#: 5 % at full scale is straight to 1e-5 counts.
 _NODES = 8192
-"""Places at which the kernel knows a curve [1]: every eighth count of 16 bits, so that between them a bend of
-5 % at full scale is straight to 1e-5 counts."""
+#: Share of the highest count by which the curve is known below 0 [1]: as far as dark noise reaches.
 _BELOW_DARK = 1.0 / 16.0
-"""Share of the highest count by which the curve is known below 0 [1]: as far as dark noise reaches."""
 _NONE_MASKED = np.empty((0, 2), np.int64)
+#: End of the curve [count] where the calibration does not say at which count the converter is full.
 _HIGHEST_COUNT = 65535.0
-"""End of the curve [count] where the calibration does not say at which count the converter is full."""
 
 
 @dataclass(frozen=True)

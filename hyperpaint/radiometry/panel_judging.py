@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 
+#: What is noticed of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
-"""What is noticed of a panel, in the order of the bits of ``panel_state``."""
 _SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
 
 

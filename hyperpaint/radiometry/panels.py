@@ -21,14 +21,14 @@ from hyperpaint.base.units import convert, takes_quantities
 from . import slabs
 from .panel_judging import PANEL_STATES
 
+#: Variables that say what panels measure.
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
-"""Variables that say what panels measure."""
 
+#: What of them gives a line its scale again, in a crop without any panel as well.
 _SCALE = ("panel_factor", "panel_state", "panel_weight", "panel_scale_u")
-"""What of them gives a line its scale again, in a crop without any panel as well."""
 
+#: What a line may say of how well its panels are expected to close.
 _STATED = ("radiance_gain_u_systematic", "irradiance_u_systematic")
-"""What a line may say of how well its panels are expected to close."""
 
 
 @takes_quantities()

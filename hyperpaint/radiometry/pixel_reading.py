@@ -28,8 +28,8 @@ from .spectral_axis import bands_at
 
 Place = int | slice
 
+#: Lines that are read and calibrated at once, from the border of a storage chunk on.
 BLOCK_LINES = 2 * CHUNK_LINES
-"""Lines that are read and calibrated at once, from the border of a storage chunk on."""
 
 _NO_QUALITY = np.empty((0, 0), np.uint16)
 _NO_CUBE = np.empty((0, 0, 0), np.float32)

@@ -27,11 +27,11 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from .slabs import Plan
 
 MOST_PLANS = 8
+#: Of all plans and the copies that they are looked up by.
 MOST_BYTES = 64 * 2**20
-"""Of all plans and the copies that they are looked up by."""
 
+#: Of a plan that stands in a graph itself; larger ones are made by its tasks, from less.
 MOST_EMBEDDED_BYTES = 8 * 2**20
-"""Of a plan that stands in a graph itself; larger ones are made by its tasks, from less."""
 
 MOST_PENDING = 16
 

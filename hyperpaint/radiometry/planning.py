@@ -29,17 +29,18 @@ from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms
 
 NOISE_MARGIN_SD = 5.0
+#: Spread of a dark count [count] where neither the calibration nor the dark gives it.
 DEFAULT_READ_NOISE_COUNTS = 2.0
-"""Spread of a dark count [count] where neither the calibration nor the dark gives it."""
 BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
+#: Relative difference up to which a dark serves a line's exposure.
 SAME_EXPOSURE_SHARE = 0.01
-"""Relative difference up to which a dark serves a line's exposure."""
 TRUSTED_DARK_SPANS = 1.0
+#: How far beyond the exposures of the darks a line's may lie, in widths of the interval between them: without
+#: a word, and at all. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at a
+#: width and 1.7 at four; the noise of two darks' means grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15 times
+#: at ten.
 MAX_DARK_SPANS = 10.0
-"""How far beyond the exposures of the darks a line's may lie, in widths of the interval between them: without
-a word, and at all. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at a width
-and 1.7 at four; the noise of two darks' means grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15 times at ten."""
 
 
 def make_plan(

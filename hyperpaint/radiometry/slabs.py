@@ -44,8 +44,8 @@ from .panel_judging import PanelClosure
 from .panel_scale import scale_of_lines
 
 _OF_LINES = ("dark_index", "dark_weight", "line_flags")
+#: Fields of a plan of which a slab takes what `Plan.light` makes of them.
 _IN_LIGHT = ("rate", "scale", "panel_weights", "series", "lines")
-"""Fields of a plan of which a slab takes what `Plan.light` makes of them."""
 _OF_NO_SLAB = ("closure", "panel_u", "misfit", "starts")
 
 

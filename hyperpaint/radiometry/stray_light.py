@@ -18,15 +18,15 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
+#: What a calibration or a line says of it.
 STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
-"""What a calibration or a line says of it."""
+#: Sum of a row of the inverse [1], beyond which most light would be stray.
 MAX_AMPLIFIED = 10.0
-"""Sum of a row of the inverse [1], beyond which most light would be stray."""
+#: Share of a frame's light that may be smear [1]: bands times shift time over exposure.
 MAX_SMEAR_SHARE = 0.5
-"""Share of a frame's light that may be smear [1]: bands times shift time over exposure."""
+#: Sum of a row of D, whatever its signs, that is left out [1]. Real spectra are smooth, and what is left out
+#: alternates in sign: of them it is a hundredth of that.
 MAX_LEFT = 3e-4
-"""Sum of a row of D, whatever its signs, that is left out [1]. Real spectra are smooth, and what is left out
-alternates in sign: of them it is a hundredth of that."""
 _PAD = 4
 
 

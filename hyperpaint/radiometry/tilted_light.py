@@ -20,8 +20,8 @@ from hyperpaint.light.sun import solar_position
 _CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
 
 
+#: How far from a panel samples may be that tell its sky: what changes over a minute is part of it.
 _AROUND_PANEL = np.timedelta64(120, "s")
-"""How far from a panel samples may be that tell its sky: what changes over a minute is part of it."""
 
 
 def tilt_factors(

@@ -45,6 +45,7 @@ class Form(NamedTuple):
         return ", ".join(f"{dim} {form}" for dim, form in zip(self._fields, self, strict=True))
 
 
+#: Sources of error of a sample. Smile and smoothing make neighbouring bands share what is random.
 FORMS = {
     "noise": Form("random", "random", "random"),
     "mean dark": Form("systematic", "random", "random"),
@@ -59,8 +60,8 @@ FORMS = {
     "wavelength": Form("systematic", "systematic", "systematic"),
     "stray light": Form("systematic", "systematic", "systematic"),
 }
-"""Sources of error of a sample. Smile and smoothing make neighbouring bands share what is random."""
 
+#: Variables that each source follows from.
 COMPONENTS = {
     "noise": NOISE,
     "mean dark": ("dark_counts_u_random",),
@@ -75,7 +76,6 @@ COMPONENTS = {
     "wavelength": ("wavelength_u",),
     "stray light": ("stray_light_u",),
 }
-"""Variables that each source follows from."""
 
 _COMMON = {
     "gain": "radiance_gain_u_systematic",

@@ -11,15 +11,15 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.light.illumination import imager_of, matched_series
 
+#: Variance between two samples of irradiance over that of one: mean of (1 - w)^2 + w^2 over w.
 INTERPOLATED = 2.0 / 3.0
-"""Variance between two samples of irradiance over that of one: mean of (1 - w)^2 + w^2 over w."""
 
+#: Share of the samples that must have a channel for a sample without it to be left out.
 USUAL_SHARE = 0.9
-"""Share of the samples that must have a channel for a sample without it to be left out."""
 
 
+#: Samples between two others from which the noise of a record is estimated.
 FEWEST_TRIPLES = 4
-"""Samples between two others from which the noise of a record is estimated."""
 _MOST_TRIPLES = 256
 _MOST_SPECTRA = 64
 _WINDOW_CHANNELS = 21

@@ -20,10 +20,10 @@ from hyperpaint.radiometry.spectral_axis import NominalAxis
 from .error_sources import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
+#: Correlation of two bands below which none is stored [1].
 LEAST_CORRELATION = 0.01
-"""Correlation of two bands below which none is stored [1]."""
+#: Bands after a band whose correlation with it is stored at most.
 MOST_LAGS = 48
-"""Bands after a band whose correlation with it is stored at most."""
 
 
 class MeanErrors(NamedTuple):

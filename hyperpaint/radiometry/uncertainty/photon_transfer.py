@@ -32,10 +32,10 @@ from hyperpaint.base.schema import (
 
 from .irradiance_noise import noise_of_record
 
+#: Lines of a block, within which a column is asked to see one surface.
 BLOCK_LINES = 8
-"""Lines of a block, within which a column is asked to see one surface."""
+#: Samples that are read of a flight; more would add nothing.
 MOST_SAMPLES = 3_000_000
-"""Samples that are read of a flight; more would add nothing."""
 _CLEAR = 12.0  # times the spread of a dark count; the mean of a block is then known to 3 %
 _EVEN = 0.15  # change of brightness that is texture; beyond is an edge or a glint
 _FEWEST = 200

@@ -34,12 +34,12 @@ SYSTEMATIC = (
     "dark_counts_u_systematic",
     "linearity_u",
 )
+#: Attributes of uncertainties: what they follow from that no variable of the line says.
 WHOLE_COUNTS, MASKED, PANEL_U = "whole_counts", "masked_elements", "panel_u"
-"""Attributes of uncertainties: what they follow from that no variable of the line says."""
 
 UNCERTAINTIES = ("reflectance_u_random", "reflectance_u_systematic")
+#: Attribute ``components`` of an uncertainty that nothing known enters: it is zero for want of knowledge.
 NONE_KNOWN = "none known"
-"""Attribute ``components`` of an uncertainty that nothing known enters: it is zero for want of knowledge."""
 _ABSOLUTE = (
     "electrons_per_count",
     "read_noise",
