@@ -180,7 +180,7 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
         The shift is not finite, or beyond 20 nm.
     """
     shift = np.atleast_2d(
-        np.asarray([0.0] * columns if wavelength_shift is None else wavelength_shift, float)
+        np.asarray([0.0] * columns if wavelength_shift is None else wavelength_shift, np.float64)
     )
     if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
         raise SchemaError(
