@@ -1,6 +1,6 @@
 """Wavelengths and line widths of the camera in flight, with the daylight as the lamp.
 
-The irradiance record and the scene show the same absorption lines. What paint does to them is smooth over
+The irradiance record and the scene show the same absorption bands. Paint changes them smoothly over
 some tens of nanometres; where the ratio of radiance to matched irradiance is not smooth, the camera's
 wavelengths or widths are not those declared. The check is relative to the irradiance spectrometer, as
 reflectance is.
@@ -38,13 +38,13 @@ from .least_squares import (
 from .oxygen import mean_over_lines, radiance_of_bands
 
 #: Pixels below which a column is not used.
-FEWEST_PIXELS = 8
-#: Units and meaning of what the check reports; wavelength_shift and fwhm are those of the table.
+MIN_PIXELS = 8
+#: Units and meaning of reported variables; wavelength_shift and fwhm are in the table.
 _REPORTED = {
     "wavelength_shift_u": ("nm", "Standard uncertainty of the wavelength shift"),
-    "shift_correction": ("nm", "Wavelength found minus wavelength declared"),
+    "shift_correction": ("nm", "Measured minus declared wavelength"),
     "fwhm_u": ("nm", "Standard uncertainty of the full width at half maximum"),
-    "fwhm_factor": ("1", "Full width at half maximum found over that declared"),
+    "fwhm_factor": ("1", "Measured over declared full width at half maximum"),
     "correlation": ("1", "Correlation of the errors of shift and width"),
     "residual": ("1", "Relative departure of the ratio from a smooth curve, root mean square"),
     "residual_declared": ("1", "The same with the declared wavelengths and widths"),
@@ -52,7 +52,7 @@ _REPORTED = {
     "pixels": ("1", "Pixels averaged"),
     "departure": ("1", "Relative departure of the ratio from a smooth curve"),
     "departure_declared": ("1", "The same with the declared wavelengths and widths"),
-    "flag": ("", "Why a column cannot tell"),
+    "flag": ("", "Why a column is not reliable"),
 }
 
 
@@ -220,16 +220,16 @@ def _grouped(
 def _labelled(
     estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
-    """Return estimates as a Dataset (window, cross_track), with flags that know the noise and the pixels."""
+    """Return estimates as a Dataset (window, cross_track), with flags of noise and of few pixels."""
     value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
-    fwhm = np.array([each.fwhm for each in estimates])[:, None]
+    fwhm = np.array([estimate.fwhm for estimate in estimates])[:, None]
     with np.errstate(invalid="ignore"):
         noisy = ~(spread[..., 0] <= max_uncertainty) & ~np.isnan(value[..., 0])
         correlation = covariance[..., 0, 1] / (spread[..., 0] * spread[..., 1])
     flag |= np.where(noisy, FLAGS["too_noisy"], 0).astype(np.uint8)
-    flag |= np.where(pixels < FEWEST_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
-    each = {
+    flag |= np.where(pixels < MIN_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
+    columns = {
         "wavelength_shift": value[..., 0] + stacked(estimates, "shift"),
         "wavelength_shift_u": spread[..., 0],
         "shift_correction": value[..., 0],
@@ -240,7 +240,7 @@ def _labelled(
         **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
         "flag": flag,
     }
-    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in each.items()})
+    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in columns.items()})
     report["pixels"] = (CROSS_TRACK, pixels)
     centre_attrs = {"units": "nm", "long_name": "Mean wavelength of the bands of a window"}
     return report.assign_coords(
