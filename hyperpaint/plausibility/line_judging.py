@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.variables import BAND, CROSS_TRACK
@@ -83,14 +84,7 @@ def _judge_sample(
     full = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
     gain = line["radiance_gain"].transpose(BAND, CROSS_TRACK).values.astype(np.float64)
-    # the dark of the line, measured at its exposure or fitted to darks of others, without noise of its own
-    parts = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
-    exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
-    if "dark_exposure_time" in line:
-        parts["dark_exposure_time"] = line["dark_exposure_time"].values
-    taken = np.atleast_1d(parts.get("dark_exposure_time", exposure.mean())).astype(np.float64)
-    dark = darks_of_lines(parts, exposure)[0].mean(axis=0, dtype=np.float64)
-    is_measured = (np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all()
+    dark, is_measured = _dark_of(line)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
         spread = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
@@ -103,3 +97,17 @@ def _judge_sample(
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
         mean_gain = np.nanmean(gain, axis=1)
         yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
+
+
+def _dark_of(line: xr.Dataset) -> tuple[Floats, bool]:
+    """Return the dark (band, cross_track) of a line, and whether it was measured at the line's exposure.
+
+    A dark that is fitted to darks of other exposures has no noise of its own.
+    """
+    parts = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
+    exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
+    if "dark_exposure_time" in line:
+        parts["dark_exposure_time"] = line["dark_exposure_time"].values
+    taken = np.atleast_1d(parts.get("dark_exposure_time", exposure.mean())).astype(np.float64)
+    dark = darks_of_lines(parts, exposure)[0].mean(axis=0, dtype=np.float64)
+    return dark, bool((np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all())

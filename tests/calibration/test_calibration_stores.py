@@ -84,7 +84,7 @@ def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such sweep"):
         open_sweep(tmp_path / "nothing.zarr")
     plain_zarr(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "a.zarr")
-    with pytest.raises(FormatError, match=r"no lab sweep: expected 'counts' .* found a"):
+    with pytest.raises(FormatError, match="no lab sweep"):
         open_sweep(tmp_path / "a.zarr")
 
 
