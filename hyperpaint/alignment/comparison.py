@@ -172,7 +172,15 @@ class _WindowFit:
         # many shifts are tried with the same widths
         at_width = self.by_width.get(float(width))
         if at_width is None:
-            at_width = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+            # the polynomial through the light at all widths
+            away, nodes = width - self.widths, self.widths
+            weights_of_widths = np.array(
+                [
+                    np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k))
+                    for k in range(nodes.size)
+                ]
+            )
+            at_width = np.einsum("nwb,w->nb", self.light, weights_of_widths)
             self.by_width[float(width)] = at_width
         place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
         low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
@@ -202,13 +210,6 @@ class _WindowFit:
         tilt = (self.slopes @ (self.basis.T @ ratio)) * self.variance[:, None]
         ratio = self.log - self.light_at(place + tilt, width)
         return np.asarray(ratio - self.basis @ (self.basis.T @ ratio))
-
-
-def _lagrange(nodes: Floats, at: float) -> Floats:
-    away = at - nodes
-    return np.array(
-        [np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k)) for k in range(nodes.size)]
-    )
 
 
 def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Comparison | None:

@@ -105,10 +105,10 @@ def align_to_irradiance(
     Dataset
         By ``cross_track`` (and before it ``window``, with ``separate``), float64, each with ``units``:
         ``wavelength_shift`` and ``fwhm`` as found, ``wavelength_shift_u`` and ``fwhm_u``, ``correlation``,
-        ``shift_correction`` and ``fwhm_factor`` (found against declared), ``residual`` and
+        ``shift_correction`` and ``fwhm_factor`` (measured against declared), ``residual`` and
         ``residual_declared``, ``chi2`` (of the windows against their mean, over its degrees of freedom),
-        ``pixels``, ``flag`` (0 where the column can tell); ``departure`` and ``departure_declared`` (band,
-        cross_track): the ratio over its smooth curve minus 1, for a look. Coordinate ``column``: the mean
+        ``pixels``, ``flag`` (0 where the column is reliable); ``departure`` and ``departure_declared`` (band,
+        cross_track): the ratio over its smooth curve minus 1, to inspect. Coordinate ``column``: the mean
         column of a group.
 
     Raises
@@ -178,17 +178,15 @@ def align_to_irradiance(
 
 
 def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: float) -> None:
-    problems = Problems("the alignment cannot be found", SchemaError)
-    if not 0 <= degree <= 12:
-        problems.add(f"degree={degree}", expected="0 to 12", code="value-out-of-range")
-    if group < 1:
-        problems.add(f"group={group}", expected="a number of columns", code="value-out-of-range")
-    if not 0.0 < max_shift <= 10.0:
-        problems.add(f"max_shift={max_shift:g}", expected="a length up to 10 nm", code="value-out-of-range")
-    if not max_uncertainty > 0.0:
-        problems.add(
-            f"max_uncertainty={max_uncertainty:g}", expected="a length above 0 nm", code="value-out-of-range"
-        )
+    problems = Problems("the line cannot be aligned", SchemaError)
+    for is_valid, found, expected in (
+        (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
+        (group >= 1, f"group={group}", "1 or more columns"),
+        (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
+        (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
 
 
@@ -200,8 +198,8 @@ def _grouped(
     if group == 1:
         return spectrum, pixels, shift, columns
     starts = np.arange(0, pixels.size, group)
-    # an element that is bad in one column is left out of the group's mean; its gain makes no step in radiance
-    # but its neighbours' surface does, so that columns with one are weighed out whole
+    # leave out whole columns with a bad element: without it the group's mean would show another surface in
+    # that band alone
     in_any_column = np.isfinite(spectrum).any(axis=1, keepdims=True)
     weight = np.where(np.isfinite(spectrum).all(axis=0, where=in_any_column), pixels, 0)
     total = np.add.reduceat(weight, starts)

@@ -123,7 +123,10 @@ def align(
         warnings.warn(warning, stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
-        camera = _camera_share(comparison, rules)
+        # the camera's wavelengths move only where its share is significant
+        parts = _instruments(comparison)
+        is_camera = abs(parts.camera_shift) > rules.camera_significance * parts.camera_shift_u
+        camera = float(f"{parts.camera_shift:.3f}") if is_camera else 0.0
         moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
         text = f"irradiance record corrected in flight{moved}: {_sentence(comparison)}"
         return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
@@ -170,13 +173,6 @@ def _instruments(found: Comparison) -> Instruments:
     return divided(shift, width, found.sun, found.declared_fwhm)
 
 
-def _camera_share(found: Comparison, rules: ComparisonRules) -> float:
-    """Return the correction of the camera's wavelengths [nm]; 0 where it is not significant."""
-    apart = _instruments(found)
-    is_significant = abs(apart.camera_shift) > rules.camera_significance * apart.camera_shift_u
-    return float(f"{apart.camera_shift:.3f}") if is_significant else 0.0
-
-
 def _sentence(found: Comparison) -> str:
     spread = np.sqrt(np.diag(found.covariance))
     places = ", ".join(
@@ -209,15 +205,11 @@ def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset
         .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
     )
     if camera:
-        aligned = _moved(aligned, camera)
+        # the columns' wavelengths move; ``wavelength`` stays, the axis of all lines
+        names = [name for name in ("wavelength_shift",) if name in aligned.variables]
+        declared = schema.require(aligned, names, "the alignment")
+        zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
+        shift = declared.get("wavelength_shift", zero) + camera
+        plain = xr.DataArray(shift.values, dims=shift.dims)
+        aligned = aligned.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))
     return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))
-
-
-def _moved(line: xr.Dataset, shift_nm: float) -> xr.Dataset:
-    """Return the line with its columns' wavelengths shifted; ``wavelength`` stays, the axis of all lines."""
-    names = [name for name in ("wavelength_shift",) if name in line.variables]
-    declared = schema.require(line, names, "the alignment")
-    zero = xr.DataArray(np.zeros(line.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
-    shift = declared.get("wavelength_shift", zero) + shift_nm
-    plain = xr.DataArray(shift.values, dims=shift.dims)
-    return line.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))

@@ -64,15 +64,22 @@ class Declared:
         names = [*needed, *(name for name in optional if name in dataset.variables)]
         arrays = schema.require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
-        wavelength = values["wavelength"]
+        wavelength, fwhm = values["wavelength"], values["fwhm"]
+        slope = None
+        if "radiance_gain" in values:
+            slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
+        spacing, offset, table = (values.get(name) for name in ("band_spacing", "srf_offset", "srf"))
+        shape = str(dataset.attrs.get("srf_shape", "gaussian"))
         gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
             wavelength=wavelength,
-            fwhm=values["fwhm"],
+            fwhm=fwhm,
             good=np.asarray(values.get("good", np.ones(wavelength.size)), bool),
             wavelength_shift=np.asarray(values.get("wavelength_shift", 0.0), np.float64),
-            imager=_imager(values, str(dataset.attrs.get("srf_shape", "gaussian"))),
+            imager=Responses(
+                wavelength, fwhm, shape, spacing=spacing, slope=slope, offset=offset, table=table
+            ),
             light=Light(
                 spectra=np.asarray(values["irradiance"], np.float64),
                 time=values[IRRADIANCE_TIME],
@@ -103,15 +110,6 @@ class Declared:
             if (values := getattr(self.imager, name)) is not None
         }
         return replace(self.imager, **parts)
-
-
-def _imager(values: dict[str, Array], shape: str) -> Responses:
-    wavelength, fwhm = values["wavelength"], values["fwhm"]
-    slope = None
-    if "radiance_gain" in values:
-        slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
-    spacing, offset, table = (values.get(name) for name in ("band_spacing", "srf_offset", "srf"))
-    return Responses(wavelength, fwhm, shape, spacing=spacing, slope=slope, offset=offset, table=table)
 
 
 #: Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm.

@@ -16,12 +16,12 @@ from .lamp import FACTORS, Declared, IrradianceTable
 #: Least relative residual, by float32 and the matching [1].
 RESIDUAL_FLOOR = 1e-4
 _ITERATIONS = 12
-_FEWEST_FREEDOM = 3
+MIN_FREEDOM = 3
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What follows from one window of bands for every column; NaN where nothing does."""
+    """Result of one window of bands for every column; NaN where a column has too few bands."""
 
     # shift, shift_u, factor, factor_u, correlation (column,): Wavelength minus the declared one [nm] and
     # width over the declared one [1], with their standard uncertainties and the correlation of their errors
@@ -37,25 +37,25 @@ class Fit:
     # departure, departure_declared (band, column): The same band by band
     departure: Floats
     departure_declared: Floats
-    at_limit: Array  # (column,): True where the best lies at an end of the search, or was not reached
-    noise_gain: Floats  # (column,): Largest noise gain of the operators at the width found [1]
-    freedom: Array  # (column,): Bands more than what is fitted
+    at_limit: Array  # (column,): True where the optimum is at an end of the search, or was not reached
+    noise_gain: Floats  # (column,): Largest noise gain of the operators at the fitted width [1]
+    freedom: Array  # (column,): Degrees of freedom: bands beyond the fitted parameters
 
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """Where the search ended."""
+    """End of the search."""
 
     # shift, factor (column,): [nm], [1]
     shift: Floats
     factor: Floats
-    tilt: Floats  # (band, column): Shift that the surface's slope acts as there [nm]
-    last_step: Floats  # (column, 2): Of shift and factor; none where the optimum was reached
+    tilt: Floats  # (band, column): shift equivalent to the surface's slope [nm]
+    last_step: Floats  # (column, 2): of shift and factor; 0 where the optimum was reached
 
 
 @dataclass(frozen=True)
 class _Smooth:
-    """Takes out of logarithms (band, column) what a polynomial over the bands can explain."""
+    """Projection of logarithms (band, column) onto polynomials over the bands."""
 
     used: Array
     basis: Floats  # (column, band, power), orthonormal over the used bands
@@ -67,7 +67,7 @@ class _Smooth:
         place = (wavelength - wavelength.min()) / scale - 1.0
         powers = np.polynomial.legendre.legvander(place, degree)
         polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
-        derivatives = np.stack([each.deriv()(place) for each in polynomials], axis=-1)
+        derivatives = np.stack([polynomial.deriv()(place) for polynomial in polynomials], axis=-1)
         basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
         upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
@@ -89,7 +89,7 @@ class _Smooth:
 class _Ratio:
     """Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
 
-    Of either, ``tilt`` (band, column) [nm] is the shift that the surface's own slope acts as.
+    ``tilt`` (band, column) [nm] is the shift equivalent to the surface's own slope.
     """
 
     table: IrradianceTable
@@ -120,7 +120,7 @@ class _Ratio:
 
 def fewest_bands(degree: int) -> int:
     """Return the number of bands that a fit needs: polynomial, shift and width, and some to spare."""
-    return degree + 1 + 2 + _FEWEST_FREEDOM
+    return degree + 1 + 2 + MIN_FREEDOM
 
 
 def fit_columns(
@@ -147,7 +147,7 @@ def fit_columns(
     with np.errstate(invalid="ignore"):
         used = covered & (spectrum > 0.0)
     has_bands = used.sum(axis=0) >= fewest_bands(degree)
-    freedom = used.sum(axis=0) - fewest_bands(degree) + _FEWEST_FREEDOM
+    freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, spectrum, 1.0)), 0.0)
     ratio = _Ratio(table, _Smooth.over(table.wavelength, used, degree), log, declared)
@@ -157,20 +157,7 @@ def fit_columns(
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
     """Return the shift and width of the least departures."""
     tilt = np.zeros(ratio.log.shape)
-    shift, factor = _coarse(ratio, tilt, max_shift)
-    step = np.zeros((shift.size, 2))
-    for _ in range(_ITERATIONS):
-        tilt = ratio.tilt(tilt, shift, factor)
-        away = ratio.departure(tilt, shift, factor)
-        normal, right = ratio.normal_equations(tilt, shift, factor, away)
-        step = np.clip(_solved(normal, right), (-0.5, -0.1), (0.5, 0.1))
-        shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
-        factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
-    return _Optimum(shift, factor, tilt, step)
-
-
-def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floats]:
-    """Return the best of a grid of shifts and widths of every column."""
+    # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
     best = np.full(columns, np.inf)
     shift, factor = np.zeros(columns), np.ones(columns)
@@ -182,7 +169,18 @@ def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floa
             best = np.where(better, total, best)
             shift = np.where(better, trial_shift, shift)
             factor = np.where(better, trial_factor, factor)
-    return shift, factor
+    # Gauss-Newton, damped a little so that steps stay finite where the light has no structure
+    step = np.zeros((shift.size, 2))
+    for _ in range(_ITERATIONS):
+        tilt = ratio.tilt(tilt, shift, factor)
+        away = ratio.departure(tilt, shift, factor)
+        normal, right = ratio.normal_equations(tilt, shift, factor, away)
+        damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
+        normal = normal + damping[:, None, None] * np.eye(2)
+        step = np.clip(np.linalg.solve(normal, right[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
+        shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
+        factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
+    return _Optimum(shift, factor, tilt, step)
 
 
 def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
@@ -213,11 +211,6 @@ def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array
         noise_gain=ratio.table.noise_gain_at(factor),
         freedom=np.where(has_bands, freedom, 0),
     )
-
-
-def _solved(normal: Floats, right: Floats) -> Floats:
-    damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
-    return np.asarray(np.linalg.solve(normal + damping[:, None, None] * np.eye(2), right[..., None])[..., 0])
 
 
 def _uncertainties(

@@ -177,7 +177,19 @@ def _window(
     i, j = divmod(int(left.argmin()), trials.widths.size)
     if i in (0, trials.shifts.size - 1) or j in (0, trials.widths.size - 1):
         return None
-    return _refined(left, (i, j), trials.shifts, trials.widths, nm.size - (rules.degree + 1) - 4)
+    # minimum of the parabola around the least trial, with its uncertainties
+    box = left[i - 1 : i + 2, j - 1 : j + 2]
+    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
+    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
+    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
+    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
+    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
+    freedom = nm.size - (rules.degree + 1) - 4
+    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
+    steps = np.array([trials.shifts[1] - trials.shifts[0], trials.widths[1] - trials.widths[0]])
+    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
+    shift, width = trials.shifts[i] + move[0] * steps[0], trials.widths[j] + move[1] * steps[1]
+    return shift, spread[0], width, spread[1]
 
 
 class _Trials(NamedTuple):
@@ -228,20 +240,3 @@ def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats
     lights = np.stack([sun, sun * np.exp(-table.mixed[cells]), sun * np.exp(-table.water[cells])], axis=-1)
     logs = np.moveaxis(np.log(response @ lights), -1, 0)
     return logs[0], logs[1:] - logs[0]
-
-
-def _refined(
-    left: Floats, at: tuple[int, int], shifts: Floats, widths: Floats, freedom: int
-) -> tuple[float, float, float, float]:
-    """Return the minimum of the parabola around the least trial, with its uncertainties."""
-    i, j = at
-    box = left[i - 1 : i + 2, j - 1 : j + 2]
-    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
-    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
-    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
-    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
-    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
-    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
-    steps = np.array([shifts[1] - shifts[0], widths[1] - widths[0]])
-    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
-    return shifts[i] + move[0] * steps[0], spread[0], widths[j] + move[1] * steps[1], spread[1]

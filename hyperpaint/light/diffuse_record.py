@@ -168,20 +168,14 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
 
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
     problems = Problems("the split of irradiance is not known", SchemaError)
-    if not (np.isfinite(latitude) and np.isfinite(longitude)):
-        problems.add(
-            f"latitude {latitude}, longitude {longitude}",
-            expected="the place of the receiver in degrees",
-            code="not-finite",
-        )
-    if not 0.0 < calibration <= 1.0:
-        problems.add(
-            f"calibration_uncertainty={calibration!r}",
-            expected="above 0, at most 1",
-            code="value-out-of-range",
-        )
-    if not 3e4 <= pressure <= 1.1e5:
-        problems.add(f"pressure={pressure!r}", expected="30000 to 110000 Pa", code="value-out-of-range")
+    is_place = np.isfinite(latitude) and np.isfinite(longitude)
+    for is_valid, found, expected in (
+        (is_place, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
+        (0.0 < calibration <= 1.0, f"calibration_uncertainty={calibration!r}", "above 0, at most 1"),
+        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
 
 

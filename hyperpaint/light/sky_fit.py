@@ -59,7 +59,7 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     """
     if "sky_radiance" not in table.variables:
         raise SchemaError(
-            "the table of the sky has no 'sky_radiance' (wavelength, sky_zenith, sky_azimuth)",
+            "the table of the sky has no sky_radiance (wavelength, sky_zenith, sky_azimuth)",
             code="variable-missing",
         )
     sky = convert(table["sky_radiance"], "W m-2 sr-1 nm-1").transpose(

@@ -170,7 +170,7 @@ def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
 
 
 def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
-    problems = Problems("irradiance cannot be given to lines", SchemaError)
+    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
     if max_gap is not None and not max_gap > 0:
         problems.add(
             f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"

@@ -114,7 +114,9 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
             for row in rows
         )
     except (ValueError, TypeError, KeyError) as error:
-        raise SchemaError(f"attribute 'panels' cannot be read: {error}", code="panels-unreadable") from error
+        raise SchemaError(
+            f"attribute 'panels' declares no panels: {error}", code="panels-unreadable"
+        ) from error
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:

@@ -83,7 +83,7 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         )
     if math.isfinite(clear):
         doubtful = not RULES.least_share <= level / clear <= RULES.most_share
-        comparison = f"{level / clear:.2g} times a clear sky's at its place and time{slip}"
+        comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
     elif zenith > RULES.max_zenith:
         doubtful = level > RULES.most_low_sun
         comparison = f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
