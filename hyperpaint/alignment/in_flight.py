@@ -182,7 +182,7 @@ def _sentence(found: Comparison) -> str:
     return (
         f"camera minus record {found.shift:+.3f} +- {spread[0]:.3f} nm at 600 nm, changing by "
         f"{found.tilt:+.3f} +- {spread[1]:.3f} nm over 100 nm; width of the record {found.width:.3f} +- "
-        f"{spread[2]:.3f} of the declared one; irradiance changes by {places}, at most "
+        f"{spread[2]:.3f} of that declared; irradiance changes by {places}, at most "
         f"{np.nanmax(np.abs(found.effect)):.2%}"
     )
 
