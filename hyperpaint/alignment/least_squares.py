@@ -156,7 +156,7 @@ def fit_columns(
 
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
     """Return the shift and width of the least departures."""
-    tilt = np.zeros(ratio.log.shape)
+    tilt: Floats = np.zeros(ratio.log.shape)
     # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
     best = np.full(columns, np.inf)

@@ -162,7 +162,8 @@ def _draws() -> _Draws:
             amounts = none, none, none, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
         air = np.tile(np.arange(_AIRS), _REPEATS[name])
         parts.append((np.full(count, number), air, *amounts, tint))
-    return _Draws(*(np.concatenate(part) for part in zip(*parts, strict=True)), states)
+    kind, air, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return _Draws(kind, air, beam, blue, returned, cloud, tint, states)
 
 
 class Windows(NamedTuple):

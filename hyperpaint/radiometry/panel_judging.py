@@ -116,7 +116,8 @@ class PanelClosure(NamedTuple):
     def at(self, places: NDArray[np.int64]) -> PanelClosure:
         """Return the results of some panels."""
         reasons = tuple(self.reasons[place] for place in places)
-        return PanelClosure(*(values[places] for values in self[:-1]), reasons)
+        scale, factor, u, mean_u, used = (values[places] for values in self[:5])
+        return PanelClosure(scale, factor, u, mean_u, used, self.state[places], self.time[places], reasons)
 
 
 class _Part(NamedTuple):
