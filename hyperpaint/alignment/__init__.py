@@ -1,8 +1,8 @@
 """Wavelengths and widths of the camera in flight, with the daylight as the lamp.
 
 A flight line with radiance or counts and its irradiance record comes in; wavelength shifts and widths of
-columns, or the line corrected by them, go out; `align` compares camera and record, and puts right what is
-significant. Called by users, the accessor, `validation` and `workflows`.
+columns, or the line corrected by them, go out; `align` compares camera and record, and corrects significant
+differences. Called by users, the accessor, `validation` and `workflows`.
 """
 
 from __future__ import annotations

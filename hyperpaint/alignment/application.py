@@ -1,4 +1,4 @@
-"""A flight line with the wavelengths and widths that were found in flight."""
+"""Apply wavelengths and widths measured in flight to a flight line."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
+#: Variables of an alignment that are used.
 _NEEDED = (
     "flag",
     "shift_correction",
@@ -23,22 +24,21 @@ _NEEDED = (
     "column",
     "window_centre",
 )
-"""What is used of an alignment."""
 _WINDOW = "window"
 
 
 def apply_alignment(
     line: xr.Dataset, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True
 ) -> xr.Dataset:
-    """Return the line with the wavelengths and widths that `hyperpaint.alignment.align_to_irradiance` found.
+    """Return the line with wavelengths and widths from `hyperpaint.alignment.align_to_irradiance`.
 
     Parameters
     ----------
     line
-        The flight line that was looked at.
+        The flight line that was measured.
     alignment
-        What `hyperpaint.alignment.align_to_irradiance` returned, whole or in groups of columns; those that
-        are flagged are not used.
+        Result of `hyperpaint.alignment.align_to_irradiance`, whole or in groups of columns; flagged columns
+        are not used.
     degree
         Of the polynomial over columns that smooths the shift.
     fwhm
@@ -47,19 +47,19 @@ def apply_alignment(
     Returns
     -------
     Dataset
-        The same with ``wavelength_shift`` (cross_track), or (band, cross_track) where several windows or the
-        line have it so, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor found, since the
+        The line with ``wavelength_shift`` (cross_track), or (band, cross_track) where several windows or the
+        line have it so, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor, since the
         table holds no width of a column. Between windows both are linear in wavelength, beyond them constant.
-        The attribute ``alignment`` says what was done; those of an earlier comparison (``alignment_shift``
-        and such, see `align`), and reflectance, which held for other wavelengths, are left out.
-        ``wavelength`` stays as it is, so that flight lines keep one axis: the shift at the centre column need
-        not be zero.
+        The attribute ``alignment`` describes the correction; attributes of an earlier comparison
+        (``alignment_shift`` and such, see `align`), and reflectance, which held for other wavelengths, are
+        removed. ``wavelength`` is unchanged, so that flight lines keep one axis: the shift at the centre
+        column need not be zero.
 
     Raises
     ------
     SchemaError
         ``line`` or ``alignment`` lacks variables or dims, the alignment belongs to another line, or too few
-        columns can tell. All problems of a kind are listed.
+        columns are reliable. All problems of a kind are listed.
 
     Notes
     -----
@@ -83,55 +83,60 @@ def apply_alignment(
         "the alignment",
     )
     if CROSS_TRACK not in dataset.dims:
-        raise SchemaError(f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}")
+        raise SchemaError(
+            f"the line has dims {', '.join(map(str, dataset.dims))}",
+            expected=f"a dim {CROSS_TRACK!r}",
+            code="dim-missing",
+        )
     columns = dataset.sizes[CROSS_TRACK]
-    each = _by_window(alignment)
-    reliable = each["flag"].values == 0
-    _check(each, reliable, (dataset.sizes[BAND], columns), degree)
+    windows = _by_window(alignment)
+    reliable = windows["flag"].values == 0
+    _check(windows, reliable, (dataset.sizes[BAND], columns), degree)
     corrections, factors = zip(
         *(
-            _smoothed(each.isel(window=w, **{CROSS_TRACK: reliable[w]}), columns, degree)
+            _smoothed(windows.isel(window=w, **{CROSS_TRACK: reliable[w]}), columns, degree)
             for w in range(len(reliable))
         ),
         strict=True,
     )
-    return _replaced(dataset, declared, each, np.stack(corrections), np.array(factors) if fwhm else None)
+    return _replaced(dataset, declared, windows, np.stack(corrections), np.array(factors) if fwhm else None)
 
 
 def _by_window(alignment: xr.Dataset) -> xr.Dataset:
-    """Return an alignment with a dim of windows first, or raise where it is none."""
-    problems = Problems("this is no alignment; expected what align_to_irradiance returns", SchemaError)
+    """Return an alignment with a leading dim of windows; SchemaError for another dataset."""
+    problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
     for name in _NEEDED:
         if name not in alignment.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
     for dim in (BAND, CROSS_TRACK):
         if dim not in alignment.dims:
-            problems.add(f"dim {dim!r} is missing")
+            problems.add(f"dim {dim!r} is missing", code="dim-missing")
     if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing")
+        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     problems.raise_if_any()
-    each = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
+    windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _NEEDED[:5]:
-        if set(each[name].dims) != {_WINDOW, CROSS_TRACK}:
+        if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:
             dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
-            problems.add(f"{name!r} is on {dims}, expected {CROSS_TRACK}")
+            problems.add(f"{name!r} is on {dims}", expected=CROSS_TRACK, code="dims-wrong")
     problems.raise_if_any()
-    return each.transpose(_WINDOW, ...)
+    return windows.transpose(_WINDOW, ...)
 
 
-def _check(each: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, int], degree: int) -> None:
-    """Refuse what belongs to another line, and a curve through too few columns."""
+def _check(windows: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, int], degree: int) -> None:
     problems = Problems("the alignment cannot be applied", SchemaError)
     bands, columns = shape
-    if each.sizes[BAND] != bands or not -0.5 < float(each["column"].max()) <= columns - 1:
-        problems.add("it was found on a line with other bands or columns")
+    if windows.sizes[BAND] != bands or not -0.5 < float(windows["column"].max()) <= columns - 1:
+        problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
     if degree < 0:
-        problems.add(f"degree={degree}, expected 0 or more")
-    for centre, number in zip(np.ravel(each["window_centre"]), reliable.sum(axis=1), strict=True):
+        problems.add(f"degree={degree}", expected="0 or more", code="value-out-of-range")
+    for centre, number in zip(np.ravel(windows["window_centre"]), reliable.sum(axis=1), strict=True):
         if number < degree + 1:
             problems.add(
-                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm, expected at least "
-                f"{degree + 1} for a polynomial of degree {degree}; see 'flag', or average groups of columns"
+                f"{number} of {reliable.shape[1]} columns are reliable at {centre:.0f} nm",
+                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
+                mend="see 'flag', or average groups of columns",
+                code="columns-too-few",
             )
     problems.raise_if_any()
 
@@ -161,7 +166,7 @@ def _replaced(
     correction: Floats,
     factor: Any,
 ) -> xr.Dataset:
-    """Return the line with what was found in place, and a sentence that says so."""
+    """Return the line with corrected shifts and widths, and a sentence that describes them."""
     centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
     order = np.argsort(centres)
 
@@ -191,7 +196,7 @@ def _replaced(
 
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a line without what was computed at other wavelengths: reflectance and what panels say of it."""
+    """Return a line without products of other wavelengths: reflectance and the results of panels."""
     uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
     names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
     return dataset.drop_vars(
@@ -202,9 +207,9 @@ def without_products(dataset: xr.Dataset) -> xr.Dataset:
 def restated(
     line: xr.Dataset, sentence: str, *, numbers: Mapping[str, float] | None = None, state: str | None = None
 ) -> xr.Dataset:
-    """Return a line that says what was done last, after what was done before.
+    """Return a line whose attribute ``alignment`` ends with ``sentence``.
 
-    ``numbers`` and ``state`` replace those of an earlier comparison, which hold for the line as it was.
+    ``numbers`` and ``state`` replace those of an earlier comparison, which held for the line before.
     """
     before = line.attrs.get("alignment")
     attrs = {name: value for name, value in line.attrs.items() if not str(name).startswith("alignment_")}

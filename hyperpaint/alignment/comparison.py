@@ -1,8 +1,8 @@
-"""Camera and irradiance record in one flight: how far apart they are in wavelength and in width.
+"""Compare camera and irradiance record in one flight: their difference in wavelength and in width.
 
-Both saw the same daylight. The surfaces' spectra are smooth over some tens of nanometres, the light's lines
-are not: where they stay in radiance over matched irradiance, one of the two instruments is not as declared. A
-few slabs of lines are read; the same whatever the chunks.
+Both saw the same daylight. The surfaces' spectra are smooth over some tens of nanometres, the light's solar
+lines and absorption bands are not: where these remain in radiance over matched irradiance, one of the two
+instruments is not as declared. A few slabs of lines are read; the same whatever the chunks.
 """
 
 from __future__ import annotations
@@ -28,48 +28,54 @@ from .sunlines import RecordAgainstSun, record_against_sun
 
 @dataclass(frozen=True)
 class ComparisonRules:
-    """What the comparison of camera and record goes by.
+    """Settings and thresholds of the comparison of camera and record.
 
     Attributes
     ----------
     windows
-        Where to look [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning, the
-        oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of a few powers.
+        Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
+        the oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of low degree.
     degree
-        Of the polynomial that a surface's spectrum is in a window: features of some 15 nm and wider pass.
+        Of the polynomial that models a surface's spectrum in a window: features of some 15 nm and wider pass.
     blocks, block_lines
-        Slabs that are read, evenly over the line, and lines in each: what bounds time and memory.
+        Slabs that are read, evenly over the line, and lines in each: they bound time and memory.
     column_groups
         Neighbouring columns are averaged into so many groups; over an eighth of the swath a smile of 0.5 nm
         changes by 0.1 nm, which widens the mean by less than 0.1 %.
     least_pixels, least_groups
         Pixels below which a group is not used, and groups below which a window is not.
     max_shift_nm
-        How far to look; a field spectrometer is sold as good to 0.5 nm.
+        Range of the search; a field spectrometer is specified to 0.5 nm.
     widths
         Least and most width over the declared one.
     airy, path_prior
-        Where lines are the air's, no more the sun's [nm], and the standard deviation of the part of it that
-        lies below the camera [1]: 100 m are 0.9 % under a sun at 45 degrees, half that in saturated lines.
+        Wavelength from which absorption is the air's, not the sun's [nm], and the standard deviation of the
+        part of it that lies below the camera [1]: 100 m are 0.9 % under a sun at 45 degrees, half that in
+        saturated bands.
     shift_prior_nm, tilt_prior, width_prior
-        Standard deviations of what is believed before: of the shift [nm], its change over 100 nm [nm], and
-        the width over the declared one [1]. Wide: they decide only where the light has no lines.
+        Standard deviations of the prior: of the shift [nm], its change over 100 nm [nm], and the width over
+        the declared one [1]. Wide: they decide only where the light has no structure.
     least_shift_u_nm, least_width_u
-        What is stated of uncertainty at the least: what line shapes that are not quite as declared leave in
-        closed loops [nm], [1].
+        Least reported uncertainties: residuals of closed loops with line shapes slightly off the declared
+        ones [nm], [1].
     significance
-        Departure over its standard uncertainty from which instruments differ; 5, since bands that lie beside
-        each other are not independent and there are three numbers.
+        Departure over its standard uncertainty from which instruments differ; 5, since neighbouring bands are
+        not independent and there are three parameters.
     camera_significance
-        The camera's own shift over its uncertainty from which it takes its share; else all is the record's.
+        The camera's own shift over its uncertainty from which it takes its share; else the record takes all.
     least_effect
-        Relative change of matched irradiance in any band below which nothing is worth a change [1].
+        Relative change of matched irradiance in any band below which nothing is corrected [1].
     """
 
     windows: tuple[tuple[float, float], ...] = (
-        (402.0, 460.0), (460.0, 530.0), (530.0, 600.0), (625.0, 690.0), (740.0, 800.0), (800.0, 870.0),
+        (402.0, 460.0),
+        (460.0, 530.0),
+        (530.0, 600.0),
+        (625.0, 690.0),
+        (740.0, 800.0),
+        (800.0, 870.0),
         (890.0, 985.0),
-    )  # fmt: skip
+    )
     degree: int = 5
     blocks: int = 8
     block_lines: int = 16
@@ -94,21 +100,22 @@ COMPARISON = ComparisonRules()
 
 _COARSE_STEP_NM = 0.25
 _ITERATIONS = 8
+#: Neighbouring bands whose errors form a cluster: a channel's noise reaches as far as both responses.
 _CLUSTER_BANDS = 4
-"""Neighbouring bands whose errors are taken for one: a channel's noise reaches as far as both responses."""
 _DERIVATIVE_NM, _DERIVATIVE_WIDTH = 0.02, 0.01
 _LEAST_RESIDUAL = 2e-4
 
 
 class Comparison(NamedTuple):
-    """What separates camera and record, with standard uncertainties.
+    """Difference between camera and record, with standard uncertainties.
 
-    ``shift`` and ``tilt``: wavelength of the camera minus that of the record, both as they are, over what is
-    declared [nm], at 600 nm and its change over 100 nm; ``width``: that of the record over the declared one
-    [1] if the camera is as declared; ``covariance`` (3, 3) of these. ``residual`` and ``residual_declared``:
-    relative departure of radiance over irradiance from smooth, rms [1]. ``wavelength`` (band,) and ``effect``
-    (band,): relative change of matched irradiance in the bands that were looked at. ``sun``: the record
-    against the sun's own lines, None with too few channels; ``declared_fwhm``: of record and camera [nm].
+    ``shift`` and ``tilt``: wavelength of the camera minus wavelength of the record, both relative to their
+    declarations [nm], at 600 nm and its change over 100 nm; ``width``: width of the record over the declared
+    one [1] if the camera is as declared; ``covariance`` (3, 3) of these. ``residual`` and
+    ``residual_declared``: relative departure of radiance over irradiance from smooth, rms [1]. ``wavelength``
+    (band,) and ``effect`` (band,): relative change of matched irradiance in the compared bands. ``sun``: the
+    record compared with solar lines, None with too few channels; ``declared_fwhm``: of record and camera
+    [nm].
     """
 
     shift: float
@@ -126,7 +133,7 @@ class Comparison(NamedTuple):
 
     @property
     def departure(self) -> float:
-        """Departure from what is declared over its uncertainty [1]."""
+        """Departure from the declared values over its uncertainty [1]."""
         away = np.array([self.shift, self.tilt, self.width - 1.0])
         return float(np.sqrt(away @ np.linalg.solve(self.covariance, away)))
 
@@ -135,7 +142,7 @@ class Comparison(NamedTuple):
         return np.asarray(self.shift + self.tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
     def is_significant(self, rules: ComparisonRules = COMPARISON) -> bool:
-        """Tell whether camera and record differ by more than chance, and by more than a trifle."""
+        """Return whether camera and record differ beyond chance and beyond `ComparisonRules.least_effect`."""
         return bool(
             not self.at_limit
             and self.departure > rules.significance
@@ -145,27 +152,35 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _WindowFit:
-    """One window: means of groups of pixels, and the light as its bands would see it."""
+    """One window: means of groups of pixels, and the light matched to its bands."""
 
     wavelength: Floats  # (band,)
     log: Floats  # (band, group): of radiance
     shift: Floats  # (band, group): declared [nm]
-    there: Array  # (group,): whether it has pixels enough here
+    valid: Array  # (group,): whether it has enough pixels here
     basis: Floats  # (band, power), orthonormal
     slopes: Floats  # (band, power): its derivative [nm-1]
     variance: Floats  # (band,): of the camera's responses [nm2]
     nodes: Floats  # (node,): even shifts [nm]
     widths: Floats  # (width,)
     light: Floats  # (node, width, band): logarithm of matched irradiance
-    noise: Floats  # (channel, band): of the logarithm, from each of all channels of the record
-    by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): light at the widths tried
+    noise: Floats  # (channel, band): of the logarithm, from each channel of the record
+    by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): cache of light at a width
 
     def light_at(self, shift: Floats, width: float) -> Floats:
         """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
         # many shifts are tried with the same widths
         at_width = self.by_width.get(float(width))
         if at_width is None:
-            at_width = np.einsum("nwb,w->nb", self.light, _lagrange(self.widths, width))
+            # the polynomial through the light at all widths
+            away, nodes = width - self.widths, self.widths
+            weights_of_widths = np.array(
+                [
+                    np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k))
+                    for k in range(nodes.size)
+                ]
+            )
+            at_width = np.einsum("nwb,w->nb", self.light, weights_of_widths)
             self.by_width[float(width)] = at_width
         place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
         low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
@@ -176,17 +191,17 @@ class _WindowFit:
             -(t + 1) * t * (t - 2) / 2,
             (t + 1) * t * (t - 1) / 6,
         )
-        first = (low - 1) * shift.shape[0] + np.arange(shift.shape[0])[:, None]  # flat: half the time
+        first = (low - 1) * shift.shape[0] + np.arange(shift.shape[0])[:, None]  # flat indices: half the time
         values = at_width.ravel()
         return np.asarray(sum(w * values[first + k * shift.shape[0]] for k, w in enumerate(weights)))
 
     def lines(self, shift: Floats, width: float) -> Floats:
-        """Return the logarithm of the light (band, group) without what is smooth: its lines."""
+        """Return the logarithm of the light (band, group) without its smooth part."""
         light = self.light_at(self.shift + shift[:, None], width)
         return np.asarray(light - self.basis @ (self.basis.T @ light))
 
     def departure(self, shift: Floats, width: float) -> Floats:
-        """Return radiance over light (band, group), as logarithms, without what is smooth.
+        """Return the logarithm of radiance over light (band, group) without its smooth part.
 
         A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
         """
@@ -197,16 +212,8 @@ class _WindowFit:
         return np.asarray(ratio - self.basis @ (self.basis.T @ ratio))
 
 
-def _lagrange(nodes: Floats, at: float) -> Floats:
-    """Return the weights of the polynomial through values at nodes."""
-    away = at - nodes
-    return np.array(
-        [np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k)) for k in range(nodes.size)]
-    )
-
-
 def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Comparison | None:
-    """Return how far apart camera and record are; None where no window has bands, record and light enough.
+    """Return the difference between camera and record; None without a window of enough bands and light.
 
     ``line``: with counts or radiance and their irradiance, as `hyperpaint.reflectance` needs them. Raises
     `SchemaError`, `UnitsError`: variables are missing, or have other dims or units.
@@ -246,7 +253,7 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
 
 
 def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
-    """Return the windows that hold bands enough for polynomial and three numbers."""
+    """Return the windows with enough bands for the polynomial and three parameters."""
     channels = declared.light.wavelength
     fewest = rules.degree + 1 + 6
     return [
@@ -272,7 +279,7 @@ def _block_means(
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
 ) -> tuple[list[_Block], Floats]:
-    """Return the means of slabs evenly over the line, and what samples (sample,) count for in their light."""
+    """Return the means of slabs evenly over the line, and the weights of samples (sample,) in their light."""
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
@@ -282,9 +289,9 @@ def _block_means(
         lines_of_block = slice(int(start), int(start) + size)
         share, level = shares_of_samples(declared, windows, lines_of_block)
         mean, pixels = mean_over_lines(cube[lines_of_block], level)
-        every = np.full((declared.wavelength.size, pixels.size), np.nan)
-        every[used] = mean
-        blocks.append(_Block(every, pixels))
+        radiance = np.full((declared.wavelength.size, pixels.size), np.nan)
+        radiance[used] = mean
+        blocks.append(_Block(radiance, pixels))
         shares.append(share)
     return blocks, np.asarray(np.mean(shares, axis=0))
 
@@ -298,7 +305,7 @@ def _group_means(
     edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
     spectra, shifts = [], []
     for block in blocks:
-        # bad elements cost their columns: other columns would show another surface in that band alone
+        # leave out columns with bad elements: the others would show another surface in that band alone
         values = block.radiance[chosen]
         whole = np.isfinite(values).all(axis=0)
         for first, last in itertools.pairwise(edges):
@@ -321,8 +328,8 @@ def _window_fit(
     """Return a window ready for the fit; None where record or pixels cover too little of it."""
     light, noise = record  # (channel,): mean of the light, and its noise
     spectrum, own = _group_means(declared, chosen, blocks, rules)
-    there = np.asarray(np.isfinite(spectrum).all(axis=0))
-    if there.sum() < rules.least_groups:
+    valid = np.asarray(np.isfinite(spectrum).all(axis=0))
+    if valid.sum() < rules.least_groups:
         return None
     bands = declared.bands(chosen)
     limits = (float(own.min()) - rules.max_shift_nm, float(own.max()) + rules.max_shift_nm)
@@ -334,7 +341,7 @@ def _window_fit(
     spectrometer = Responses(channels[near], width[near], declared.light.srf_shape)
     widths = np.asarray(rules.widths)
     nodes, logs, weights = responses_table(spectrometer, bands, light[near], limits, widths)
-    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, there] > 0).all(axis=1)
+    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
     if covered.sum() < rules.degree + 7:
         return None
     wavelength = bands.wavelength[covered]
@@ -347,9 +354,9 @@ def _window_fit(
     powers = [np.polynomial.Legendre.basis(power).deriv()(place) for power in range(rules.degree + 1)]
     return _WindowFit(
         wavelength=wavelength,
-        log=np.log(np.where(there, spectrum, 1.0)[covered]),
+        log=np.log(np.where(valid, spectrum, 1.0)[covered]),
         shift=own[covered],
-        there=there,
+        valid=valid,
         basis=basis,
         slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
         variance=variance_of_responses(bands)[covered],
@@ -361,14 +368,14 @@ def _window_fit(
 
 
 def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
-    """Return the shift (band,) [nm] of shift at the centre, tilt, width."""
+    """Return the shift (band,) [nm] of ``numbers``: shift at the centre, tilt, width."""
     return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
     """Return shift, tilt and width at which all windows of all groups are smoothest.
 
-    A fourth number is the air below the camera, which deepens the air's lines in radiance alone.
+    A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
     """
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
     numbers = np.append(_coarse(fits, rules), 0.0)
@@ -401,7 +408,7 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
         residual_declared=_rms(fits, before),
         wavelength=np.concatenate([fit.wavelength for fit in fits]),
         effect=np.concatenate(effects),
-        groups=max(int(fit.there.sum()) for fit in fits),
+        groups=max(int(fit.valid.sum()) for fit in fits),
         at_limit=bool(
             abs(numbers[0]) >= rules.max_shift_nm or not rules.widths[0] < numbers[2] < rules.widths[-1]
         ),
@@ -409,15 +416,15 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 
 
 def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
-    """Return the best of a grid of shifts and widths for the mean group: lines make several valleys."""
+    """Return the best of a grid of shifts and widths for the mean group: solar lines cause several minima."""
     steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
     shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
     # one group a shift
     trials = [
         replace(
             fit,
-            log=fit.log[:, fit.there].mean(axis=1, keepdims=True),
-            shift=fit.shift[:, fit.there].mean(axis=1, keepdims=True) + shifts,
+            log=fit.log[:, fit.valid].mean(axis=1, keepdims=True),
+            shift=fit.shift[:, fit.valid].mean(axis=1, keepdims=True) + shifts,
         )
         for fit in fits
     ]
@@ -432,7 +439,7 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
 def _linear(
     fits: list[_WindowFit], numbers: Floats, rules: ComparisonRules
 ) -> tuple[list[Floats], list[Floats]]:
-    """Return departures (band, group) and their derivatives (number, band, group) of every window."""
+    """Return departures (band, group) and their derivatives (parameter, band, group) of every window."""
     away, slopes = [], []
     for fit in fits:
         at, width = _shifts(fit, numbers), float(numbers[2])
@@ -454,8 +461,8 @@ def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
     weights = []
     for fit, r in zip(fits, away, strict=True):
         own = (r**2).mean(axis=0)
-        variance = 0.5 * own + 0.5 * np.median(own[fit.there]) + _LEAST_RESIDUAL**2
-        weights.append(np.broadcast_to(np.where(fit.there, 1.0 / variance, 0.0), r.shape))
+        variance = 0.5 * own + 0.5 * np.median(own[fit.valid]) + _LEAST_RESIDUAL**2
+        weights.append(np.broadcast_to(np.where(fit.valid, 1.0 / variance, 0.0), r.shape))
     return weights
 
 
@@ -464,8 +471,8 @@ def _covariance(
 ) -> Floats:
     """Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
 
-    What all groups share (noise of the record, gains) shows between bands alone; what a surface does, between
-    groups. Both are sandwiches of the normal matrix with sums over clusters, and are added. Noise of a
+    Errors that all groups share (noise of the record, gains) scatter between bands alone; errors of a
+    surface, between groups. Both are sandwich estimates with sums over clusters, and are added. Noise of a
     channel spreads over bands, more so where the camera is the sharper one: it goes through the operator.
     """
     weights = _weights(fits, away)
@@ -493,6 +500,6 @@ def _covariance(
 
 
 def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:
-    """Return the root mean square of what groups share."""
-    shared = [r[:, fit.there].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
+    """Return the root mean square of the mean departures over groups."""
+    shared = [r[:, fit.valid].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(shared) ** 2)))

@@ -1,6 +1,6 @@
 """Wavelengths and line widths of the camera in flight, with the daylight as the lamp.
 
-The irradiance record and the scene show the same absorption lines. What paint does to them is smooth over
+The irradiance record and the scene show the same absorption bands. Paint changes them smoothly over
 some tens of nanometres; where the ratio of radiance to matched irradiance is not smooth, the camera's
 wavelengths or widths are not those declared. The check is relative to the irradiance spectrometer, as
 reflectance is.
@@ -37,14 +37,14 @@ from .least_squares import (
 )
 from .oxygen import mean_over_lines, radiance_of_bands
 
-FEWEST_PIXELS = 8
-"""Pixels below which a column is not used."""
-#: Units and meaning of what the check reports; wavelength_shift and fwhm are those of the table.
+#: Pixels below which a column is not used.
+MIN_PIXELS = 8
+#: Units and meaning of reported variables; wavelength_shift and fwhm are in the table.
 _REPORTED = {
     "wavelength_shift_u": ("nm", "Standard uncertainty of the wavelength shift"),
-    "shift_correction": ("nm", "Wavelength found minus wavelength declared"),
+    "shift_correction": ("nm", "Measured minus declared wavelength"),
     "fwhm_u": ("nm", "Standard uncertainty of the full width at half maximum"),
-    "fwhm_factor": ("1", "Full width at half maximum found over that declared"),
+    "fwhm_factor": ("1", "Measured over declared full width at half maximum"),
     "correlation": ("1", "Correlation of the errors of shift and width"),
     "residual": ("1", "Relative departure of the ratio from a smooth curve, root mean square"),
     "residual_declared": ("1", "The same with the declared wavelengths and widths"),
@@ -52,7 +52,7 @@ _REPORTED = {
     "pixels": ("1", "Pixels averaged"),
     "departure": ("1", "Relative departure of the ratio from a smooth curve"),
     "departure_declared": ("1", "The same with the declared wavelengths and widths"),
-    "flag": ("", "Why a column cannot tell"),
+    "flag": ("", "Why a column is not reliable"),
 }
 
 
@@ -105,10 +105,10 @@ def align_to_irradiance(
     Dataset
         By ``cross_track`` (and before it ``window``, with ``separate``), float64, each with ``units``:
         ``wavelength_shift`` and ``fwhm`` as found, ``wavelength_shift_u`` and ``fwhm_u``, ``correlation``,
-        ``shift_correction`` and ``fwhm_factor`` (found against declared), ``residual`` and
+        ``shift_correction`` and ``fwhm_factor`` (measured against declared), ``residual`` and
         ``residual_declared``, ``chi2`` (of the windows against their mean, over its degrees of freedom),
-        ``pixels``, ``flag`` (0 where the column can tell); ``departure`` and ``departure_declared`` (band,
-        cross_track): the ratio over its smooth curve minus 1, for a look. Coordinate ``column``: the mean
+        ``pixels``, ``flag`` (0 where the column is reliable); ``departure`` and ``departure_declared`` (band,
+        cross_track): the ratio over its smooth curve minus 1, to inspect. Coordinate ``column``: the mean
         column of a group.
 
     Raises
@@ -178,15 +178,15 @@ def align_to_irradiance(
 
 
 def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: float) -> None:
-    problems = Problems("the alignment cannot be found", SchemaError)
-    if not 0 <= degree <= 12:
-        problems.add(f"degree={degree}, expected 0 to 12")
-    if group < 1:
-        problems.add(f"group={group}, expected a number of columns")
-    if not 0.0 < max_shift <= 10.0:
-        problems.add(f"max_shift={max_shift:g}, expected a length up to 10 nm")
-    if not max_uncertainty > 0.0:
-        problems.add(f"max_uncertainty={max_uncertainty:g}, expected a length above 0 nm")
+    problems = Problems("the line cannot be aligned", SchemaError)
+    for is_valid, found, expected in (
+        (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
+        (group >= 1, f"group={group}", "1 or more columns"),
+        (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
+        (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
 
 
@@ -198,8 +198,8 @@ def _grouped(
     if group == 1:
         return spectrum, pixels, shift, columns
     starts = np.arange(0, pixels.size, group)
-    # an element that is bad in one column is left out of the group's mean; its gain makes no step in radiance
-    # but its neighbours' surface does, so that columns with one are weighed out whole
+    # leave out whole columns with a bad element: without it the group's mean would show another surface in
+    # that band alone
     in_any_column = np.isfinite(spectrum).any(axis=1, keepdims=True)
     weight = np.where(np.isfinite(spectrum).all(axis=0, where=in_any_column), pixels, 0)
     total = np.add.reduceat(weight, starts)
@@ -218,16 +218,16 @@ def _grouped(
 def _labelled(
     estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
-    """Return estimates as a Dataset (window, cross_track), with flags that know the noise and the pixels."""
+    """Return estimates as a Dataset (window, cross_track), with flags of noise and of few pixels."""
     value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
-    fwhm = np.array([each.fwhm for each in estimates])[:, None]
+    fwhm = np.array([estimate.fwhm for estimate in estimates])[:, None]
     with np.errstate(invalid="ignore"):
         noisy = ~(spread[..., 0] <= max_uncertainty) & ~np.isnan(value[..., 0])
         correlation = covariance[..., 0, 1] / (spread[..., 0] * spread[..., 1])
     flag |= np.where(noisy, FLAGS["too_noisy"], 0).astype(np.uint8)
-    flag |= np.where(pixels < FEWEST_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
-    each = {
+    flag |= np.where(pixels < MIN_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
+    columns = {
         "wavelength_shift": value[..., 0] + stacked(estimates, "shift"),
         "wavelength_shift_u": spread[..., 0],
         "shift_correction": value[..., 0],
@@ -238,7 +238,7 @@ def _labelled(
         **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
         "flag": flag,
     }
-    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in each.items()})
+    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in columns.items()})
     report["pixels"] = (CROSS_TRACK, pixels)
     centre_attrs = {"units": "nm", "long_name": "Mean wavelength of the bands of a window"}
     return report.assign_coords(

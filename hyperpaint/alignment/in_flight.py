@@ -1,4 +1,4 @@
-"""A flight line whose camera and irradiance record agree: compared, and put right where it matters."""
+"""Compare camera and irradiance record of a flight line, and correct significant differences."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .comparison import COMPARISON, Comparison, ComparisonRules, compared
 from .sunlines import Instruments, divided
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
+#: Upper end of the silicon detector of field spectrometers [nm]; results below do not hold for others.
 VNIR_END_NM = 1000.0
-"""Where the silicon detector of field spectrometers ends: what is found below says nothing of others [nm]."""
 
 
 def align(
@@ -27,47 +27,50 @@ def align(
     apply: Alignment = "auto",
     rules: ComparisonRules = COMPARISON,
 ) -> xr.Dataset:
-    r"""Compare camera and irradiance record in flight, and correct what is significant.
+    r"""Compare camera and irradiance record in flight, and correct significant differences.
 
-    Eager, but for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
+    Eager, except for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
 
     Parameters
     ----------
     line
-        A flight line with what `hyperpaint.reflectance` needs.
+        A flight line with the variables that `hyperpaint.reflectance` needs.
     apply
-        ``"auto"``: correct where camera and record differ significantly, and by more than a trifle of
-        irradiance (``significance`` and ``least_effect`` of the rules). ``"never"``: say so only.
-        ``"always"``: correct whatever was found.
+        ``"auto"``: correct where camera and record differ significantly, and irradiance changes enough to
+        matter (``significance`` and ``least_effect`` of the rules). ``"never"``: report only. ``"always"``:
+        correct any difference.
     rules
         Thresholds of the comparison.
 
     Returns
     -------
     Dataset
-        The same; cubes stay lazy. Where a correction is applied, ``irradiance_wavelength`` and
-        ``irradiance_fwhm`` are those found, ``wavelength_shift`` holds what is the camera's where that is
-        significant (``camera_significance``), and reflectance, which held for others, is left out. Channels
-        of detectors beyond 1000 nm, of which the comparison knows nothing, keep the widths declared.
+        The line; cubes stay lazy. Where a correction is applied, ``irradiance_wavelength`` and
+        ``irradiance_fwhm`` are corrected, ``wavelength_shift`` holds the camera's share where that is
+        significant (``camera_significance``), and reflectance, which held for other wavelengths, is removed.
+        Channels of detectors beyond 1000 nm, which the comparison does not cover, keep their declared widths.
         The attributes:
 
         * ``alignment``: a sentence, after those of earlier corrections; ``alignment_state``: ``"applied"``,
           ``"not significant"``, ``"not applied"`` or ``"not compared"``.
-        * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus that of the record,
-          over what is declared, at 600 nm [nm], and its change over 100 nm [nm]; ``alignment_width``: width
-          of the record over the declared one [1], were all of it the record's. Each with ``_u``.
-        * ``alignment_departure``: of these together from none, in standard uncertainties;
+        * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus wavelength of the
+        record,
+          relative to their declarations, at 600 nm [nm], and its change over 100 nm [nm];
+          ``alignment_width``: width of the record over the declared one [1], if all of it is the record's.
+          Each with ``_u``.
+        * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
-        * ``alignment_residual``, ``alignment_residual_declared``: what stays of the light's lines in radiance
-          over irradiance on average, relative, as found and as declared (rms) [1].
+        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure left in
+        radiance
+          over irradiance on average, relative, corrected and as declared [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
-          ``alignment_camera_width`` [1]: what each instrument has of it, by the sun's lines in the record.
+          ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
           Each with ``_u``.
 
     Raises
     ------
     SchemaError
-        ``apply`` is none of the words.
+        ``apply`` is another word.
 
     Warns
     -----
@@ -86,10 +89,10 @@ def align(
     over the windows of the rules, in which :math:`P` projects onto polynomials. Surfaces differ between
     groups: their scatter, and that between bands, is the uncertainty.
 
-    Only what separates the two shows in reflectance. Which of them is off tell the sun's lines in the record,
-    much less well; the camera's ``wavelength_shift`` takes its share where that is significant, the record
-    the rest. A record that is wider than declared and a camera that is narrower look alike; the record, whose
-    width is seldom measured, takes the correction.
+    Only the difference of the two affects reflectance. Solar lines in the record attribute it to one of them,
+    with much larger uncertainty; the camera's ``wavelength_shift`` takes its share where that is significant,
+    the record the rest. A record that is wider than declared and a camera that is narrower look alike; the
+    record, whose width is seldom measured, takes the correction.
 
     Examples
     --------
@@ -101,36 +104,42 @@ def align(
     ('applied', -0.3)
     """
     if apply not in ALIGNMENTS:
-        raise SchemaError(f"apply={apply!r}, expected {', '.join(map(repr, ALIGNMENTS))}")
+        raise SchemaError(
+            f"apply={apply!r}", expected=f"one of {', '.join(map(repr, ALIGNMENTS))}", code="choice-unknown"
+        )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PaintWarning)  # said where the line itself is computed
-            found = compared(line, rules)
-    except (PaintError, OSError) as error:  # which ends the processing of the line itself
+            warnings.simplefilter("ignore", PaintWarning)  # computing the line itself warns
+            comparison = compared(line, rules)
+    except (PaintError, OSError) as error:  # processing of the line itself raises it
         return _not_compared(line, str(error).splitlines()[0])
-    if found is None:
-        return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
-    numbers = _numbers(found)
-    is_significant = found.is_significant(rules)
-    if found.at_limit:
-        text = f"camera and irradiance record differ by more than can be corrected ({_sentence(found)})"
-        warnings.warn(f"{text}; check wavelengths and widths of both", PaintWarning, stacklevel=2)
+    if comparison is None:
+        return _not_compared(line, "too few bands, pixels or channels where daylight has structure")
+    numbers = _numbers(comparison)
+    is_significant = comparison.is_significant(rules)
+    if comparison.at_limit:
+        text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
+        warning = PaintWarning(f"{text}; check wavelengths and widths of both", code="alignment-at-limit")
+        warnings.warn(warning, stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
-        camera = _camera_share(found, rules)
+        # the camera's wavelengths move only where its share is significant
+        parts = _instruments(comparison)
+        is_camera = abs(parts.camera_shift) > rules.camera_significance * parts.camera_shift_u
+        camera = float(f"{parts.camera_shift:.3f}") if is_camera else 0.0
         moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
-        text = f"irradiance record corrected in flight{moved}: {_sentence(found)}"
-        return restated(_corrected(line, found, camera), text, numbers=numbers, state="applied")
+        text = f"irradiance record corrected in flight{moved}: {_sentence(comparison)}"
+        return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
     if is_significant:
-        text = f"camera and irradiance record differ: {_sentence(found)}"
+        text = f"camera and irradiance record differ: {_sentence(comparison)}"
         mend = (
-            "correct fwhm_nm and wavelengths of the collect, or let them be corrected: "
+            "correct fwhm_nm and wavelengths of the collect, or correct them automatically: "
             "hp.alignment.align(line) in Python, --alignment auto on the command line, "
             '[alignment] apply = "auto" in collect.toml'
         )
-        warnings.warn(f"{text}; {mend}", PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(f"{text}; {mend}", code="alignment-differs"), stacklevel=2)
         return restated(line, text, numbers=numbers, state="not applied")
-    text = f"camera and irradiance record agree: {_sentence(found)}"
+    text = f"camera and irradiance record agree: {_sentence(comparison)}"
     return restated(line, text, numbers=numbers, state="not significant")
 
 
@@ -140,14 +149,20 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
 
 
 def _numbers(found: Comparison) -> dict[str, float]:
-    """Return what was found as attributes, rounded to what is beyond any uncertainty."""
+    """Return the comparison as attributes, rounded far below its uncertainty."""
     spread = np.sqrt(np.diag(found.covariance))
     values = {
-        "shift": found.shift, "shift_u": spread[0], "shift_slope": found.tilt, "shift_slope_u": spread[1],
-        "width": found.width, "width_u": spread[2], "effect": np.nanmax(np.abs(found.effect)),
-        "departure": found.departure, "residual": found.residual,
+        "shift": found.shift,
+        "shift_u": spread[0],
+        "shift_slope": found.tilt,
+        "shift_slope_u": spread[1],
+        "width": found.width,
+        "width_u": spread[2],
+        "effect": np.nanmax(np.abs(found.effect)),
+        "departure": found.departure,
+        "residual": found.residual,
         "residual_declared": found.residual_declared,
-    }  # fmt: skip
+    }
     values |= _instruments(found)._asdict()
     return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
 
@@ -156,13 +171,6 @@ def _instruments(found: Comparison) -> Instruments:
     spread = np.sqrt(np.diag(found.covariance))
     shift, width = (found.shift, float(spread[0])), (found.width, float(spread[2]))
     return divided(shift, width, found.sun, found.declared_fwhm)
-
-
-def _camera_share(found: Comparison, rules: ComparisonRules) -> float:
-    """Return what the camera's wavelengths are to be moved by [nm]; 0 where that is not significant."""
-    apart = _instruments(found)
-    is_significant = abs(apart.camera_shift) > rules.camera_significance * apart.camera_shift_u
-    return float(f"{apart.camera_shift:.3f}") if is_significant else 0.0
 
 
 def _sentence(found: Comparison) -> str:
@@ -180,11 +188,11 @@ def _sentence(found: Comparison) -> str:
 
 
 def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset:
-    """Return the line with the record's channels as found; ``camera``: what its wavelengths move by [nm]."""
+    """Return the line with corrected channels of the record; ``camera``: the camera's share [nm]."""
     dataset = schema.rename_to_roles(line)
     arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
-    # a straight line beyond the bands that were compared would run away
+    # the shift is constant beyond the compared bands
     reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
     shifted = channels - found.shift_at(reached) + camera
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
@@ -197,15 +205,11 @@ def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset
         .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
     )
     if camera:
-        aligned = _moved(aligned, camera)
+        # the columns' wavelengths move; ``wavelength`` stays, the axis of all lines
+        names = [name for name in ("wavelength_shift",) if name in aligned.variables]
+        declared = schema.require(aligned, names, "the alignment")
+        zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
+        shift = declared.get("wavelength_shift", zero) + camera
+        plain = xr.DataArray(shift.values, dims=shift.dims)
+        aligned = aligned.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))
     return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))
-
-
-def _moved(line: xr.Dataset, shift_nm: float) -> xr.Dataset:
-    """Return the line with its columns' wavelengths moved; ``wavelength`` stays, the axis of all lines."""
-    names = [name for name in ("wavelength_shift",) if name in line.variables]
-    declared = schema.require(line, names, "the alignment")
-    zero = xr.DataArray(np.zeros(line.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
-    shift = declared.get("wavelength_shift", zero) + shift_nm
-    plain = xr.DataArray(shift.values, dims=shift.dims)
-    return line.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))

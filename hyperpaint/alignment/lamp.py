@@ -1,4 +1,4 @@
-"""The daylight as a lamp: bands and light as a line declares them, and the light as bands would see it."""
+"""The daylight as a lamp: declared bands and light of a flight line, and the light matched to bands."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from hyperpaint.light.responses import (
 )
 from hyperpaint.light.synchrony import line_light
 
-_MOST_SHIFT = 20.0
-"""Declared shift beyond which units are wrong [nm]."""
+#: Largest declared shift [nm]; beyond, units are wrong.
+MAX_SHIFT_NM = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class Declared:
     # wavelength, fwhm (band,): [nm]
     wavelength: Floats
     fwhm: Floats
-    good: npt.NDArray[np.bool_]  # (band,), bool: All where nothing is said
-    wavelength_shift: Floats  # () or (column,) or (band, column): [nm]; 0 where nothing is said
+    good: npt.NDArray[np.bool_]  # (band,), bool: all True by default
+    wavelength_shift: Floats  # () or (column,) or (band, column): [nm]; 0 by default
     imager: Responses  # Responses of all bands
     light: Light  # The irradiance record
 
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
-        """Return what a dataset declares, or raise."""
+        """Return the declarations of a dataset; SchemaError where some are missing."""
         needed = ["time", "wavelength", "fwhm", "irradiance", "irradiance_fwhm"]
         needed += [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
         optional = ["wavelength_shift", "good", "band_spacing", "radiance_gain", "irradiance_max_gap"]
@@ -64,15 +64,22 @@ class Declared:
         names = [*needed, *(name for name in optional if name in dataset.variables)]
         arrays = schema.require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
-        wavelength = values["wavelength"]
+        wavelength, fwhm = values["wavelength"], values["fwhm"]
+        slope = None
+        if "radiance_gain" in values:
+            slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
+        spacing, offset, table = (values.get(name) for name in ("band_spacing", "srf_offset", "srf"))
+        shape = str(dataset.attrs.get("srf_shape", "gaussian"))
         gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
             wavelength=wavelength,
-            fwhm=values["fwhm"],
+            fwhm=fwhm,
             good=np.asarray(values.get("good", np.ones(wavelength.size)), bool),
             wavelength_shift=np.asarray(values.get("wavelength_shift", 0.0), np.float64),
-            imager=_imager(values, str(dataset.attrs.get("srf_shape", "gaussian"))),
+            imager=Responses(
+                wavelength, fwhm, shape, spacing=spacing, slope=slope, offset=offset, table=table
+            ),
             light=Light(
                 spectra=np.asarray(values["irradiance"], np.float64),
                 time=values[IRRADIANCE_TIME],
@@ -85,15 +92,17 @@ class Declared:
 
     def shift(self, columns: int) -> Floats:
         """Return the declared shift of every element (band, column) [nm]."""
-        given = self.wavelength_shift
-        if not (np.isfinite(given).all() and np.abs(given).max() <= _MOST_SHIFT):
+        shift = self.wavelength_shift
+        if not (np.isfinite(shift).all() and np.abs(shift).max() <= MAX_SHIFT_NM):
             raise SchemaError(
-                f"'wavelength_shift' must be finite and at most {_MOST_SHIFT:g} nm; check its units"
+                "'wavelength_shift' is not finite or too large",
+                expected=f"at most {MAX_SHIFT_NM:g} nm",
+                mend="check its units",
+                code="wavelength-shift-range",
             )
-        return np.broadcast_to(given, (self.wavelength.size, columns))
+        return np.broadcast_to(shift, (self.wavelength.size, columns))
 
     def bands(self, inside: Array) -> Responses:
-        """Return the declared responses of some bands."""
         names = ("wavelength", "fwhm", "spacing", "slope", "table")
         parts: dict[str, Any] = {
             name: np.asarray(values)[inside]
@@ -103,27 +112,15 @@ class Declared:
         return replace(self.imager, **parts)
 
 
-def _imager(values: dict[str, Array], shape: str) -> Responses:
-    """Return the declared responses of all bands."""
-    wavelength, fwhm = values["wavelength"], values["fwhm"]
-    slope = None
-    if "radiance_gain" in values:
-        slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
-    return Responses(
-        wavelength, fwhm, shape, spacing=values.get("band_spacing"), slope=slope,
-        offset=values.get("srf_offset"), table=values.get("srf"),
-    )  # fmt: skip
-
-
+#: Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm.
 SHIFT_STEP = 0.5
-"""Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm."""
+#: Widths over the declared ones at which irradiance is matched.
 FACTORS = np.linspace(0.6, 1.6, 9)
-"""Widths over the declared ones at which irradiance is matched."""
 
 
 @dataclass(frozen=True)
 class IrradianceTable:
-    """Irradiance as bands would see it at a grid of shifts and widths."""
+    """Irradiance matched to bands at a grid of shifts and widths."""
 
     wavelength: Floats  # (band,): Declared centres [nm]
     shifts: Floats  # (shift,): wavelength minus `wavelength` [nm]
@@ -134,7 +131,7 @@ class IrradianceTable:
 
     @cached_property
     def splines(self) -> list[Any]:
-        """One spline a band that is covered; None for the others."""
+        """One spline a covered band; None for the others."""
         from scipy.interpolate import RectBivariateSpline
 
         return [
@@ -175,32 +172,38 @@ def mean_light(
 def shares_of_samples(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
 ) -> tuple[Floats, Floats]:
-    """Return what the samples of the record (sample,) count for in the mean light, and the level of lines."""
+    """Return the weights of the record's samples (sample,) in the mean light, and the level of lines."""
     light = declared.light
     level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
     times = declared.time if lines is None else declared.time[lines]
     lit = line_light(times, light.time, level, light.max_gap)
     before, after, weight = lit.before, lit.after, lit.weight
     level_of_line = level[before] + weight * (level[after] - level[before])
-    seen = np.flatnonzero(np.isfinite(level_of_line))
-    if seen.size == 0:
-        raise SchemaError("no line of the flight has irradiance at its time; are the clocks right?")
+    lines_lit = np.flatnonzero(np.isfinite(level_of_line))
+    if lines_lit.size == 0:
+        raise SchemaError(
+            "no line of the flight has irradiance at its time",
+            mend="check the clocks",
+            code="irradiance-time-gap",
+        )
     share = np.zeros(len(light.spectra))
-    np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
-    np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
-    return share / seen.size, level_of_line
+    np.add.at(share, before[lines_lit], (1.0 - weight[lines_lit]) / level_of_line[lines_lit])
+    np.add.at(share, after[lines_lit], weight[lines_lit] / level_of_line[lines_lit])
+    return share / lines_lit.size, level_of_line
 
 
 def _level(light: Light, low: float, high: float) -> Floats:
     """Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive."""
     inside = (light.wavelength >= low) & (light.wavelength <= high)
-    # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
-    is_there = np.isfinite(light.spectra).any(axis=1)
-    inside &= np.isnan(light.spectra[is_there]).mean(axis=0) <= 0.1 if is_there.any() else False
+    # leave out channels that are missing in a tenth of the spectra, and spectra that lack others
+    has_values = np.isfinite(light.spectra).any(axis=1)
+    inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
     if not inside.any():
         raise SchemaError(
-            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) holds "
-            "nothing in the window; there is no lamp to align to"
+            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
+            "channel in the window",
+            mend="choose a window that the record covers",
+            code="irradiance-coverage",
         )
     level = light.spectra[:, inside].mean(axis=1)
     return np.where(level > 0.0, level, np.nan)
@@ -209,14 +212,14 @@ def _level(light: Light, low: float, high: float) -> Floats:
 def table_of_bands(
     light: Light, spectrum: Floats, bands: Responses, limits: tuple[float, float], fewest: int
 ) -> IrradianceTable:
-    """Return the light as some bands would see it, or raise where the record covers too few of them.
+    """Return the light matched to some bands; SchemaError where the record covers too few of them.
 
     ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
     highest shift [nm]; ``fewest``: number of bands that must be covered.
     """
     channels = light.wavelength
     width = np.broadcast_to(light.fwhm, channels.shape)
-    # a spectrometer reaches far beyond the window: channels that no response can touch cost memory
+    # only channels near the window: a spectrometer reaches far beyond it
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 4.0 * width.max()
     near = np.flatnonzero(np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach)
     near = near[np.argsort(channels[near], kind="stable")]
@@ -227,7 +230,10 @@ def table_of_bands(
         raise SchemaError(
             f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
             f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
-            f"{bands.wavelength.max():.1f} nm, expected at least {fewest}; there is no lamp to align to"
+            f"{bands.wavelength.max():.1f} nm",
+            expected=f"at least {fewest}",
+            mend="choose a window that the record covers",
+            code="irradiance-coverage",
         )
     return table
 
@@ -235,7 +241,7 @@ def table_of_bands(
 def irradiance_table(
     spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float]
 ) -> IrradianceTable:
-    """Return a spectrum (channel,) as an imager's bands would see it at many shifts and widths.
+    """Return a spectrum (channel,) matched to an imager's bands at many shifts and widths.
 
     ``spectrometer``, ``imager``: responses of the channels, in order, and of the bands as declared;
     ``spectrum`` (channel,): irradiance, any unit; ``limits``: lowest and highest shift [nm].
@@ -248,18 +254,18 @@ def irradiance_table(
 
 
 def _log_of_seen(matching: Matching, spectrum: Floats) -> Floats:
-    """Return the logarithm of a spectrum (channel,) as bands see it (shift, band); NaN without channels."""
+    """Return the logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels."""
     missing = ~np.isfinite(spectrum)
-    seen = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
+    matched = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
     touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where((seen > 0.0) & ~touched, np.log(seen), np.nan))
+        return np.asarray(np.where((matched > 0.0) & ~touched, np.log(matched), np.nan))
 
 
 def responses_table(
     spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float], widths: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum as bands see it.
+    """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
 
     Widths are those of the spectrometer over the declared ones; else as `irradiance_table`. Beside them the
     weights (band, channel) of the channels at the middle shift and the declared width.
@@ -298,7 +304,7 @@ def _operators(
 
 
 def _widened(imager: Responses, factor: float) -> Responses:
-    """Return responses of another width; what a slit's pixels are wide does not change."""
+    """Return responses of another width; the pixel width of a slit response does not change."""
     if imager.shape == "tabulated":
         return replace(imager, offset=np.asarray(imager.offset) * factor)
     return replace(imager, fwhm=imager.fwhm * factor)

@@ -13,15 +13,15 @@ from hyperpaint.base.errors import Problems, SchemaError
 
 from .lamp import FACTORS, Declared, IrradianceTable
 
+#: Least relative residual, by float32 and the matching [1].
 RESIDUAL_FLOOR = 1e-4
-"""Relative departure that numbers of float32 and the matching leave in the best of cases."""
 _ITERATIONS = 12
-_FEWEST_FREEDOM = 3
+MIN_FREEDOM = 3
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What follows from one window of bands for every column; NaN where nothing does."""
+    """Result of one window of bands for every column; NaN where a column has too few bands."""
 
     # shift, shift_u, factor, factor_u, correlation (column,): Wavelength minus the declared one [nm] and
     # width over the declared one [1], with their standard uncertainties and the correlation of their errors
@@ -37,25 +37,25 @@ class Fit:
     # departure, departure_declared (band, column): The same band by band
     departure: Floats
     departure_declared: Floats
-    at_limit: Array  # (column,): True where the best lies at an end of the search, or was not reached
-    noise_gain: Floats  # (column,): Largest noise gain of the operators at the width found [1]
-    freedom: Array  # (column,): Bands more than what is fitted
+    at_limit: Array  # (column,): True where the optimum is at an end of the search, or was not reached
+    noise_gain: Floats  # (column,): Largest noise gain of the operators at the fitted width [1]
+    freedom: Array  # (column,): Degrees of freedom: bands beyond the fitted parameters
 
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """Where the search ended."""
+    """End of the search."""
 
     # shift, factor (column,): [nm], [1]
     shift: Floats
     factor: Floats
-    tilt: Floats  # (band, column): Shift that the surface's slope acts as there [nm]
-    last_step: Floats  # (column, 2): Of shift and factor; none where the optimum was reached
+    tilt: Floats  # (band, column): shift equivalent to the surface's slope [nm]
+    last_step: Floats  # (column, 2): of shift and factor; 0 where the optimum was reached
 
 
 @dataclass(frozen=True)
 class _Smooth:
-    """Takes out of logarithms (band, column) what a polynomial over the bands can explain."""
+    """Projection of logarithms (band, column) onto polynomials over the bands."""
 
     used: Array
     basis: Floats  # (column, band, power), orthonormal over the used bands
@@ -67,7 +67,7 @@ class _Smooth:
         place = (wavelength - wavelength.min()) / scale - 1.0
         powers = np.polynomial.legendre.legvander(place, degree)
         polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
-        derivatives = np.stack([each.deriv()(place) for each in polynomials], axis=-1)
+        derivatives = np.stack([polynomial.deriv()(place) for polynomial in polynomials], axis=-1)
         basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
         upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
@@ -89,7 +89,7 @@ class _Smooth:
 class _Ratio:
     """Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
 
-    Of either, ``tilt`` (band, column) [nm] is the shift that the surface's own slope acts as.
+    ``tilt`` (band, column) [nm] is the shift equivalent to the surface's own slope.
     """
 
     table: IrradianceTable
@@ -119,8 +119,8 @@ class _Ratio:
 
 
 def fewest_bands(degree: int) -> int:
-    """Return how many bands a fit needs: for the polynomial, shift and width, and some to spare."""
-    return degree + 1 + 2 + _FEWEST_FREEDOM
+    """Return the number of bands that a fit needs: polynomial, shift and width, and some to spare."""
+    return degree + 1 + 2 + MIN_FREEDOM
 
 
 def fit_columns(
@@ -147,7 +147,7 @@ def fit_columns(
     with np.errstate(invalid="ignore"):
         used = covered & (spectrum > 0.0)
     has_bands = used.sum(axis=0) >= fewest_bands(degree)
-    freedom = used.sum(axis=0) - fewest_bands(degree) + _FEWEST_FREEDOM
+    freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, spectrum, 1.0)), 0.0)
     ratio = _Ratio(table, _Smooth.over(table.wavelength, used, degree), log, declared)
@@ -155,22 +155,9 @@ def fit_columns(
 
 
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
-    """Return where the departures are least."""
-    tilt = np.zeros(ratio.log.shape)
-    shift, factor = _coarse(ratio, tilt, max_shift)
-    step = np.zeros((shift.size, 2))
-    for _ in range(_ITERATIONS):
-        tilt = ratio.tilt(tilt, shift, factor)
-        away = ratio.departure(tilt, shift, factor)
-        normal, right = ratio.normal_equations(tilt, shift, factor, away)
-        step = np.clip(_solved(normal, right), (-0.5, -0.1), (0.5, 0.1))
-        shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
-        factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
-    return _Optimum(shift, factor, tilt, step)
-
-
-def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floats]:
-    """Return the best of a grid of shifts and widths of every column."""
+    """Return the shift and width of the least departures."""
+    tilt: Floats = np.zeros(ratio.log.shape)
+    # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
     best = np.full(columns, np.inf)
     shift, factor = np.zeros(columns), np.ones(columns)
@@ -182,11 +169,22 @@ def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floa
             best = np.where(better, total, best)
             shift = np.where(better, trial_shift, shift)
             factor = np.where(better, trial_factor, factor)
-    return shift, factor
+    # Gauss-Newton, damped a little so that steps stay finite where the light has no structure
+    step = np.zeros((shift.size, 2))
+    for _ in range(_ITERATIONS):
+        tilt = ratio.tilt(tilt, shift, factor)
+        away = ratio.departure(tilt, shift, factor)
+        normal, right = ratio.normal_equations(tilt, shift, factor, away)
+        damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
+        normal = normal + damping[:, None, None] * np.eye(2)
+        step = np.clip(np.linalg.solve(normal, right[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
+        shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
+        factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
+    return _Optimum(shift, factor, tilt, step)
 
 
 def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
-    """Return the fit with its uncertainties, beside what the declared values leave."""
+    """Return the fit with its uncertainties, and the residuals of the declared values."""
     shift, factor, used = optimum.shift, optimum.factor, ratio.smooth.used
     after = ratio.departure(optimum.tilt, shift, factor)
     normal, _ = ratio.normal_equations(optimum.tilt, shift, factor, after)
@@ -215,12 +213,6 @@ def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array
     )
 
 
-def _solved(normal: Floats, right: Floats) -> Floats:
-    """Return the steps (column, 2); a touch of damping keeps those finite where the light has no lines."""
-    damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
-    return np.asarray(np.linalg.solve(normal + damping[:, None, None] * np.eye(2), right[..., None])[..., 0])
-
-
 def _uncertainties(
     after: Floats, normal: Floats, freedom: Array, has_bands: Array
 ) -> tuple[Floats, Floats, Floats]:
@@ -245,67 +237,77 @@ def _uncertainties(
 
 Window = tuple[float, float]
 
+#: Default windows [nm]: the oxygen A band and the water around 940 nm, without vegetation's red edge.
 WINDOWS = ((740.0, 800.0), (890.0, 985.0))
-"""Where to look [nm]: the oxygen A band and the water around 940 nm, without vegetation's red edge."""
+#: Margin by which the irradiance record must exceed a default window [nm].
 _RECORD_MARGIN = 15.0
-"""How far beyond a window the irradiance record must reach to be used unasked [nm]."""
+#: Why a column is not used.
 FLAGS = {"no_data": 1, "too_noisy": 2, "at_limit": 4, "record_too_coarse": 8}
-"""Why a column is not used."""
 MAX_NOISE_GAIN = 3.0
+#: Ratio of the windows' variances up to which they are pooled.
 _SAME_NOISE = 3.0
-"""Ratio of the windows' variances up to which they are taken for one."""
 
 
 def default_windows(declared: Declared, degree: int) -> list[Window]:
-    """Return those of `WINDOWS` that camera and record have; the first where they have none."""
+    """Return the `WINDOWS` that camera and record cover; the first where they cover none."""
     channels = declared.light.wavelength
-    there = [
+    covered = [
         (low, high)
         for low, high in WINDOWS
         if _inside(declared, low, high).sum() >= fewest_bands(degree)
         and channels.min() <= low - _RECORD_MARGIN
         and channels.max() >= high + _RECORD_MARGIN
     ]
-    return there or [*WINDOWS[:1]]
+    return covered or [*WINDOWS[:1]]
 
 
 def _inside(declared: Declared, low: float, high: float) -> Array:
-    """Return which good bands lie in a window, (band,) bool."""
+    """Return whether bands are good and lie in a window, (band,) bool."""
     return declared.good & (declared.wavelength >= low) & (declared.wavelength <= high)
 
 
 def checked_windows(window: Any) -> list[Window]:
-    """Return the windows, in the order given, or raise."""
+    """Return the windows in the order passed; SchemaError for invalid ones."""
     problems = Problems(f"window={window!r} cannot be used", SchemaError)
     try:
-        given = np.asarray(window, np.float64)
+        values = np.asarray(window, np.float64)
     except (TypeError, ValueError):  # texts, or pairs of unlike lengths
-        given = np.empty(0)
-    if given.ndim not in (1, 2) or given.shape[-1] != 2 or not given.size:
-        problems.add("expected a lowest and a highest wavelength [nm], or several such pairs")
+        values = np.empty(0)
+    if values.ndim not in (1, 2) or values.shape[-1] != 2 or not values.size:
+        problems.add(
+            "it is not a pair of numbers",
+            expected="a lowest and a highest wavelength in nm, or several such pairs",
+            code="window-unreadable",
+        )
         problems.raise_if_any()
-    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(given)]
+    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(values)]
     for low, high in pairs:
         if not (np.isfinite([low, high]).all() and low < high):
-            problems.add(f"({low:g}, {high:g}): the lowest wavelength must be below the highest [nm]")
+            problems.add(
+                f"({low:g}, {high:g})",
+                expected="a lowest wavelength below the highest",
+                code="window-reversed",
+            )
     in_order = sorted(pairs)
     for (_, high), (low, _) in itertools.pairwise(in_order):
         if low < high:
-            problems.add(f"windows overlap from {low:g} to {high:g} nm")
+            problems.add(f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
     problems.raise_if_any()
     return pairs
 
 
 def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Array]:
-    """Return which good bands lie in each window, (band,) bool."""
+    """Return whether good bands lie in each window, (band,) bool; SchemaError for too few."""
     chosen = [_inside(declared, low, high) for low, high in windows]
     fewest = fewest_bands(degree)
-    problems = Problems("the alignment cannot be found", SchemaError)
+    problems = Problems("the line cannot be aligned", SchemaError)
     for (low, high), inside in zip(windows, chosen, strict=True):
         if inside.sum() < fewest:
             problems.add(
-                f"{low:g} to {high:g} nm holds {inside.sum()} good bands, expected at least {fewest} for "
-                f"a polynomial of degree {degree}, shift and width; widen the window or lower degree="
+                f"{low:g} to {high:g} nm holds {inside.sum()} good bands",
+                expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
+                mend="widen the window or lower degree=",
+                code="bands-too-few",
             )
     problems.raise_if_any()
     return chosen
@@ -313,7 +315,7 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
 
 @dataclass(frozen=True)
 class Estimate:
-    """Shift [nm] and width factor [1] of every column with their covariance, and what goes with them."""
+    """Shift [nm] and width factor [1] of every column with their covariance, residuals and flags."""
 
     value: Floats  # (column, 2)
     covariance: Floats  # (column, 2, 2)
@@ -328,7 +330,7 @@ class Estimate:
 
 
 def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Estimate:
-    """Return the estimate of one window; its flags but that of noise, which is for the mean to decide."""
+    """Return the estimate of one window, without the flag of noise, which depends on the mean of windows."""
     flag = np.where(np.isfinite(fit.shift), 0, FLAGS["no_data"])
     flag |= np.where(fit.at_limit, FLAGS["at_limit"], 0)
     with np.errstate(invalid="ignore"):
@@ -351,33 +353,33 @@ def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Esti
 
 def stacked(estimates: list[Estimate], name: str) -> Array:
     """Return a field of several estimates as one array (estimate, ...)."""
-    return np.stack([getattr(each, name) for each in estimates])
+    return np.stack([getattr(estimate, name) for estimate in estimates])
 
 
 def combined(windows: list[Estimate]) -> Estimate:
-    """Return the mean of the windows that are reliable, weighted with the inverse of their covariances."""
+    """Return the mean of the reliable windows, weighted with the inverse of their covariances."""
     value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
     covariance = covariance * _one_noise(windows, is_reliable)[..., None, None]
-    # where no window is reliable, the first says why
+    # where no window is reliable, report the flags of the first
     is_reliable[0] |= ~is_reliable.any(axis=0)
     plain = np.where(is_reliable[..., None, None] & np.isfinite(covariance), covariance, np.eye(2))
     weight = np.where(is_reliable[..., None, None], np.linalg.inv(plain), 0.0)
     total = np.linalg.inv(weight.sum(axis=0))
-    seen = np.where(is_reliable[..., None], value, 0.0)
-    mean = np.einsum("xij,wxjk,wxk->xi", total, weight, seen)
-    away = seen - mean
+    used = np.where(is_reliable[..., None], value, 0.0)
+    mean = np.einsum("xij,wxjk,wxk->xi", total, weight, used)
+    away = used - mean
     chi2 = np.einsum("wxi,wxij,wxj->x", away, weight, away)
     freedom = 2 * (is_reliable.sum(axis=0) - 1)
-    # of a single window, its own
+    # a single reliable window gives its own covariance and flag
     single, only = is_reliable.sum(axis=0) == 1, np.argmax(is_reliable, axis=0)
     columns = np.arange(is_reliable.shape[1])
     return Estimate(
         value=mean,
         covariance=np.where(single[:, None, None], covariance[only, columns], total),
         shift=np.mean(stacked(windows, "shift"), axis=0),
-        fwhm=float(np.mean([each.fwhm for each in windows])),
-        centre=float(np.mean([each.centre for each in windows])),
+        fwhm=float(np.mean([window.fwhm for window in windows])),
+        centre=float(np.mean([window.centre for window in windows])),
         residual=_pooled(windows, is_reliable, "residual"),
         residual_declared=_pooled(windows, is_reliable, "residual_declared"),
         freedom=np.where(is_reliable, stacked(windows, "freedom"), 0).sum(axis=0),
@@ -387,7 +389,7 @@ def combined(windows: list[Estimate]) -> Estimate:
 
 
 def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
-    """Return a residual (column,) over the windows that are reliable."""
+    """Return a residual (column,) pooled over the reliable windows."""
     freedom = np.where(is_reliable, stacked(windows, "freedom"), 0)
     square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Mean spectra of columns, and what is left of the oxygen A band in them: a sign of wrong wavelengths."""
+"""Mean spectra of columns, and the residual oxygen A band in them: a sign of wrong wavelengths."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
 
+#: Lines in which bad elements are recognised.
 _FIRST_LINES = 64
-"""Lines that bad elements are recognised in."""
 
 
 def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.DataArray:
-    """Return radiance of some bands on any scale, lazily; of all of them light strays into these."""
-    dataset = dataset.assign_attrs(absolute_scale="not needed")  # lines lie where they lie
+    """Return radiance of some bands on any scale, lazily; stray light is subtracted with all bands."""
+    dataset = dataset.assign_attrs(absolute_scale="not needed")  # wavelengths do not depend on the scale
     if described(dataset.variables) is None:
         return radiance(dataset.isel({BAND: used}))["radiance"]
     return radiance(dataset)["radiance"].isel({BAND: used})
@@ -30,17 +30,17 @@ def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.Dat
 def mean_over_lines(
     cube: xr.DataArray, level: Floats, progress: Progress | None = None
 ) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Return the mean over lines of a cube over its light's level (band, column), and the pixels in it.
+    """Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
 
     One slab is in memory at a time. Lines are added one after the other, so that the result does not depend
-    on chunks. A pixel counts where no band is missing but those that are missing in each of the first lines;
-    of these the mean is NaN.
+    on chunks. A pixel counts where all bands are valid, except bands that are missing in each of the first
+    lines; their mean is NaN.
     """
     cube = line_chunked(cube)
     count = cube.sizes[ALONG_TRACK]
     first = cube[:_FIRST_LINES].values
-    seen = np.isfinite(first).any(axis=1, keepdims=True)
-    bad = (np.isnan(first) | ~seen).all(axis=0) & seen.any(axis=0)
+    has_values = np.isfinite(first).any(axis=1, keepdims=True)
+    bad = (np.isnan(first) | ~has_values).all(axis=0) & has_values.any(axis=0)
     total = np.zeros(cube.shape[1:])
     scaled = np.empty_like(total)
     pixels = np.zeros(cube.shape[2], np.int64)
@@ -60,15 +60,15 @@ def mean_over_lines(
         return np.where(bad | (pixels == 0), np.nan, total / pixels), pixels
 
 
+#: Intervals beside the oxygen A band, free of it at a width of 6 nm [nm].
 SHOULDERS = ((740.0, 753.0), (775.0, 788.0))
-"""Where reflectance is free of the oxygen A band seen 6 nm wide [nm]."""
+#: Weights of bands fall linearly from 1 at this wavelength to 0 at this distance [nm].
 CENTRE, REACH = 760.0, 5.0
-"""Bands weigh less the farther they are from here, to nothing at this distance [nm]."""
-_FEWEST_BANDS = 4
+MIN_SHOULDER_BANDS = 4
 
 
 def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) -> xr.DataArray:
-    r"""Return what is left of the oxygen A band in the reflectance of every column.
+    r"""Return the residual depth of the oxygen A band in the reflectance of every column.
 
     Eager: reads the line once, a slab at a time; the same whatever the chunks.
 
@@ -76,20 +76,20 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     ----------
     dataset
         A flight line with ``reflectance`` (along_track, band, cross_track) and ``wavelength`` (band), or with
-        what `hyperpaint.reflectance` needs.
+        the variables that `hyperpaint.reflectance` needs.
     progress
         Called with lines done and lines to do.
 
     Returns
     -------
     (cross_track,), float64
-        Depth [1]: positive where the band is left in reflectance, negative where it is overcorrected; NaN
+        Depth [1]: positive where the band remains in reflectance, negative where it is overcorrected; NaN
         where no pixel has all samples.
 
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, or no bands lie in the band or on one of its shoulders.
+        Variables are missing, or no bands lie in the oxygen band or on one of its shoulders.
 
     Notes
     -----
@@ -97,8 +97,8 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
               w_b \propto \max(0, 1 - |\lambda_b - 760| / 5), \qquad \sum_b w_b = 1
 
     with :math:`\bar\rho` the mean over lines at the column's own wavelengths, and :math:`\rho_c` the parabola
-    through its shoulders, 740-753 and 775-788 nm. The place is on the steep side of the band, where shift
-    and width both show: with a 6 nm camera the depth is about -0.06 for each nanometre that declared
+    through its shoulders, 740-753 and 775-788 nm. The wavelength is on the steep side of the band, where
+    shift and width both show: with a 6 nm camera the depth is about -0.06 for each nanometre that declared
     wavelengths are too long, and 0.03 for each that declared widths are too large. The two can cancel;
     `hyperpaint.alignment.align_to_irradiance` separates them.
 
@@ -121,10 +121,12 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
         shift, (cube.sizes[BAND], cube.sizes[CROSS_TRACK])
     )
     shoulders, weight = _parts(own)
-    if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= _FEWEST_BANDS)).all():
+    if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= MIN_SHOULDER_BANDS)).all():
         raise SchemaError(
-            "too few bands for the oxygen residual: it needs one in 755-765 nm and "
-            f"{_FEWEST_BANDS} in its shoulders, 740-753 and 775-788 nm, in every column"
+            "too few bands for the oxygen residual",
+            expected=f"one in 755-765 nm and {MIN_SHOULDER_BANDS} in its shoulders, 740-753 and 775-788 nm, "
+            "in every column",
+            code="bands-too-few",
         )
     used = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used], np.ones(cube.sizes[ALONG_TRACK]), progress)
@@ -136,14 +138,14 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
 
 
 def _parts(wavelength: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
-    """Return which bands are on the shoulders, and how much each weighs in the band itself."""
+    """Return whether bands are on the shoulders, and their weights in the oxygen band itself."""
     shoulders = np.logical_or.reduce([(wavelength >= low) & (wavelength <= high) for low, high in SHOULDERS])
     return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
 
 
 @takes_quantities(wavelength="nm", spectrum="1")
 def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
-    """Return the depth of the oxygen A band left in one spectrum, see `oxygen_residual`.
+    """Return the residual depth of the oxygen A band in one spectrum, see `oxygen_residual`.
 
     Parameters
     ----------
@@ -163,9 +165,9 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     True
     """
     shoulders, weight = _parts(wavelength)
-    there = np.isfinite(spectrum)
-    beside, below = shoulders & there, (weight > 0.0) & there
-    if beside.sum() < _FEWEST_BANDS or not below.any():
+    finite = np.isfinite(spectrum)
+    beside, below = shoulders & finite, (weight > 0.0) & finite
+    if beside.sum() < MIN_SHOULDER_BANDS or not below.any():
         return float("nan")
     curve = np.polynomial.Polynomial.fit(wavelength[beside], spectrum[beside], 2)
     ratio = spectrum[below] / curve(wavelength[below])

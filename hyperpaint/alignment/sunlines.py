@@ -1,8 +1,8 @@
-"""The irradiance record alone: its wavelengths and width against the sun's own lines and those of oxygen.
+"""Wavelengths and width of the irradiance record alone, from solar lines and those of oxygen.
 
-The reference is the sunlight of ASTM G173 at 1 nm (`hyperpaint.light.clear_sky`). It is coarse beside a
-spectrometer of 3 nm, so that this tells tenths of a nanometre; what separates camera and record
-(`comparison`) is known ten times better, and this divides it between the two.
+The reference is the sunlight of ASTM G173 at 1 nm (`hyperpaint.light.clear_sky`). It is coarse relative to a
+spectrometer of 3 nm, so that tenths of a nanometre are resolved; the difference of camera and record
+(`comparison`) is known ten times better, and this module divides it between the two.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from hyperpaint.light.clear_sky import sunlight_table
 
 @dataclass(frozen=True)
 class SunLineRules:
-    """What the comparison of a record with the sun goes by.
+    """Settings of the comparison of a record with solar lines.
 
     Attributes
     ----------
     windows
-        Where to look [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1 nm
-        hold many lines, gave widths twice too large of a real spectrometer.
+        Compared intervals [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1
+        nm hold many solar lines, gave widths twice too large of a real spectrometer.
     degree
-        Of the polynomial that light of unknown air and colour is in a window.
+        Of the polynomial that models light of unknown air and colour in a window.
     shifts_nm, widths_nm
         Trials: shifts [nm] and full widths at half maximum [nm], both even.
     cell_nm
-        Width of the table's cells, which widens every line [nm].
+        Width of the table's cells, which widens every solar line [nm].
     least_shift_u_nm, least_width_u_nm
-        What is stated of uncertainty at the least: three windows of a real record agreed to 0.06 nm and
-        0.9 nm (0.3 nm without the narrowest lines).
+        Least reported uncertainties: three windows of a real record agreed to 0.06 nm and
+        0.9 nm (0.3 nm without the narrowest solar lines).
     record_prior_nm, camera_prior_nm, camera_width_prior
-        Standard deviations of what is believed without any light: of the wavelengths of a field spectrometer
-        (its makers state 0.5 nm at most) and of a calibrated camera [nm], and of the camera's width [1].
+        Standard deviations of the prior: of the wavelengths of a field spectrometer
+        (its makers specify 0.5 nm at most) and of a calibrated camera [nm], and of the camera's width [1].
     """
 
     windows: tuple[tuple[float, float], ...] = ((475.0, 540.0), (610.0, 680.0), (745.0, 775.0))
@@ -57,7 +57,7 @@ SUN_LINES = SunLineRules()
 
 
 class RecordAgainstSun(NamedTuple):
-    """Wavelength of the record's channels minus that declared, and their width, with uncertainties [nm]."""
+    """True minus declared wavelength of the record's channels, and their width, with uncertainties [nm]."""
 
     shift: float
     shift_u: float
@@ -66,10 +66,10 @@ class RecordAgainstSun(NamedTuple):
 
 
 class Instruments(NamedTuple):
-    """What belongs to the record and what to the camera, each with its standard uncertainty.
+    """Shares of record and camera in their difference, each with its standard uncertainty.
 
-    Shifts: wavelength as it is minus that declared [nm]; ``record_fwhm`` [nm]; ``camera_width``: over that
-    declared [1].
+    Shifts: true minus declared wavelength [nm]; ``record_fwhm`` [nm]; ``camera_width``: over the declared one
+    [1].
     """
 
     record_shift: float
@@ -89,13 +89,13 @@ def divided(
     declared_fwhm: tuple[float, float],
     rules: SunLineRules = SUN_LINES,
 ) -> Instruments:
-    r"""Return the share of each instrument in what separates them.
+    """Return the share of each instrument in their difference.
 
-    ``shift``: camera minus record [nm] and its uncertainty; ``width``: of the record over the declared one,
-    if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
+    ``shift``: camera minus record [nm] and its uncertainty; ``width``: width of the record over the declared
+    one, if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
 
-    Least squares of two unknowns each: record and camera, of which the difference is known, the record by the
-    sun, and both before. Widths add as squares: :math:`w^2 - (W^2 - W_0^2)` is what is known.
+    Least squares of two unknowns each, record and camera: their difference is known, the record by the sun,
+    and both by priors. Widths add as squares: :math:`w^2 - (W^2 - W_0^2)` is known.
     """
     record, camera = declared_fwhm
     rows = [
@@ -116,10 +116,15 @@ def divided(
     record_fwhm = np.sqrt(max(of_record, 0.01))
     camera_fwhm = np.sqrt(max(camera**2 + of_camera, 0.01))
     return Instruments(
-        record_shift, u_record, camera_shift, u_camera,
-        float(record_fwhm), float(v_record / (2.0 * record_fwhm)),
-        float(camera_fwhm / camera), float(v_camera / (2.0 * camera_fwhm * camera)),
-    )  # fmt: skip
+        record_shift,
+        u_record,
+        camera_shift,
+        u_camera,
+        float(record_fwhm),
+        float(v_record / (2.0 * record_fwhm)),
+        float(camera_fwhm / camera),
+        float(v_camera / (2.0 * camera_fwhm * camera)),
+    )
 
 
 def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
@@ -137,12 +142,12 @@ def record_against_sun(
 ) -> RecordAgainstSun | None:
     """Return shift and width of a record (channel,) of daylight; None where it has too few channels.
 
-    Of every window the logarithm of the record is fitted by that of the table seen at a shift and a width,
-    oxygen and water at strengths of their own, times a polynomial. Windows count by the inverse of their
-    variance; where they disagree by more than they say, the uncertainty grows by as much.
+    In every window the logarithm of the table at a shift and a width, with free strengths of oxygen and water
+    and times a polynomial, is fitted to the logarithm of the record. Windows count by the inverse of their
+    variance; where they disagree by more than their uncertainty, the result's grows by as much.
     """
-    one = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
-    fits = np.array([fit for fit in one if fit is not None])
+    windows = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
+    fits = np.array([fit for fit in windows if fit is not None])
     if not len(fits):
         return None
     numbers = []
@@ -160,7 +165,7 @@ def record_against_sun(
 def _window(
     channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
 ) -> tuple[float, float, float, float] | None:
-    """Return shift and width of one window, each with its uncertainty [nm]; None where nothing is seen."""
+    """Return shift and width of one window, each with its uncertainty [nm]; None without a minimum."""
     used = (channels >= low) & (channels <= high) & (spectrum > 0)
     if used.sum() < rules.degree + 1 + 12:
         return None
@@ -172,11 +177,23 @@ def _window(
     i, j = divmod(int(left.argmin()), trials.widths.size)
     if i in (0, trials.shifts.size - 1) or j in (0, trials.widths.size - 1):
         return None
-    return _refined(left, (i, j), trials.shifts, trials.widths, nm.size - (rules.degree + 1) - 4)
+    # minimum of the parabola around the least trial, with its uncertainties
+    box = left[i - 1 : i + 2, j - 1 : j + 2]
+    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
+    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
+    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
+    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
+    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
+    freedom = nm.size - (rules.degree + 1) - 4
+    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
+    steps = np.array([trials.shifts[1] - trials.shifts[0], trials.widths[1] - trials.widths[0]])
+    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
+    shift, width = trials.shifts[i] + move[0] * steps[0], trials.widths[j] + move[1] * steps[1]
+    return shift, spread[0], width, spread[1]
 
 
 class _Trials(NamedTuple):
-    """Sunlight as a window's channels would see it at every shift and width, whatever they did see."""
+    """Sunlight matched to a window's channels at every shift and width."""
 
     shifts: Floats  # (shift,) [nm]
     widths: Floats  # (width,) [nm]
@@ -207,9 +224,9 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
 
 
 def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
-    """Return logarithms of the table (shift, channel) at wavelengths of that shape and a width.
+    """Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
 
-    First of the sun above the air, then (gas, shift, channel) what two gases change in it.
+    First of the sun above the air, then (gas, shift, channel) the change by two gases.
     """
     table = sunlight_table()
     away = np.abs(table.wavelength - nm.mean(axis=1, keepdims=True))
@@ -223,20 +240,3 @@ def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats
     lights = np.stack([sun, sun * np.exp(-table.mixed[cells]), sun * np.exp(-table.water[cells])], axis=-1)
     logs = np.moveaxis(np.log(response @ lights), -1, 0)
     return logs[0], logs[1:] - logs[0]
-
-
-def _refined(
-    left: Floats, at: tuple[int, int], shifts: Floats, widths: Floats, freedom: int
-) -> tuple[float, float, float, float]:
-    """Return the lowest place of the parabola around the least trial, and the uncertainties it has."""
-    i, j = at
-    box = left[i - 1 : i + 2, j - 1 : j + 2]
-    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
-    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
-    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
-    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
-    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
-    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
-    steps = np.array([shifts[1] - shifts[0], widths[1] - widths[0]])
-    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
-    return shifts[i] + move[0] * steps[0], spread[0], widths[j] + move[1] * steps[1], spread[1]

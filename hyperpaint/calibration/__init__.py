@@ -1,4 +1,4 @@
-"""From a lab sweep to a calibration, and every other way to a gain.
+"""Calibrate a camera from a lab sweep, or derive its gain from other sources.
 
 In: a monochromator sweep (`lab_sweep` checks it), frames of a known source, or the vendor's coefficients.
 Out: a dataset with gain, wavelengths, dark and uncertainties. Called by workflows and the command line;

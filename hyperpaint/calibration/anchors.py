@@ -1,4 +1,4 @@
-"""Absolute anchors: whatever is known of the light, the result is one gain for every element."""
+"""Absolute anchors: one gain for every element, from optics, a known source or a vendor's coefficients."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ from hyperpaint.radiometry.linear_counts import linearity_of
 from .detector import row_medians
 
 _ELEMENT = (BAND, CROSS_TRACK)
-_NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
-_LEAST_COVER = 0.999
-_SAME_EXPOSURE = 0.01  # relative
+#: Distance of nodes between which the mean of a spectrum over a band is linear [nm].
+NODE_SPACING_NM = 0.25
+#: Least share of a response inside the source's spectrum [1].
+MIN_COVERAGE = 0.999
+#: Relative difference of exposures that count as equal [1].
+SAME_EXPOSURE = 0.01
 
 
 @takes_quantities(pixel_pitch="m", slit_width="m")
@@ -98,7 +101,11 @@ def _check_lengths(values: dict[str, float], high: float) -> None:
     problems = Problems("the etendue cannot be computed", SchemaError)
     for name, value in values.items():
         if not 0 < value < high:
-            problems.add(f"{name}={value!r}, expected above 0 and below {high:g}, in metres and radians")
+            problems.add(
+                f"{name}={value!r}",
+                expected=f"above 0 and below {high:g}, in metres and radians",
+                code="value-out-of-range",
+            )
     problems.raise_if_any()
 
 
@@ -141,17 +148,17 @@ def anchor_to_radiance(
     scale: str = "element",
     uncertainty: float = 0.02,
 ) -> xr.Dataset:
-    """Return a calibration whose gain makes frames of a known source read its radiance.
+    """Return a calibration whose gain reproduces the radiance of a known source from its frames.
 
     Parameters
     ----------
     calibration
-        Wavelengths, widths and line shape of the camera, as `hyperpaint.calibrate` or a store gives them. A
+        Wavelengths, widths and line shape of the camera, from `hyperpaint.calibrate` or a store. A
         gain is needed only for ``scale="common"``.
     frames
         ``counts`` ([along_track,] band, cross_track), ``dark_counts`` (band, cross_track) at the same
-        exposure and ``exposure_time`` of a sphere or panel that fills the field. A dark whose
-        ``dark_exposure_time`` is another needs ``dark_rate`` in the calibration. A ``linearity`` that the
+        exposure and ``exposure_time`` of a sphere or panel that fills the field. A dark with another
+        ``dark_exposure_time`` needs ``dark_rate`` in the calibration. A ``linearity`` that the
         calibration declares is applied to these counts as well.
     radiance
         Its spectral radiance with units, on one dim with a coordinate of that name or ``wavelength`` [nm].
@@ -170,7 +177,7 @@ def anchor_to_radiance(
     Raises
     ------
     SchemaError, UnitsError
-        Something is missing, or nothing of the camera is covered; all problems are listed.
+        Variables are missing, or no element is covered; all problems are listed.
 
     Warns
     -----
@@ -190,23 +197,24 @@ def anchor_to_radiance(
     0.05
     """
     if scale not in ("element", "common"):
-        raise SchemaError(f"scale {scale!r}, expected 'element' or 'common'")
+        raise SchemaError(f"scale {scale!r}", expected="'element' or 'common'", code="choice-unknown")
     response_inputs = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, response_inputs, spectrum)
     signal, exposure = _signal(frames, calibration)
     first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
-    # no line of the sweep shows the wavelengths of the other columns
+    # the sweep gives no wavelengths for unlit columns
     signal[:, :first] = signal[:, last + 1 :] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.where(signal > 0, level * exposure / signal, np.nan)
     if scale == "common":
-        own = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
-        factor = float(np.nanmedian(gain / own))
-        gain = own * factor
+        relative = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
+        gain = relative * float(np.nanmedian(gain / relative))
     if not np.isfinite(gain).any():
         raise SchemaError(
-            "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
+            "no element is covered by the source's spectrum and lit by it",
+            mend="check wavelengths and dark",
+            code="source-coverage",
         )
     anchor = f"radiance of a known source, {scale} scale"
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
@@ -224,12 +232,12 @@ def _with_gain(
     if {"responsivity", "radiance_gain"} <= set(calibration.variables):
         ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
         rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
-    return rescaled.assign(
+    rescaled = rescaled.assign(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
-    ).assign_coords(good=label(xr.DataArray(good, dims=BAND), "good")).assign_attrs(
-        absolute_anchor=anchor, absolute_scale="known"
-    )  # fmt: skip
+    )
+    rescaled = rescaled.assign_coords(good=label(xr.DataArray(good, dims=BAND), "good"))
+    return rescaled.assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
 def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
@@ -237,23 +245,31 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         if name not in frames.variables:
-            problems.add(f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]")
+            problems.add(
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
+                code="variable-missing",
+            )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
     if len(exposure) != 1 or not exposure[0] > 0:
-        problems.add(f"'exposure_time' {exposure.tolist()}, expected one positive number")
+        problems.add(
+            f"'exposure_time' {exposure.tolist()}", expected="one positive number", code="exposure-invalid"
+        )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         if not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK}:
             problems.add(
-                f"{array.name!r} has dims {tuple(map(str, array.dims))}, "
-                "expected ([along_track,] band, cross_track)"
+                f"{array.name!r} has dims {tuple(map(str, array.dims))}",
+                expected="([along_track,] band, cross_track)",
+                code="dims-wrong",
             )
     for array in (counts, dark):
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
         if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
-            problems.add(f"{array.name!r} has sizes {sizes}, the calibration {expected}")
+            problems.add(
+                f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
+            )
     problems.raise_if_any()
     others = [dim for dim in counts.dims if dim not in _ELEMENT]
     full = None
@@ -269,8 +285,10 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
     signal = linearity_of(calibration).net(raw, bare)
     if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
         warnings.warn(
-            f"{int(saturated.sum())} elements are saturated in the anchor's frames",
-            PaintWarning,
+            PaintWarning(
+                f"{int(saturated.sum())} elements are saturated in the anchor's frames",
+                code="elements-saturated",
+            ),
             stacklevel=3,
         )
         signal = np.where(saturated, np.nan, signal)
@@ -278,17 +296,18 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
 
 
 def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Floats | float:
-    """Return what the dark of the frames lacks for their exposure [count]; 0 where it is of that exposure."""
+    """Return the correction of the frames' dark to their exposure [count]; 0 for a dark at that exposure."""
     if "dark_exposure_time" not in frames.variables:
         return 0.0
     taken = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
-    if not (np.abs(taken - exposure) > _SAME_EXPOSURE * exposure).any():
+    if not (np.abs(taken - exposure) > SAME_EXPOSURE * exposure).any():
         return 0.0
     if "dark_rate" not in calibration.variables:
         raise SchemaError(
-            f"dark at another exposure: frames at {exposure * 1e3:g} ms, dark at "
-            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and the calibration has no "
-            "dark_rate; take a dark at the exposure of the frames"
+            f"frames at {exposure * 1e3:g} ms, dark at "
+            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and no dark_rate in the calibration",
+            mend="take a dark at the exposure of the frames",
+            code="dark-exposure-differs",
         )
     rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
     return np.asarray(rate * (exposure - float(np.mean(taken))))
@@ -298,21 +317,30 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
     """Return the mean of a spectrum over the response of every element (band, cross_track)."""
     if spectrum.ndim != 1:
         raise SchemaError(
-            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}, expected one, of wavelengths"
+            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
+            expected="one, of wavelengths",
+            code="dims-wrong",
         )
     dim = spectrum.dims[0]
     axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
-        raise SchemaError(f"wavelengths of the source have units {axis.attrs['units']!r}, expected nm")
+        raise SchemaError(
+            f"wavelengths of the source have units {axis.attrs['units']!r}",
+            expected="nm",
+            code="units-not-convertible",
+        )
     grid = (
         (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
     )
     values = spectrum.to_numpy().astype(np.float64)
     if grid.size < 2 or not (np.diff(grid) > 0).all():
-        raise SchemaError("wavelengths of the source's radiance do not increase; sort them")
+        raise SchemaError(
+            "wavelengths of the source's radiance do not increase",
+            mend="sort them",
+            code="wavelength-unordered",
+        )
     shift = calibration["wavelength_shift"] if "wavelength_shift" in calibration.variables else None
-    shifts = np.zeros((1, 1)) if shift is None else shift.to_numpy()
-    shifts = np.atleast_2d(shifts)
+    shifts = np.zeros((1, 1)) if shift is None else np.atleast_2d(shift.to_numpy())
     spacing = calibration.get("band_spacing")
     responses = Responses(
         response_inputs["wavelength"].to_numpy(),
@@ -324,7 +352,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         slope=_slope(calibration, response_inputs),
     )
     low, high = float(shifts.min()), float(shifts.max())
-    nodes = np.linspace(low, high, max(int(np.ceil((high - low) / _NODE_SPACING)) + 1, 1))
+    nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
     bands = responses.wavelength.size
     columns = calibration.sizes.get(CROSS_TRACK, shifts.shape[1])
     means = np.empty((bands, columns))
@@ -335,7 +363,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
 
 
 def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
-    """Return the slope of the log responsivity over a band (band,) [nm-1], where there is a gain."""
+    """Return the slope of the log responsivity over a band (band,) [nm-1]; None without a gain."""
     if "radiance_gain" not in calibration.variables:
         return None
     gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
@@ -350,7 +378,7 @@ def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) ->
     fine = np.arange(centre - half - step, centre + half + 1.5 * step, step)
     response = responses.on(fine, band) * step
     inside = (fine >= grid[0]) & (fine <= grid[-1])
-    if response[inside].sum() < _LEAST_COVER:
+    if response[inside].sum() < MIN_COVERAGE:
         return float("nan")
     return float((response[inside] * np.interp(fine[inside], grid, values)).sum() / response[inside].sum())
 
@@ -402,17 +430,25 @@ def calibration_from_coefficients(
     >>> round(float(made.radiance_gain[0, 0]), 9), made.radiance_gain.units
     (0.0001, 'W m-2 sr-1 nm-1 s count-1')
     """
-    wanted = VARIABLES["radiance_gain"].units
+    units_of_gain = VARIABLES["radiance_gain"].units
     if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
-        raise SchemaError(f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}")
+        raise SchemaError(
+            f"coefficients have dims {tuple(map(str, coefficients.dims))}",
+            expected=f"{_ELEMENT}",
+            code="dims-wrong",
+        )
     gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
     units = str(coefficients.attrs.get("units", ""))
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
         if exposure_time is None or not exposure_time > 0:
-            raise SchemaError(f"coefficients in {units!r} hold at one exposure; give exposure_time [s]")
+            raise SchemaError(
+                f"coefficients in {units!r} hold at one exposure",
+                mend="give exposure_time [s]",
+                code="exposure-missing",
+            )
         gain = convert(gain, "W m-2 sr-1 nm-1 count-1", "coefficients") * exposure_time
     else:
-        gain = convert(gain, wanted, "coefficients")
+        gain = convert(gain, units_of_gain, "coefficients")
     values = gain.to_numpy()
     values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
     calibration = xr.Dataset(

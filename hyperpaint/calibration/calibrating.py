@@ -6,7 +6,6 @@ import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -35,10 +34,11 @@ from .responsivity import line_pull
 from .steps import FROM_SCATTER, Lines, Read, fit_as_seen, fit_through, read_lines
 from .wavelength_map import WavelengthMap, fit_wavelength_map
 
-_FEWEST = 4
-_UNEVEN = 0.75  # of the flux's uncertainty: a fall over the columns that is let pass
-_LEAST_UNEVEN = 0.01
-_UNDERSAMPLED = 1.2  # full widths in bands, below which place and width of a line are not determined
+MIN_LINES = 4
+#: Allowed fall of the beam over the columns: in flux uncertainties, and at least [1].
+MAX_FALL_PER_U, MIN_FALL = 0.75, 0.01
+#: Full width in bands below which place and width of a lamp line are not determined.
+MIN_WIDTH_BANDS = 1.2
 
 
 @takes_quantities(wavelength_uncertainty="nm")
@@ -59,7 +59,7 @@ def calibrate(
     smile_degree: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> xr.Dataset:
-    r"""Return the calibration of a camera from a monochromator sweep.
+    """Return the calibration of a camera from a monochromator sweep.
 
     Parameters
     ----------
@@ -68,35 +68,35 @@ def calibrate(
         `hyperpaint.base.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts``
         ([step,] band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
         ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
-        sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;
-        per step and column it is what each column gets, and unlit ones need none. Optional:
+        sr]. ``flux`` per step is equal in all lit columns, so that column differences are response;
+        per step and column it is the flux of each column, and unlit ones need none. Optional:
         ``counts_variance``, ``frame_count``, ``dark_frame_count``, ``dark_exposure_time``,
         ``saturation_count``, ``electrons_per_count``, ``read_noise``. Attribute
         ``monochromator_shape``: "gaussian" or "triangle". Lazy variables are read one step at a time.
     absolute
-        False where capture fraction or etendue are not known: the gain then has the right shape and no
-        scale, to be given by `hyperpaint.calibration.anchor_to_radiance`.
+        False where capture fraction or etendue are unknown: the gain then has the right shape and no
+        scale, to be set by `hyperpaint.calibration.anchor_to_radiance`.
     srf_shape
-        "gaussian" or "slit"; None for the one that the lines fit better.
+        "gaussian" or "slit"; None for the one that fits the lamp lines better.
     flux_uncertainty, capture_uncertainty, etendue_uncertainty
         Relative standard uncertainties; 3 to 5 % is typical of power meters without a certificate.
     wavelength_uncertainty
-        Standard uncertainty of the monochromator's dial [nm], which all lines share.
+        Standard uncertainty of the monochromator's dial [nm], which all lamp lines share.
     linearity
         Coefficients of `hyperpaint.calibration.linearity`; or a table: counts proportional to light over a
-        coordinate ``linearity_counts`` of measured ones, straight between its nodes. () for none. It is kept
-        with the calibration, and `radiance` and `reflectance` apply it to the counts of every flight.
+        coordinate ``linearity_counts`` of measured ones, straight between its nodes. () for none. It is
+        stored with the calibration, and `radiance` and `reflectance` apply it to the counts of every flight.
     linearity_on
         "dark-subtracted": linear counts are L(C - D), with L the curve; "raw": L(C) - L(D).
     linearity_uncertainty
-        Relative standard uncertainty of linear counts that the curve leaves, at any level.
+        Relative standard uncertainty of linear counts after the correction, at any level.
     flat_field
         Of `hyperpaint.calibration.flat_field`: the gains of a band then have its column differences. Without
-        it the gains are those of smooth lines, and what elements differ in is in their random uncertainty.
+        it the gains follow the smooth fits, and differences of elements are in their random uncertainty.
     bad_elements
-        (band, cross_track) bool: elements to leave out, besides those that the sweep betrays.
+        (band, cross_track) bool: elements to leave out, besides those that the sweep shows to be bad.
     smile_degree
-        Degree over columns of the wavelength map; None for the lowest that the lines need.
+        Degree over columns of the wavelength map; None for the lowest that the lamp lines need.
     progress
         Called with steps done and to do.
 
@@ -105,33 +105,32 @@ def calibrate(
     xarray.Dataset
         In memory: ``radiance_gain`` (band, cross_track), NaN where it would be extrapolated or the element
         is bad, with its uncertainties; coordinates ``wavelength``, ``fwhm``, ``good`` (band),
-        ``wavelength_shift``; the dark; ``responsivity``; ``stray_light`` and how
-        sure it is, which `hyperpaint.reflectance` subtracts; and the lines it was made from. Attributes name
-        the choices.
+        ``wavelength_shift``; the dark; ``responsivity``; ``stray_light``, which `hyperpaint.reflectance`
+        subtracts, with its uncertainty; and the fitted lamp lines. Attributes name the choices.
 
     Raises
     ------
     SchemaError
         The sweep cannot be calibrated; all problems are listed. Among them: bands lie further apart than the
-        lines that they see are wide, so that light between them is in no count.
+        lamp lines in them are wide, so that light between bands is not counted.
 
     Warns
     -----
     PaintWarning
         Steps were left out; the monochromator's line is too wide to determine the camera's; the beam's own
-        profile is taken for response; columns are not lit; lines look clipped; the dark is off; the noise is
-        not known; lines show a response that is neither model, and no table of it can be made; steps do not
-        follow the responsivity, as of fringes.
+        profile counts as response; columns are not lit; lamp lines look clipped; the dark is off; the noise
+        is unknown; the response fits neither model, and no table of it can be made; steps do not follow the
+        responsivity, as of fringes.
 
     Notes
     -----
     ``radiance_gain = 1 / (spacing x etendue x R)`` with ``R = area / (exposure_time x flux x
-    capture_fraction)`` at the lines, dark-subtracted counts summed over bands, interpolated over wavelength:
-    the line-area method, which needs neither the width nor the shape of line and response. Width and shape
-    come from fits of offset + area x profile, the profile being the monochromator's line convolved with the
-    camera's. Where all lines together show another response than the better model, such as a lopsided one,
-    ``srf_shape`` is ``"tabulated"``, ``srf`` (band, srf_offset) the response that they show, and
-    ``wavelength`` is where the better model stands on it.
+    capture_fraction)`` at the lamp lines, dark-subtracted counts summed over bands, interpolated over
+    wavelength: the line-area method, which needs neither the width nor the shape of lamp line and response.
+    Width and shape come from fits of offset + area x profile, the profile being the monochromator's line
+    convolved with the camera's. Where all lamp lines together show another response than the better model,
+    such as a lopsided one, ``srf_shape`` is ``"tabulated"``, ``srf`` (band, srf_offset) the measured
+    response, and ``wavelength`` is the centre of the better model on it.
 
     Examples
     --------
@@ -142,23 +141,29 @@ def calibrate(
     >>> bool(abs(error.isel(band=slice(20, 116))).max() < 2e-3), made.srf_shape
     (True, 'gaussian')
     """
-    given: Any = sweep
-    if not isinstance(given, xr.Dataset):
+    if not isinstance(sweep, xr.Dataset):
         raise SchemaError(
-            f"sweep is {type(given).__name__}, expected a Dataset; open its store with xarray.open_zarr"
+            f"sweep is {type(sweep).__name__}",
+            expected="a Dataset",
+            mend="open its store with xarray.open_zarr",
+            code="type-wrong",
         )
     if srf_shape is not None and srf_shape not in SHAPES:
-        raise SchemaError(f"srf_shape {srf_shape!r}, expected one of {', '.join(SHAPES)}, or None")
+        raise SchemaError(
+            f"srf_shape {srf_shape!r}", expected=f"one of {', '.join(SHAPES)}, or None", code="choice-unknown"
+        )
     lab = check_sweep(sweep, absolute=absolute)
     tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
     bad = _bad_at_the_door(lab, bad_elements)
     flat = None if flat_field is None else factors_of(flat_field, bad.shape)
     curve = _curve(linearity, linearity_on, lab)
+    # first fits give places, and a rough wavelength map
     read = read_lines(lab, bad, curve, flat, tick)
     _check_lines(lab, read)
-    seen, fits = fit_as_seen(lab, read, tick)
-    _need_trusted(read, seen, fits)
-    rough = _map(seen, lab, lab.wavelength, smile_degree)
+    first, fits = fit_as_seen(lab, read, tick)
+    _need_trusted(read, first, fits)
+    rough = _map(first, lab, lab.wavelength, smile_degree)
+    # fits of every line model, of which the best is used, without deviant elements
     shapes = {name: code for name, code in SHAPES.items() if srf_shape in (None, name)}
     by_shape = {name: fit_through(lab, read, rough, code, fits, tick) for name, code in shapes.items()}
     misfit = _misfits(by_shape)
@@ -173,34 +178,59 @@ def calibrate(
         lines = fit_through(lab, read, rough, SHAPES[shape], fits, lambda: None)
     read, lines, differences = _with_differences(lab, read, lines, rough, SHAPES[shape], fits)
     _warn_of_saturation(lab, read)
+    # wavelength map, widths of bands, and lines cut off by the edges
     surface, slope, pull = _map_through(lines, lab, read, rough, shape, smile_degree)
     placed = placed_lines(lab, lines, surface, pull)
     if not lab.by_column and flat is None:
         areas = np.where(placed, lines.area, np.nan)
-        _warn_of_beam(lab, areas, max(_UNEVEN * flux_uncertainty, _LEAST_UNEVEN))
+        problem = beam_problem(lab.wavelength, areas, max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL))
+        if problem is not None:
+            warning = PaintWarning(
+                f"flux per step is assumed equal in all lit columns, but {problem}: the beam's own profile "
+                "counts as response; give flux or capture_fraction per step and cross_track, or a flat_field",
+                code="flux-profile-missing",
+            )
+            warnings.warn(warning, stacklevel=2)
     fwhm = band_widths(lab, lines, surface, placed)
     _refuse_undersampled(lab, surface, fwhm)
     light, own = lab.wavelength + pull, at_steps(lab, surface, fwhm)
     complete_edge_lines(lab, read, lines, surface, light, own, shape)
     budget = Budget(
-        flux_uncertainty, capture_uncertainty, etendue_uncertainty, wavelength_uncertainty,
+        flux_uncertainty,
+        capture_uncertainty,
+        etendue_uncertainty,
+        wavelength_uncertainty,
         linearity_uncertainty,
-    )  # fmt: skip
+    )
     result = Result(
-        lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, curve, placed, fwhm,
-        differences.relative, srf_shape is None,
-    )  # fmt: skip
+        lab,
+        read,
+        lines,
+        surface,
+        slope,
+        pull,
+        shape,
+        misfit,
+        bad,
+        budget,
+        curve,
+        placed,
+        fwhm,
+        differences.relative,
+        srf_shape is None,
+    )
     return result.dataset(flat)
 
 
 def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
-    """Return the curve that the arguments state, or say what is wrong with it."""
+    """Return the linearity curve of the arguments; SchemaError for an invalid one."""
     problems = Problems("linearity= cannot be applied", SchemaError)
     if isinstance(linearity, xr.DataArray):
         if linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords:
             raise SchemaError(
-                f"the table linearity= has dims {tuple(map(str, linearity.dims))}, expected one, "
-                "linearity_counts, with a coordinate of measured counts"
+                f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
+                expected="one, linearity_counts, with a coordinate of measured counts",
+                code="dims-wrong",
             )
         table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
         table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
@@ -216,16 +246,18 @@ def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) ->
 def _with_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, fits: list[Fits | None]
 ) -> tuple[Read, Lines, Differences]:
-    """Return how much elements differ, and fits whose noise is that of the lines where it was not known."""
+    """Return the differences of elements, with fits whose noise is derived from them where it is unknown."""
     is_noise_known = read.noise_source != FROM_SCATTER
     differences = element_differences(lab, read, lines, surface, shape, known_noise=is_noise_known)
     if is_noise_known:
         return read, lines, differences
     if lab.variance is None:
         warnings.warn(
-            "neither counts_variance nor electrons_per_count is given: the noise of the lines is estimated "
-            "from their distances to the fits, and uncertainties of single elements are rough",
-            PaintWarning,
+            PaintWarning(
+                "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
+                "of the fits, and uncertainties of single elements are rough",
+                code="noise-missing",
+            ),
             stacklevel=3,
         )
     noise = replace(read.noise, slope=differences.slope * float(np.median(lab.frames)))
@@ -234,11 +266,11 @@ def _with_differences(
 
 
 def _refuse_undersampled(lab: LabSweep, surface: WavelengthMap, fwhm: Floats) -> None:
-    """Refuse bands further apart than a line that they see is wide: light between them is in no count.
+    """Refuse bands further apart than the lamp lines in them are wide: light between bands is not counted.
 
-    The area of a line, counts summed over bands, is then not its light times the response: of Gaussian lines
-    the sum ripples by 2 exp(-2 pi^2 s^2) with their place, s the standard deviation in bands: by 6 % at a
-    full width of one band, some 1 % in the mean of steps, and by 20 % at 0.8.
+    The area of a lamp line, counts summed over bands, is then not its light times the response: for Gaussian
+    lines the sum ripples by 2 exp(-2 pi^2 s^2) with their place, s the standard deviation in bands: by 6 % at
+    a full width of one band, some 1 % in the mean of steps, and by 20 % at 0.8.
     """
     spacing = surface.spacing(np.arange(lab.shape[1]), lab.shape[2] // 2)
     monochromator = float(np.median(lab.width))
@@ -247,22 +279,12 @@ def _refuse_undersampled(lab: LabSweep, surface: WavelengthMap, fwhm: Floats) ->
     apart, width = float(np.median(spacing)), float(np.median(fwhm))
     wide = np.sqrt(max(apart**2 - width**2, 0.0))
     raise refused(
-        f"bands lie {apart:.3g} nm apart and see {width:.2g} nm, of lines {monochromator:.2g} nm wide: light "
-        "between bands is in no count, and a line's area is not its light. Bands must overlap; or sweep with "
-        f"the monochromator's line widened to {1.2 * max(wide, apart):.2g} nm"
+        f"bands {apart:.3g} nm apart and {width:.2g} nm wide do not count the light between them, of lamp "
+        f"lines {monochromator:.2g} nm wide",
+        expected="bands that overlap",
+        mend=f"sweep with the monochromator's line widened to {1.2 * max(wide, apart):.2g} nm",
+        code="bands-undersampled",
     )
-
-
-def _warn_of_beam(lab: LabSweep, areas: Floats, tolerance: float) -> None:
-    problem = beam_problem(lab.wavelength, areas, tolerance)
-    if problem is not None:
-        warnings.warn(
-            f"flux is told per step only and so taken as equal in all lit columns, yet {problem}: the beam's "
-            "own profile would pass for response. Give flux or capture_fraction per step and cross_track, or "
-            "a flat_field",
-            PaintWarning,
-            stacklevel=3,
-        )
 
 
 def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
@@ -275,62 +297,76 @@ def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callabl
     return tick
 
 
-def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bools:
-    """Return the elements (band, cross_track) that are known as bad before a line is looked at."""
+def _bad_at_the_door(lab: LabSweep, declared: xr.DataArray | None) -> Bools:
+    """Return the elements (band, cross_track) that are bad before any lamp line is fitted."""
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
-    if given is not None:
-        if set(given.dims) != {BAND, CROSS_TRACK} or given.transpose(BAND, CROSS_TRACK).shape != bad.shape:
-            expected = f"{BAND} and {CROSS_TRACK} of {bad.shape}"
-            raise SchemaError(f"bad_elements has sizes {dict(given.sizes)}, expected {expected}")
-        bad = bad | given.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
+    if declared is not None:
+        is_whole = set(declared.dims) == {BAND, CROSS_TRACK}
+        if not is_whole or declared.transpose(BAND, CROSS_TRACK).shape != bad.shape:
+            raise SchemaError(
+                f"bad_elements has sizes {dict(declared.sizes)}",
+                expected=f"{BAND} and {CROSS_TRACK} of {bad.shape}",
+                code="grid-mismatch",
+            )
+        bad = bad | declared.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
     if bad.all():
-        raise refused("no element has a finite dark that is not saturated")
+        raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
     return bad
 
 
 def _check_lines(lab: LabSweep, read: Read) -> None:
-    """Refuse a sweep with too few lines above the noise, and warn of the steps that are left out."""
+    """Refuse a sweep with too few lamp lines above the noise, and warn of the steps that are left out."""
     dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
-    if len(dark) > len(read.windows) - _FEWEST:
+    if len(dark) > len(read.windows) - MIN_LINES:
         raise refused(
-            f"no line above the noise at {len(dark)} of {len(read.windows)} steps ({listed(dark, 'nm')}); is "
-            "the dark that of these exposures, and was the lamp on?"
+            f"no lamp line above noise at {len(dark)} of {len(read.windows)} steps ({listed(dark, 'nm')})",
+            mend="check the exposure of the dark, and the lamp",
+            code="steps-dark",
         )
     if dark:
         warnings.warn(
-            f"no line above the noise at {listed(dark, 'nm')}: left out", PaintWarning, stacklevel=3
+            PaintWarning(
+                f"no lamp line above the noise at {listed(dark, 'nm')}: left out", code="steps-dark"
+            ),
+            stacklevel=3,
         )
 
 
 def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None:
-    """Refuse a sweep of too few lines that can be trusted, and say why they cannot."""
+    """Refuse a sweep with too few reliable lamp lines, and give the reasons."""
     trusted = int(lines.trusted.any(axis=1).sum())
-    if trusted >= _FEWEST:
+    if trusted >= MIN_LINES:
         return
     pairs = [(w, f) for w, f in zip(read.windows, fits, strict=True) if w is not None and f is not None]
     total = sum(window.columns.size for window, _ in pairs)
     full = sum(int(window.saturated.sum()) for window, _ in pairs)
     width = float(np.nanmedian(np.concatenate([fit.width for _, fit in pairs])))
     lost = sum(int((~fit.converged & ~window.saturated).sum()) for window, fit in pairs)
-    reasons = [f"{full} of {total} lines are saturated: shorten the exposure"] if full else []
-    if width < _UNDERSAMPLED or lost > 0.5 * total:
+    reasons = [f"shorten the exposure: {full} of {total} lamp lines are saturated"] if full else []
+    if width < MIN_WIDTH_BANDS or lost > 0.5 * total:
         reasons.append(
-            f"{lost} of {total} fits fail, of lines {width:.2g} bands wide: bands that lie further apart "
-            "than a line is wide do not show its place; widen the monochromator's line"
+            f"widen the monochromator's line: {lost} of {total} fits fail, of lamp lines {width:.2g} bands "
+            "wide, narrower than the spacing of bands"
         )
-    reasons = reasons or ["the others lie at the edge of the array: give more steps"]
     raise refused(
-        f"{trusted} steps have lines that can be trusted, expected {_FEWEST} or more; {'; '.join(reasons)}"
+        f"{trusted} steps have reliable lamp lines",
+        expected=f"{MIN_LINES} or more",
+        mend="; ".join(reasons or ["give more steps: the others lie at the edge of the array"]),
+        code="lamp-lines-few",
     )
 
 
 def _map(lines: Lines, lab: LabSweep, wavelength: Floats, degree: int | None) -> WavelengthMap:
-    """Return the wavelength map through the trusted lines at the wavelengths (step,) of their light."""
+    """Return the wavelength map through the reliable lamp lines at the wavelengths (step,) of their light."""
     step, column = np.nonzero(lines.trusted)
     return fit_wavelength_map(
-        lines.centre[step, column], column.astype(np.float64), wavelength[step], lab.shape[1:],
-        column_degree=degree, uncertainty=lines.centre_u[step, column],
-    )  # fmt: skip
+        lines.centre[step, column],
+        column.astype(np.float64),
+        wavelength[step],
+        lab.shape[1:],
+        column_degree=degree,
+        uncertainty=lines.centre_u[step, column],
+    )
 
 
 def _misfits(by_shape: Mapping[str, Lines]) -> dict[str, float]:
@@ -351,7 +387,10 @@ def _warn_of_saturation(lab: LabSweep, read: Read) -> None:
         if window is not None and window.saturated.any()
     ]
     if full:
-        warnings.warn(f"saturated lines are left out: {listed(full)}", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"saturated lamp lines are left out: {listed(full)}", code="steps-saturated"),
+            stacklevel=3,
+        )
 
 
 def _map_through(
@@ -361,7 +400,7 @@ def _map_through(
     nothing = np.zeros(lab.shape[0])
     lit_steps = np.flatnonzero(lines.trusted.any(axis=1))
     level = line_level(lines, lab, rough)
-    if lit_steps.size < _FEWEST or not (level[lit_steps] > 0).all():
+    if lit_steps.size < MIN_LINES or not (level[lit_steps] > 0).all():
         return _map(lines, lab, lab.wavelength, degree), nothing, nothing
     at = lab.wavelength[lit_steps]
 
@@ -378,17 +417,19 @@ def _map_through(
     return _map(lines, lab, lab.wavelength + pull, degree), slope, pull
 
 
-_DEGREE = 4  # of a beam's log profile over the columns
-_SURE = 4.5  # standard deviations of noise and of the elements' differences
-_CHANGING = 1.0 / 3.0  # of the tolerance, by which a profile may change from step to step
+#: Degree of a beam's log profile over the columns.
+BEAM_DEGREE = 4
+#: Standard deviations of noise and of the elements' differences that a fall has to exceed.
+BEAM_SDS = 4.5
+#: Share of the tolerance by which a profile may change from step to step [1].
+MAX_CHANGE_SHARE = 1.0 / 3.0
 
 
 def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
-    """Return what betrays a beam that does not light all columns alike, or None.
+    """Return a description of a beam that lights the columns unevenly; None for an even one.
 
-    ``areas`` (step, cross_track) are those of the fitted lines [count], which a dead element does not dim,
-    NaN where there is none; ``wavelength`` (step,) [nm]; ``tolerance`` is the relative fall over the columns
-    let pass.
+    ``areas`` (step, cross_track) of the fitted lamp lines [count], to which dead elements contribute nothing,
+    NaN without one; ``wavelength`` (step,) [nm]; ``tolerance`` is the allowed relative fall over the columns.
     """
     count = np.isfinite(areas).sum(axis=1)
     steps = np.flatnonzero(count >= max(4.0, 0.5 * count.max()))
@@ -396,18 +437,18 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
         return None
     level, spread = _profiles(areas[steps])
     fall = np.nanmax(level, axis=1) - np.nanmin(level, axis=1)
-    sure = fall - _SURE * np.sqrt(2.0) * np.nanmax(spread, axis=1)
+    sure = fall - BEAM_SDS * np.sqrt(2.0) * np.nanmax(spread, axis=1)
     mean = np.nanmean(level, axis=0)
     mean_spread = np.nanmax(spread / np.sqrt(np.isfinite(level).sum(axis=0)))
-    if np.ptp(mean) - _SURE * np.sqrt(2.0) * mean_spread > tolerance or sure.max() > tolerance:
+    if np.ptp(mean) - BEAM_SDS * np.sqrt(2.0) * mean_spread > tolerance or sure.max() > tolerance:
         worst = int(np.argmax(sure))
         at = wavelength[steps[worst]]
-        return f"lines fall by {1.0 - np.exp(-fall[worst]):.1%} over the columns (at {at:g} nm)"
+        return f"lamp lines fall by {1.0 - np.exp(-fall[worst]):.1%} over the columns (at {at:g} nm)"
     changes = np.nanmean((level - mean) ** 2, axis=0)
     noise = np.nanmean(spread**2, axis=0)
     column = int(np.argmax(changes - noise))
     excess = float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0)))
-    if excess > _CHANGING * tolerance:
+    if excess > MAX_CHANGE_SHARE * tolerance:
         share = float(np.sqrt(changes[column]))
         where = int(np.flatnonzero(np.isfinite(areas[steps]).any(axis=0))[column])
         return f"the share of light of column {where} varies by {share:.1%} from step to step"
@@ -422,7 +463,7 @@ def _profiles(areas: Floats) -> tuple[Floats, Floats]:
     place = np.linspace(-1.0, 1.0, lit.size)
     for row, area in enumerate(areas[:, lit]):
         is_lit = np.isfinite(area) & (area > 0)
-        degree = min(_DEGREE, int(is_lit.sum()) // 4)
+        degree = min(BEAM_DEGREE, int(is_lit.sum()) // 4)
         terms = np.asarray(chebyshev.chebvander(place[is_lit], degree), np.float64)
         log = np.log(area[is_lit])
         inverse = np.linalg.pinv(terms)

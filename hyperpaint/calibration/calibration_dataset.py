@@ -1,8 +1,9 @@
-"""The calibration dataset: what the lines of a sweep come to, element by element, with its uncertainties."""
+"""Assemble the calibration dataset from the fitted lamp lines, element by element, with uncertainties."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,15 +30,19 @@ from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
 
-_ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
-_TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
-_DARK_OFF = 1.0  # count
-_ELECTRONS = (0.05, 2000.0)  # a count, of any camera
+#: Width of the monochromator over the camera's above which fwhm is ill-conditioned [1].
+MAX_SLIT_SHARE = 0.7
+#: Distance of an element beyond the outer step that is allowed, at least and at most [nm].
+EDGE_TOLERANCE_NM = (0.01, 0.05)
+#: Offset of the dark that is reported [count].
+MAX_DARK_OFFSET = 1.0
+#: Electrons per count of any camera.
+ELECTRONS_RANGE = (0.05, 2000.0)
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Standard uncertainties that do not follow from the sweep: relative, and of the dial [nm]."""
+    """Standard uncertainties that the sweep does not determine: relative, and of the dial [nm]."""
 
     flux: float
     capture: float
@@ -52,7 +57,7 @@ class Budget:
 
 
 def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bools | None = None) -> Floats:
-    """Return the integrated response that the lines saw (step,) [count nm J-1], median of the columns."""
+    """Return the integrated response at the lamp lines (step,) [count nm J-1], median of the columns."""
     return row_medians(_nodes(lines, lab, surface), lines.trusted if used is None else used)
 
 
@@ -65,7 +70,7 @@ def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Everything that has been found, on its way into a Dataset."""
+    """All results of a calibration, to be assembled into a Dataset."""
 
     #: lab, read, lines, surface: sweep, its windows, the fits, and the wavelength map
     lab: LabSweep
@@ -73,8 +78,8 @@ class Result:
     lines: Lines
     surface: WavelengthMap
     line_slope: Floats  #: (step,): d ln responsivity / d wavelength [nm-1]
-    pull: Floats  #: (step,): how far that slope moves the lines [nm]
-    #: shape, misfit: line shape of the camera, and how badly each shape fits
+    pull: Floats  #: (step,): shift of the lamp lines by that slope [nm]
+    #: shape, misfit: line shape of the camera, and the misfit of each shape
     shape: str
     misfit: dict[str, float]
     bad: Bools  #: (band, cross_track)
@@ -84,7 +89,7 @@ class Result:
     placed: Bools  #: (step, cross_track): good fits where the map says they should be
     fwhm: Floats  #: (band,): width of every band [nm]
     differences: float  #: Relative standard deviation of the elements about the lines
-    is_shape_free: bool  #: Whether the lines may decide what the camera's response is
+    is_shape_free: bool  #: Whether the response may be measured from the lamp lines
 
     @cached_property
     def wavelength(self) -> Floats:
@@ -108,7 +113,7 @@ class Result:
 
     @cached_property
     def line_wavelength(self) -> Floats:
-        """Where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
+        """Wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
         return line_wavelengths(self.lines, self.surface, self.pull)
 
     @cached_property
@@ -118,7 +123,7 @@ class Result:
 
     @cached_property
     def used(self) -> Bools:
-        """Lines whose area is used: those in place, and those at the edges completed from them."""
+        """Lamp lines whose area is used: those in place, and those at the edges completed from them."""
         return np.asarray(self.placed | self.lines.completed)
 
     @cached_property
@@ -128,7 +133,7 @@ class Result:
 
     @cached_property
     def gain(self) -> tuple[Floats, Bools]:
-        """Gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where not known; and whether it is."""
+        """Gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where unknown; and whether it is known."""
         lab = self.lab
         used = self.used
         order = np.argsort(self.centre_wavelength)
@@ -141,28 +146,24 @@ class Result:
             shape_variance(self.fwhm_at_steps, self.shape, spacing),
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
-        # what scatters within the window of a line is counted with it, but is none of its own
+        # without light scattered into the window of a lamp line
         nodes = _nodes(self.lines, lab, self.surface) * (factor[:, None] / self.off_lines.counted)
-        return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, self._tolerance)
-
-    @property
-    def _tolerance(self) -> float:
-        low, high = _TOLERANCE
-        return min(max(low, 3.0 * self.surface.residual), high)
+        low, high = EDGE_TOLERANCE_NM
+        tolerance = min(max(low, 3.0 * self.surface.residual), high)
+        return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, tolerance)
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
         """Return the calibration."""
         gain, has_gain = self.gain
         if not has_gain.any():
-            raise refused("no column has four lines that can be trusted")
+            raise refused("no column has four reliable lamp lines", code="lamp-lines-few")
         if self.lab.absolute:
             self._check_plausible(gain)
-        self._warn_of_width()
-        self._warn_of_dark()
-        self._warn_of_fringes()
-        gain = _levelled(gain, flat)
+        for text, code in self._warnings():
+            warnings.warn(PaintWarning(text, code=code), stacklevel=3)
+        # gains of raw counts: a flat field has levelled the fitted ones
+        gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self._unlit] = np.nan
-        self._warn_of_unlit()
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
         lit = np.isfinite(gain).any(axis=0)
@@ -206,14 +207,14 @@ class Result:
 
     @cached_property
     def measured(self) -> MeasuredShape | None:
-        """The response that all lines together show."""
+        """Response measured from all lamp lines together; None where they are too few."""
         return measured_shape(
             self.lab, self.read, self.lines, self.surface, self.placed, self.fwhm_at_steps, self.shape
         )
 
     @cached_property
     def between(self) -> Between | None:
-        """How wrong the gain may be between the lines."""
+        """Error of the gain between the lamp lines; None where they are too few."""
         lab = self.lab
         return error_between_lines(
             lab.wavelength,
@@ -224,7 +225,7 @@ class Result:
 
     @cached_property
     def _missed(self) -> float:
-        """Error of the gain between lines [1]; 0 where it is a trifle, or what columns differ in."""
+        """Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences."""
         shape_is_off = self.measured is not None and self.measured.is_another and not self.is_shape_free
         if self.between is None or shape_is_off:
             return 0.0
@@ -232,20 +233,45 @@ class Result:
         least = max(FRINGES.least_error, FRINGES.scatters * level_scatter(nodes))
         return self.between.error if self.between.error > least else 0.0
 
-    def _warn_of_fringes(self) -> None:
+    def _warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield texts and codes of the sweep's faults that do not stop the calibration."""
+        wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
+        if wide.any():
+            share = float(np.max(self.lab.width / self.fwhm_at_steps))
+            yield (
+                f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
+                f"{MAX_SLIT_SHARE:g} at {int(wide.sum())} of {wide.size} steps): fwhm is ill-conditioned "
+                "there; narrow the slits",
+                "slit-too-wide",
+            )
+        offset = self.dark_check.get("dark_offset_count", 0.0)
+        if abs(offset) > MAX_DARK_OFFSET:
+            yield (
+                f"the bands off the lamp lines hold {offset:+.2g} counts whatever their light, so the dark "
+                "is off by as much: areas are corrected, but out_of_band and stray_light are not, in which "
+                f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark beside "
+                "the sweep",
+                "dark-offset",
+            )
         if self.between is not None and self._missed:
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
-            warnings.warn(
+            yield (
                 f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
-                "nm, as of fringes, an etalon, or a power meter that scatters: between lines the gain, and "
-                f"reflectance, may be wrong by {self.between.error:.1%}; sweep there in steps of "
+                "nm, as with fringes, an etalon, or a noisy power meter: between lamp lines gain and "
+                f"reflectance may be wrong by {self.between.error:.1%}; sweep there in steps of "
                 f"{step / 4:.2g} nm",
-                PaintWarning,
-                stacklevel=4,
+                "steps-too-coarse",
+            )
+        if self._unlit.any():
+            first, last = self.surface.lit
+            yield (
+                f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, all but {first} to "
+                f"{last}: they get no gain, and the wavelengths of the nearest lit column",
+                "columns-unlit",
             )
 
     def _table(self) -> tuple[Floats, Floats] | None:
-        """Return offsets and responses of the bands where lines show them, and are no model; else warn."""
+        """Return offsets and responses of the bands where the lamp lines resolve another response."""
         measured = self.measured
         if measured is None or not measured.is_another:
             return None
@@ -253,10 +279,12 @@ class Result:
             return measured.table(self.fwhm)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
         warnings.warn(
-            f"the lines show a response that is {measured.misfit:.1%} off the model {self.shape!r}, and no "
-            f"table is made of it, since {reason}: reflectance beside sharp lines of daylight may be wrong "
-            f"by {measured.effect:.1%}",
-            PaintWarning,
+            PaintWarning(
+                f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
+                f"tabulated, since {reason}: reflectance beside sharp solar lines may be wrong by "
+                f"{measured.effect:.1%}",
+                code="response-shape-misfit",
+            ),
             stacklevel=4,
         )
         return None
@@ -331,14 +359,14 @@ class Result:
         }
 
     def _check_plausible(self, gain: Floats) -> None:
-        """Refuse a scale at which a photon would free more than an electron, or next to none at all."""
+        """Refuse a scale at which a photon frees more than one electron, or almost none."""
         photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
         counts = photon / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.lab.electrons_per_count
         if electrons is None and self.read.noise_source == FROM_FRAMES:
             electrons = 1.0 / self.read.noise.slope
-        low, high = (electrons, electrons) if electrons is not None else _ELECTRONS
+        low, high = (electrons, electrons) if electrons is not None else ELECTRONS_RANGE
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if best * low > 1.05:
             share, expected, size = best * low, "below 1", "small"
@@ -347,31 +375,24 @@ class Result:
         else:
             return
         raise refused(
-            f"{share:.3g} electrons out per photon in{at}, expected {expected}: flux x capture_fraction x "
-            f"exposure_time is too {size}; check the units of flux (uW said to be W?) and of exposure_time "
-            "(ms said to be s?), and capture_fraction; without an absolute scale, pass absolute=False"
+            f"{share:.3g} electrons out per photon in{at}, as flux x capture_fraction x exposure_time is too "
+            f"{size}",
+            expected=expected,
+            mend="check the units of flux (uW for W) and of exposure_time (ms for s), and capture_fraction; "
+            "without an absolute scale, pass absolute=False",
+            code="scale-implausible",
         )
 
     @cached_property
     def _unlit(self) -> Bools:
-        """Columns (cross_track,) beyond the outer lit ones, where the map is held as it is there."""
+        """Columns (cross_track,) beyond the outer lit ones, where the map is held constant."""
         first, last = self.surface.lit
         column = np.arange(self.lab.shape[2])
         return np.asarray((column < first) | (column > last))
 
-    def _warn_of_unlit(self) -> None:
-        if self._unlit.any():
-            first, last = self.surface.lit
-            warnings.warn(
-                f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, but {first} to {last}: "
-                "they get no gain, and the wavelengths of the nearest lit column",
-                PaintWarning,
-                stacklevel=4,
-            )
-
     @cached_property
     def off_lines(self) -> OffLines:
-        """Light off the lines, of the steps in place."""
+        """Light off the lamp lines, of the steps in place."""
         used = self.placed.any(axis=1)
         return light_off_lines(
             self.read.rows[used],
@@ -384,56 +405,28 @@ class Result:
 
     @cached_property
     def dark_check(self) -> dict[str, float]:
-        """What a wrong dark would do to the light off the lines, and how wrong it looks."""
+        """Offset of the dark, and effect of one count of it on the light off the lamp lines."""
         return dark_off_lines(self.read.windows, self.lines.area, self.placed, self.read.rows)
-
-    def _warn_of_dark(self) -> None:
-        offset = self.dark_check.get("dark_offset_count", 0.0)
-        if abs(offset) > _DARK_OFF:
-            warnings.warn(
-                f"the bands off the lines hold {offset:+.2g} counts whatever the light of the line: the dark "
-                "is off by as much. Areas are freed of it, but out_of_band and stray_light are not, in which "
-                f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark "
-                "beside the sweep",
-                PaintWarning,
-                stacklevel=4,
-            )
-
-    def _warn_of_width(self) -> None:
-        own = self.fwhm_at_steps
-        wide = self.lab.width > _ILL_CONDITIONED * own
-        if wide.any():
-            share = float(np.max(self.lab.width / own))
-            warnings.warn(
-                f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{_ILL_CONDITIONED:g} at {int(wide.sum())} of {wide.size} steps): fwhm is "
-                "ill-conditioned there; narrow the slits",
-                PaintWarning,
-                stacklevel=4,
-            )
-
-    def _electrons_source(self) -> str:
-        if self.lab.electrons_per_count is not None:
-            return "as stated"
-        if self.read.noise_source == FROM_FRAMES:
-            return "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
-        return "none"
-
-    def _shape_attrs(self) -> dict[str, Any]:
-        """Return how far the response that lines show is from the better model, and what that would do."""
-        if self.measured is None:
-            return {}
-        distance, effect = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
-        return {"srf_model": self.shape, "srf_model_misfit": distance, "srf_model_effect": effect}
-
-    def _linearity_attr(self) -> str | list[float]:
-        if self.linearity.coefficients:
-            return list(self.linearity.coefficients)
-        return "table" if self.linearity else "identity"
 
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
+        electrons_source = "none"
+        if lab.electrons_per_count is not None:
+            electrons_source = "as stated"
+        elif self.read.noise_source == FROM_FRAMES:
+            electrons_source = (
+                "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
+            )
+        linearity: str | list[float] = "table" if self.linearity else "identity"
+        if self.linearity.coefficients:
+            linearity = list(self.linearity.coefficients)
+        # distance of the measured response from the better model, and its effect
+        shape_attrs: dict[str, Any] = {}
+        if self.measured is not None:
+            numbers = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
+            names = ("srf_model_misfit", "srf_model_effect")
+            shape_attrs = {"srf_model": self.shape, **dict(zip(names, numbers, strict=True))}
         return {
             "srf_shape": self.shape,
             "source": "monochromator sweep, line-area method",
@@ -457,21 +450,14 @@ class Result:
             "lit_columns": list(self.surface.lit),
             **self.dark_check,
             "smile_degree": self.surface.coefficients.shape[1] - 1,
-            "linearity": self._linearity_attr(),
+            "linearity": linearity,
             "linearity_on": RAW if self.linearity.on_raw else DARK_SUBTRACTED,
             "noise_source": self.read.noise_source,
-            "electrons_per_count_source": self._electrons_source(),
+            "electrons_per_count_source": electrons_source,
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
-            **self._shape_attrs(),
+            **shape_attrs,
             **({} if self.between is None else {"gain_between_lines": float(f"{self.between.error:.3g}")}),
         }
-
-
-def _levelled(gain: Floats, flat: Floats | None) -> Floats:
-    """Return gains on counts as they are, from those on counts that a flat field has levelled."""
-    if flat is None:
-        return gain.copy()
-    return np.asarray(row_medians(gain)[:, None] * flat)
 
 
 def _labelled(value: Any, name: str) -> xr.DataArray:

@@ -1,4 +1,4 @@
-"""The detector without a spectrum: dark counts at any exposure, flat field, linearity, bad elements."""
+"""Detector properties without a spectrum: dark at any exposure, flat field, linearity, bad elements."""
 
 from __future__ import annotations
 
@@ -15,22 +15,20 @@ from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 from hyperpaint.base.units import takes_quantities
 
 _ELEMENT = (BAND, CROSS_TRACK)
-_SAME_EXPOSURE = 1e-3
-"""Relative difference of exposures below which they count as one: what drivers round to."""
-
-_BEYOND = 2.0
-"""Times the shortest and the longest exposure of the darks that their model is carried to."""
-
-_DARK_U = 1.0
-"""Uncertainty [count] of a dark that follows from a model, beyond which it is none."""
+#: Relative difference of exposures that count as equal, the rounding of drivers [1].
+SAME_EXPOSURE = 1e-3
+#: Largest extrapolation of a dark model, in shortest and longest exposures of its darks [1].
+MAX_EXTRAPOLATION = 2.0
+#: Largest uncertainty of a modelled dark [count].
+MAX_DARK_U = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class DarkModel:
     """Dark counts as bias + rate x exposure."""
 
-    #: bias, rate (band, cross_track): [count], [count s-1]; from darks at one exposure the bias is all there
-    #: is, and the rate is NaN
+    #: bias, rate (band, cross_track): [count], [count s-1]; from darks at one exposure the bias is the dark,
+    #: and the rate is NaN
     bias: Floats
     rate: Floats
     exposures: tuple[float, ...]  #: Different exposures that it was made from [s]
@@ -43,11 +41,11 @@ class DarkModel:
         return len(self.exposures) > 1
 
     def reaches(self, exposure: float) -> bool:
-        """Tell whether the dark at an exposure [s] is known: near those of the darks, and to a count."""
+        """Return whether the dark at an exposure [s] is known: near those of the darks, and to one count."""
         if not self.known_rate:
-            return abs(exposure - self.exposures[0]) <= _SAME_EXPOSURE * exposure
-        near = self.exposures[0] / _BEYOND <= exposure <= self.exposures[-1] * _BEYOND
-        return near and self.spread * np.sqrt(self.leverage(exposure)) <= _DARK_U
+            return abs(exposure - self.exposures[0]) <= SAME_EXPOSURE * exposure
+        near = self.exposures[0] / MAX_EXTRAPOLATION <= exposure <= self.exposures[-1] * MAX_EXTRAPOLATION
+        return near and self.spread * np.sqrt(self.leverage(exposure)) <= MAX_DARK_U
 
     @property
     def spread(self) -> float:
@@ -56,7 +54,7 @@ class DarkModel:
         return self.residual * float(np.sqrt(len(self.taken) / free)) if free > 0 else 0.0
 
     def leverage(self, exposure: float) -> float:
-        """Return the variance of the dark at an exposure [s] in units of that of one dark."""
+        """Return the variance of the dark at an exposure [s] relative to the variance of one dark."""
         count = len(self.taken)
         if not self.known_rate:
             return 1.0 / count
@@ -64,7 +62,7 @@ class DarkModel:
         return float(1.0 / count + (exposure - self.taken.mean()) ** 2 / (offset**2).sum())
 
     def at(self, exposure: float) -> Floats:
-        """Return the dark counts at an exposure [s]; with a single dark, those of that dark."""
+        """Return the dark counts at an exposure [s]; of a single exposure, the mean dark."""
         return self.bias + exposure * self.rate if self.known_rate else self.bias
 
 
@@ -72,7 +70,7 @@ def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
     """Return the least-squares model of darks (dark, band, cross_track) at exposures (dark,) [s]."""
     different = [float(exposure.min())]
     for value in np.sort(exposure):
-        if value > different[-1] * (1.0 + _SAME_EXPOSURE):
+        if value > different[-1] * (1.0 + SAME_EXPOSURE):
             different.append(float(value))
     mean = dark.mean(axis=0)
     if len(different) == 1:
@@ -118,15 +116,14 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     >>> round(float(model.dark_bias[0, 0]), 6), round(float(model.dark_rate[0, 0]), 6)
     (100.0, 50.0)
     """
-    given = [darks] if isinstance(darks, xr.Dataset) else list(darks)
     problems = Problems("no dark model can be made", SchemaError)
     frames: list[Floats] = []
     exposures: list[float] = []
-    for dark in given:
+    for number, dark in enumerate([darks] if isinstance(darks, xr.Dataset) else darks):
         try:
             arrays = require(dark, ["dark_counts", "dark_exposure_time"], "a dark model")
         except SchemaError as error:
-            problems.add(str(error))
+            problems.add_error(f"dark {number}", error)
             continue
         counts = np.asarray(arrays["dark_counts"].to_numpy(), np.float64)
         counts = counts if counts.ndim == 3 else counts[None]
@@ -134,14 +131,16 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     if len(shapes) > 1:
-        problems.add(f"darks of shapes {shapes}, expected one")
+        problems.add(f"darks of shapes {shapes}", expected="one", code="grid-mismatch")
     if not all(0 < value < np.inf for value in exposures):
-        problems.add("'dark_exposure_time' is not finite and positive everywhere")
+        problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     if not model.known_rate:
         raise SchemaError(
-            f"all darks have an exposure of {exposures[0] * 1e3:g} ms; a rate needs two exposures"
+            f"all darks have an exposure of {exposures[0] * 1e3:g} ms",
+            expected="darks at two exposures, for a rate",
+            code="dark-exposures-few",
         )
     drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
     return xr.Dataset(
@@ -207,7 +206,9 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     """
     if not set(_ELEMENT) <= set(frames.dims):
         raise SchemaError(
-            f"flat-field frames have dims {tuple(map(str, frames.dims))}, expected {BAND} and {CROSS_TRACK}"
+            f"flat-field frames have dims {tuple(map(str, frames.dims))}",
+            expected=f"{BAND} and {CROSS_TRACK}",
+            code="dims-wrong",
         )
     others = [dim for dim in frames.dims if dim not in _ELEMENT]
     level = frames.astype(np.float64)
@@ -222,17 +223,19 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
 
 
 def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
-    """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track), or raise."""
+    """Return the values of a `flat_field`; SchemaError unless its ``shape`` (band, cross_track) fits."""
     if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
         raise SchemaError(
-            f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"
+            f"flat_field has sizes {dict(flat.sizes)}",
+            expected=f"{BAND} and {CROSS_TRACK} of {shape}",
+            code="grid-mismatch",
         )
     return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
 
 
 @takes_quantities()
 def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -> tuple[float, ...]:
-    r"""Return the polynomial that turns measured counts into ones proportional to the light.
+    r"""Return the polynomial from measured counts to counts proportional to the light.
 
     Parameters
     ----------
@@ -245,8 +248,8 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
 
     Returns
     -------
-    Coefficients :math:`a_2, a_3 \dots` of :math:`c + a_2 c^2 + a_3 c^3 + \dots`, of which small counts are
-    left as they are; ``()`` is the identity.
+    Coefficients :math:`a_2, a_3 \dots` of :math:`c + a_2 c^2 + a_3 c^3 + \dots`, which leaves small counts
+    unchanged; ``()`` is the identity.
 
     Raises
     ------
@@ -265,7 +268,9 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
     if light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all():
         raise SchemaError(
-            f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts"
+            f"linearity of degree {degree} from {light.size} signals and {counts.size} counts",
+            expected=f"{degree} or more, positive, in pairs",
+            code="signals-too-few",
         )
     # s light = c + a2 c^2 + ...: linear in s and the a; divided by c all measurements weigh alike
     scale = counts.max()
@@ -277,7 +282,7 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
 
 
 def row_medians(values: Floats, used: Bools | None = None) -> Floats:
-    """Return the median of every row over what is used and not NaN; NaN where that is nothing."""
+    """Return the median of every row over used values that are not NaN; NaN without any."""
     chosen = values if used is None else np.where(used, values, np.nan)
     medians, rows = np.full(len(chosen), np.nan), ~np.isnan(chosen).all(axis=1)
     medians[rows] = np.nanmedian(chosen[rows], axis=1)
@@ -285,11 +290,11 @@ def row_medians(values: Floats, used: Bools | None = None) -> Floats:
 
 
 def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
-    """Return the elements (band, cross_track) whose dark is not finite, saturated or far from all others."""
+    """Return whether the dark of elements (band, cross_track) is not finite, saturated or an outlier."""
     finite = np.isfinite(dark)
     levels = np.where(finite, dark, np.nan)
     middle = np.nanmedian(levels)
-    # a camera's dark has a pattern, so far is far beyond its own spread
+    # a limit far beyond the camera's dark pattern
     spread = 1.4826 * np.nanmedian(np.abs(levels - middle))
     far = np.abs(levels - middle) > max(30.0 * spread, 100.0)
     if saturation is not None:

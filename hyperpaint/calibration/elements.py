@@ -1,7 +1,7 @@
-"""Lines and elements against what all others say: which lie in place, which are cut off, which deviate.
+"""Compare lamp lines and elements with all others: lines in place, lines cut off, deviant elements.
 
-Four parameters cannot be fitted to half a line. For a line at the edge of the array the wavelength map gives
-the place and the neighbours give the width; only the height is fitted, and the area follows.
+Four parameters cannot be fitted to half a lamp line. For a line at the edge of the array the wavelength map
+gives the place and the neighbours give the width; only the height is fitted, and the area follows.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from .line_fits import SHAPES, NoiseModel, Window
 from .steps import SIGNAL_BINS, Lines, Read, binned
 from .wavelength_map import WavelengthMap, fit_width
 
-_BRIGHT = 0.12  # of a line's height, from which a dead element would show
-_DEVIANT = 0.5  # of the light of its line, by which such an element is off
-_FEWEST = 20  # samples of a bin
+_BRIGHT = 0.12  # share of a line's height from which a dead element is visible
+_DEVIANT = 0.5  # deviation of such an element, as a share of its line
+MIN_BIN_SAMPLES = 20
 _MOVED = 0.01  # band, for a derivative
 
 
 @dataclass(frozen=True)
 class Differences:
-    """How far elements lie from the smooth lines through them."""
+    """Deviations of elements from the smooth lamp lines."""
 
     relative: float  #: Standard deviation of the elements' own factors [1]
     slope: float  #: Variance of a step's mean that follows the signal, where noise was not known [count]
 
 
 def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
-    """Return the camera's own width at every step (step,) [nm]; without a good line, that of the nearest."""
+    """Return the camera's own width at every step (step,) [nm]; interpolated without a good lamp line."""
     columns = np.arange(lab.shape[2])
     own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
     count = lines.trusted.sum(axis=1)
@@ -46,7 +46,7 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
 def _unit_lines(
     lab: LabSweep, window: Window, step: int, surface: WavelengthMap, centre: Floats, width: float, shape: int
 ) -> Floats:
-    """Return lines of unit area (line, sample) at given centres (line,) [band]."""
+    """Return lamp lines of unit area (line, sample) at given centres (line,) [band]."""
     spacing = surface.spacing(centre, window.columns)
     unit = np.empty(window.values.shape)
     profiles(
@@ -57,13 +57,13 @@ def _unit_lines(
 
 
 def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bools:
-    """Return the elements (band, cross_track) whose light is not that of the line they stand in.
+    """Return the elements (band, cross_track) whose counts do not fit the lamp lines that cover them.
 
-    Place and width of a line follow from all others, which one dead element cannot disturb; its
-    height is the median over its bands. Of lines at the edge of the array a side is enough.
+    Place and width of a lamp line follow from all others, which one dead element cannot disturb; its
+    height is the median over its bands. One side suffices for lines at the edge of the array.
     """
     _, bands, columns = lab.shape
-    suspect, seen = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
+    suspect, tested = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
     widths = _widths(lab, lines, surface)
     for step, window in enumerate(read.windows):
         if window is None:
@@ -86,23 +86,23 @@ def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: Wavelengt
         height[rows, 0] = np.nanmedian(ratio[rows], axis=1)
         noise = 8.0 * np.sqrt(read.noise.variance(height * unit, float(lab.frames[step])))
         apart = np.abs(np.where(bright, window.values, 0.0) - height * unit)
-        bright &= noise < np.abs(height) * unit  # else noise would hide a dead one
+        bright &= noise < np.abs(height) * unit  # else noise hides a dead element
         far = bright & (apart > np.maximum(noise, _DEVIANT * np.abs(height) * unit))
         place = window.places.astype(np.int64)
         column = np.broadcast_to(window.columns[:, None], place.shape)
-        for mask, counter in ((far, suspect), (bright, seen)):
+        for mask, counter in ((far, suspect), (bright, tested)):
             np.add.at(counter, (place[mask], column[mask]), 1)
-    return np.asarray((suspect > 0) & (2 * suspect > seen))
+    return np.asarray((suspect > 0) & (2 * suspect > tested))
 
 
 def element_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, *, known_noise: bool
 ) -> Differences:
-    """Return how much elements differ from the lines that all others say, beyond noise.
+    """Return the deviations of elements from smooth lamp lines, beyond noise.
 
-    A fit of four parameters hides most of it, since a line is a few bands wide. So place and width are those
-    of the map, and each line has its height free, and a small move. Without ``known_noise``, ``read.noise``
-    does not hold for bright samples, and their noise is determined too.
+    A fit of four parameters hides most of it, since a lamp line is a few bands wide. So place and width are
+    taken from the map, and each line has its height free, and a small move. Without ``known_noise``,
+    ``read.noise`` does not hold for bright samples, and their noise is determined too.
     """
     widths = _widths(lab, lines, surface)
     tally = np.zeros((4, SIGNAL_BINS))
@@ -122,7 +122,7 @@ def element_differences(
         )
         model, apart, loose = _of_free_height_and_place(window.values[inside], unit, after - before)
         excess = apart**2 - read.noise.variance(model, float(lab.frames[step])) * loose
-        # beyond lies scattered light
+        # outside bright samples is scattered light
         bright = model > _BRIGHT * model.max(axis=1, keepdims=True)
         shares.append(excess[bright].sum() / (model**2 * loose)[bright].sum())
         weights = (model * loose, model**2 * loose, excess)
@@ -135,9 +135,9 @@ def element_differences(
 
 
 def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return lines of fitted height, what a small move leaves of the rest, and each sample's freedom.
+    """Return lamp lines of fitted height, residuals without a small move, and each sample's freedom.
 
-    Of independent scatter of variances d, sum(d x freedom) is expected to be left.
+    For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
     """
     first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
     second = slope - (slope * first).sum(axis=1, keepdims=True) * first
@@ -152,7 +152,7 @@ def _split(tally: Floats) -> Differences:
     """Return the parts of the scatter that grow as the signal and as its square, from sums over bins."""
     from scipy.optimize import nnls
 
-    used = tally[0] >= _FEWEST
+    used = tally[0] >= MIN_BIN_SAMPLES
     if used.sum() < 2:
         return Differences(0.0, 0.0)
     signal, square, excess = (row[used] / tally[0][used] for row in tally[1:])
@@ -162,32 +162,35 @@ def _split(tally: Floats) -> Differences:
     return Differences(float(np.sqrt(relative)), float(slope))
 
 
-_MISPLACED = 0.5  # nm from the wavelength map, beyond which a line's wavelength is not what is said
-
-_ODD = 20.0  # times the step's usual chi2: several dead elements in one line
-_ODD_WIDTH = 0.3  # of the step's usual width
+#: Largest distance of a lamp line from the wavelength map [nm].
+MAX_MISPLACEMENT_NM = 0.5
+#: Largest chi2 relative to the step's median: beyond are several dead elements in one line.
+MAX_RELATIVE_CHI2 = 20.0
+#: Largest deviation of a width from the step's median [1].
+MAX_WIDTH_DEVIATION = 0.3
 
 
 def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Floats) -> Floats:
-    """Return where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
+    """Return the wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
     columns = np.arange(lines.centre.shape[1])
-    there = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
-    return np.asarray(np.where(np.isfinite(lines.centre), there, np.nan))
+    wavelength = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
+    return np.asarray(np.where(np.isfinite(lines.centre), wavelength, np.nan))
 
 
 def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Floats) -> Bools:
-    """Return the good fits (step, cross_track) that are like the others, and lie where the map says."""
+    """Return the good fits (step, cross_track) that resemble the others and agree with the map."""
     apart = np.abs(line_wavelengths(lines, surface, pull) - lab.wavelength[:, None])
     misfit = np.where(lines.trusted, lines.chi2 / lines.degrees, np.nan)
     width = np.where(lines.trusted, lines.own_width, np.nan)
-    usual, usual_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
+    median, median_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
     with np.errstate(invalid="ignore"):
-        like_others = (misfit < _ODD * usual) & (np.abs(width / usual_width - 1.0) < _ODD_WIDTH)
-        return np.asarray(like_others & (apart < max(_MISPLACED, 6.0 * surface.residual)))
+        like_others = misfit < MAX_RELATIVE_CHI2 * median
+        like_others &= np.abs(width / median_width - 1.0) < MAX_WIDTH_DEVIATION
+        return np.asarray(like_others & (apart < max(MAX_MISPLACEMENT_NM, 6.0 * surface.residual)))
 
 
 def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Bools) -> Floats:
-    """Return the camera's own width of every band (band,) [nm] from those of the placed lines."""
+    """Return the camera's own width of every band (band,) [nm] from those of the placed lamp lines."""
     steps = np.flatnonzero(placed.any(axis=1))
     spacing = surface.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
     widths = np.where(placed, lines.own_width * spacing, np.nan)[steps]
@@ -201,13 +204,14 @@ def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Boo
 
 
 def at_steps(lab: LabSweep, surface: WavelengthMap, of_bands: Floats) -> Floats:
-    """Return what is known of the bands (band,) at the wavelengths of the steps (step,)."""
+    """Return a property of the bands (band,) at the wavelengths of the steps (step,)."""
     centre = surface.at(np.arange(lab.shape[1]), lab.shape[2] // 2)
     order = np.argsort(centre)
     return np.interp(lab.wavelength, centre[order], of_bands[order])
 
 
-_LEAST_SEEN = 0.3  # of a line's area
+#: Least visible share of a line's area at the edge [1].
+MIN_VISIBLE_AREA = 0.3
 _MAX_EDGE_RESIDUAL = 0.15  # share of a line's height; a larger residual belongs to another line
 _OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no line shows it
 
@@ -215,7 +219,7 @@ _OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no 
 def complete_edge_lines(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, light: Floats, fwhm: Floats, shape: str
 ) -> None:
-    """Fit the heights of lines that are cut off by the edge of the array, and mark them as completed.
+    """Fit the heights of lamp lines that are cut off by the edge of the array, and mark them as completed.
 
     ``lines`` is changed. ``light`` (step,) are the wavelengths at which the camera sees the lines [nm],
     ``fwhm`` (step,) its own width there [nm], ``shape`` its line shape.
@@ -260,24 +264,25 @@ def _complete(
         return np.asarray(height / np.maximum((weight * shape_of**2).sum(axis=1), 1e-300))
 
     fitted = area_of(unit)
-    seen = unit.sum(axis=1)
-    area = values.sum(axis=1) + (1.0 - seen) * fitted
-    # what the place and the width are not known to, the area is not known to either
+    visible = unit.sum(axis=1)
+    area = values.sum(axis=1) + (1.0 - visible) * fitted
+    # uncertainty of the area by place, width and noise
     by_place, by_width = (
-        (1.0 - seen) * (area_of(changed) - fitted) / 1e-3
+        (1.0 - visible) * (area_of(changed) - fitted) / 1e-3
         - (changed * is_finite - unit).sum(axis=1) * fitted / 1e-3
         for changed in (profile(1e-3, 1.0), profile(0.0, 1.0 + 1e-3))
     )
-    by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1)
+    by_noise = by_noise + (1.0 - visible) ** 2 / norm
     total = by_noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
     apart = np.abs(np.where(is_finite, values - fitted[:, None] * unit, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
-    # one free parameter: what is not noise is a dead element, or a line elsewhere
+    # one free parameter: residuals beyond noise are dead elements, or a line elsewhere
     far = apart > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])
-    done = cut & (seen >= _LEAST_SEEN) & (fitted > 0) & np.isfinite(total) & ~far.any(axis=1)
-    at = (step, window.columns[done])
-    lines.area[at] = area[done]
-    lines.area_u[at] = np.sqrt(total[done]) / area[done]
-    lines.centre[at] = centre[done]
+    complete = cut & (visible >= MIN_VISIBLE_AREA) & (fitted > 0) & np.isfinite(total) & ~far.any(axis=1)
+    at = (step, window.columns[complete])
+    lines.area[at] = area[complete]
+    lines.area_u[at] = np.sqrt(total[complete]) / area[complete]
+    lines.centre[at] = centre[complete]
     lines.completed[at] = True
-    lines.covariance[(*at, AREA, AREA)] = total[done]
+    lines.covariance[(*at, AREA, AREA)] = total[complete]

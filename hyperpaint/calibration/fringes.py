@@ -1,7 +1,7 @@
-"""Structure of the responsivity between the lines of a sweep: fringes and etalons that its steps miss.
+"""Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that its steps miss.
 
-The areas of the lines show that there is a ripple, not whether they follow it: a fringe of 8 nm seen every
-10 nm looks like one of 40. The places of the lines tell: light of variance v moves by v g where the
+The areas of the lamp lines show a ripple, but not whether the steps resolve it: a fringe of 8 nm sampled
+every 10 nm looks like one of 40. The places of the lamp lines do: light of variance v moves by v g where the
 responsivity rises by g per nanometre, wherever the next line is.
 """
 
@@ -18,22 +18,22 @@ from hyperpaint.base.arrays import Floats
 
 @dataclass(frozen=True)
 class FringeRules:
-    """What tells that the steps of a sweep are too wide.
+    """Thresholds beyond which the steps of a sweep are too wide.
 
     Attributes
     ----------
     least_error
-        Relative error of the gain from which it is said [1].
+        Relative error of the gain from which it is reported [1].
     window_steps
         Steps over which departures are averaged: structure need not be everywhere.
     degree
-        Of the polynomial of the logarithm over the whole sweep, beside which areas ripple: detectors and
+        Of the polynomial of the logarithm over the whole sweep, around which areas ripple: detectors and
         gratings change over some 60 nm and more.
     spread
-        Error between lines over the root mean square of the ripple, where they have nothing to do with each
-        other: root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
-        what the polynomial leaves of such a ripple, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest error
-        is up to twice that, less where bands average over fringes.
+        Error between lamp lines over the root mean square of the ripple, where they are independent:
+        root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
+        the residual of such a ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest
+        error is up to twice that, less where bands average over fringes.
     """
 
     least_error: float = 0.01
@@ -43,9 +43,9 @@ class FringeRules:
 
     @property
     def scatters(self) -> float:
-        """Error from which it is said, in units of what columns differ in, as it is left in their median.
+        """Error from which it is reported, in units of the scatter of the columns' median.
 
-        It ripples like what lines miss, by `spread`; twice that is more than chance.
+        That scatter ripples like missed structure, by `spread`; twice that exceeds chance.
         """
         return 2.0 * self.spread
 
@@ -61,17 +61,17 @@ class Between(NamedTuple):
 
 
 def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source: Floats) -> Between | None:
-    r"""Return how wrong the gain may be between lines; None where lines are too few to tell.
+    r"""Return the largest error of the gain between lamp lines; None where they are too few.
 
-    ``level`` (step,): responsivity by the lines' areas, any scale, NaN where it is not known; ``moved``
+    ``level`` (step,): responsivity by the lines' areas, any scale, NaN where unknown; ``moved``
     (step,): distance of the lines from the wavelengths of their light [nm]; ``source`` (step,): variance of
     the monochromator's line [nm2].
 
-    With :math:`r` the ripple of the areas, :math:`r'` its slope as they have it and :math:`g` what that slope
-    lacks of the one that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares
-    over some steps, with :math:`s` the ``spread`` of `FringeRules`. A ripple that lines follow has the slope
-    that moves them; of one that they miss, or that is none but the scatter of a power meter, the two have
-    nothing in common. Noise of places counts as if it were such.
+    With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope to
+    the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over some
+    steps, with :math:`s` the ``spread`` of `FringeRules`. A ripple that the steps resolve has the slope that
+    moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to it. Noise of
+    places counts as such.
     """
     from scipy.interpolate import CubicSpline
 
@@ -93,9 +93,9 @@ def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source
 
 
 def level_scatter(nodes: Floats) -> float:
-    """Return the relative uncertainty of the columns' median, from what columns (step, column) differ in [1].
+    """Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
 
-    What a column differs in at all steps is its own; NaN marks what is not known.
+    Differences that a column has at all steps are its own; NaN marks unknown values.
     """
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
@@ -108,7 +108,7 @@ def level_scatter(nodes: Floats) -> float:
 
 
 def _running(values: Floats) -> Floats:
-    """Return the root mean square over some steps; of the ends that of what is there."""
+    """Return the root mean square over some steps; near the ends over the existing ones."""
     there, window = np.isfinite(values), np.ones(FRINGES.window_steps)
     total = np.convolve(np.where(there, values, 0.0) ** 2, window, "same")
     return np.asarray(np.sqrt(total / np.maximum(np.convolve(there, window, "same"), 1.0)))

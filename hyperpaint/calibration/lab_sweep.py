@@ -1,4 +1,4 @@
-"""A lab sweep at the door: everything it must hold, checked together, and its frames one step at a time."""
+"""Check a lab sweep, all faults together, and give its frames one step at a time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEE
 from .detector import DarkModel, fit_dark_model
 
 _REFUSAL = "this lab sweep cannot be calibrated"
-_FEWEST_STEPS = 4
+MIN_STEPS = 4
 _REQUIRED = ("counts", "dark_counts", "step_wavelength", "exposure_time", "monochromator_fwhm")
 _ABSOLUTE = ("flux", "capture_fraction", "etendue")
 _OPTIONAL = (
@@ -27,6 +27,17 @@ _OPTIONAL = (
     "electrons_per_count",
     "read_noise",
     "band_shift_time",
+)
+_POSITIVE = (
+    "flux",
+    "exposure_time",
+    "etendue",
+    "capture_fraction",
+    "monochromator_fwhm",
+    "frame_count",
+    "dark_frame_count",
+    "saturation_count",
+    "electrons_per_count",
 )
 
 
@@ -55,9 +66,8 @@ class LabSweep:
     read_noise: float | None
     absolute: bool  #: Whether flux, capture fraction and etendue were all given
     by_column: bool  #: Whether the light of every column is given, rather than that of the beam
-    band_shift_time: (
-        float  #: Time in which a frame is shifted by one band under the light [s]; 0 without smear
-    )
+    #: Time in which a frame is shifted by one band under the light [s]; 0 without smear
+    band_shift_time: float
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -77,20 +87,20 @@ class LabSweep:
 
 
 def listed(values: Any, unit: str = "", limit: int = 6) -> str:
-    """Return some values as text, and how many more there are."""
+    """Return some values as text, and the number of further ones."""
     values = list(values)
     text = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values[:limit])
     more = f" and {len(values) - limit} more" if len(values) > limit else ""
     return f"{text}{f' {unit}' if unit else ''}{more}"
 
 
-def refused(problem: str) -> SchemaError:
+def refused(found: str, *, expected: str = "", mend: str = "", code: str) -> SchemaError:
     """Return the error for one problem of a sweep."""
-    return SchemaError(_REFUSAL, problems=[Problem(problem)])
+    return SchemaError(_REFUSAL, problems=[Problem(found, expected, mend, code=code)])
 
 
 def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
-    """Return a sweep in the units of the table, or say all that is wrong with it.
+    """Return a sweep in the units of the table; SchemaError with all its faults.
 
     Parameters
     ----------
@@ -109,37 +119,44 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     arrays = _variables(sweep, absolute, problems)
     steps = sweep.sizes.get(STEP, 0)
     columns = sweep.sizes.get(CROSS_TRACK, 0)
-    if sweep.sizes and steps < _FEWEST_STEPS:
-        problems.add(f"{steps} steps, expected at least {_FEWEST_STEPS}")
+    if sweep.sizes and steps < MIN_STEPS:
+        problems.add(f"{steps} steps", expected=f"at least {MIN_STEPS}", code="steps-too-few")
     values = {
         name: np.asarray(array.to_numpy(), np.float64)
         for name, array in arrays.items()
         if name not in ("counts", "counts_variance", "dark_counts")
     }
     _check_order(values, problems)
-    for name, high in (
-        ("flux", np.inf), ("exposure_time", np.inf), ("etendue", np.inf), ("capture_fraction", 1.0),
-        ("monochromator_fwhm", np.inf), ("frame_count", np.inf), ("dark_frame_count", np.inf),
-        ("saturation_count", np.inf), ("electrons_per_count", np.inf),
-    ):  # fmt: skip
+    for name in _POSITIVE:
         if name in values:
+            high = 1.0 if name == "capture_fraction" else np.inf
             _check_positive(
                 name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
             )
     if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
-        problems.add(f"'band_shift_time' is {float(shift):g} s, expected that of one band, some microseconds")
+        problems.add(
+            f"'band_shift_time' is {float(shift):g} s",
+            expected="the time of one band, some microseconds",
+            code="value-out-of-range",
+        )
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
         worst = float(values["read_noise"].min())
-        problems.add(f"'read_noise' is {worst:g} in places, expected finite and at least zero")
+        problems.add(
+            f"'read_noise' is {worst:g} in places",
+            expected="finite and at least zero",
+            code="value-out-of-range",
+        )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
     if shape not in MONOCHROMATOR_SHAPES:
         problems.add(
-            f"attribute monochromator_shape {shape!r}, expected one of {', '.join(MONOCHROMATOR_SHAPES)}"
+            f"attribute monochromator_shape {shape!r}",
+            expected=f"one of {', '.join(MONOCHROMATOR_SHAPES)}",
+            code="choice-unknown",
         )
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:
-        raise refused("no dark follows from 'dark_counts'")
+        raise refused("no dark follows from 'dark_counts'", code="dark-invalid")
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
 
 
@@ -150,7 +167,9 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
     problems.extend(wrong)
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
     for name, array in kinds.items():
-        problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")
+        problems.add(
+            f"{name!r} has dtype {array.dtype}", expected=f"{SWEEP_VARIABLES[name].dtype}", code="type-wrong"
+        )
         del arrays[name]
     return arrays
 
@@ -160,7 +179,7 @@ def _check_order(values: dict[str, Floats], problems: Problems) -> None:
         return
     wavelength = values["step_wavelength"]
     if not np.isfinite(wavelength).all() or (wavelength <= 0).any():
-        problems.add("'step_wavelength' is not finite and positive everywhere")
+        problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
         return
     wrong = np.flatnonzero(np.diff(wavelength) <= 0)
     if wrong.size:
@@ -168,8 +187,9 @@ def _check_order(values: dict[str, Floats], problems: Problems) -> None:
             [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in wrong], "", 3
         )
         problems.add(
-            f"steps are out of order: {places}; where counts belong to these wavelengths, "
-            "sort with sweep.sortby('step_wavelength') and drop repeated ones"
+            f"steps are out of order: {places}",
+            mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
+            code="steps-unordered",
         )
 
 
@@ -183,7 +203,7 @@ def _check_positive(
 ) -> None:
     wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
-        # columns that the beam does not reach have no flux; its counts show whether one is lit
+        # columns that the beam does not reach have no flux; counts show whether one is lit
         dark = wrong & ((values == 0) | np.isnan(values))
         wrong &= ~dark | wrong.all(axis=1, keepdims=True)
     if not wrong.any():
@@ -194,9 +214,9 @@ def _check_positive(
         steps = np.flatnonzero(wrong.any(axis=tuple(range(1, values.ndim))))
         at = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
         where = f" at {steps.size} of {len(values)} steps{at}"
-        mend = "; measure it, or leave these steps out with sweep.isel(step=...)"
+        mend = "measure it, or leave these steps out with sweep.isel(step=...)"
     first = values[wrong].ravel()[0]
-    problems.add(f"{name!r} is {first:g}{where}, expected {expected}{mend}")
+    problems.add(f"{name!r} is {first:g}{where}", expected=expected, mend=mend, code="value-out-of-range")
 
 
 def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
@@ -213,11 +233,11 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     elif at.ndim:
         # one dark for all steps: taken at their exposure, if they have only one
         if np.ptp(at) > 1e-6 * at.max():
-            where = (
-                "exposure_time varies" if "dark_exposure_time" not in values else "dark_exposure_time varies"
-            )
+            varying = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
-                f"{where} from step to step, but there is one dark_counts; give dark_counts per step"
+                f"{varying} varies from step to step, but there is one dark_counts",
+                mend="give dark_counts per step",
+                code="dark-per-step",
             )
             return None
         at = at[0]
@@ -228,9 +248,10 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     apart = [e for e in np.unique(exposure) if not model.reaches(float(e))]
     if apart:
         problems.add(
-            f"dark at another exposure: steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
-            f"{listed([e * 1e3 for e in model.exposures], 'ms')}; take a dark at the exposure of the steps, "
-            "or darks at two exposures about it, from which bias and rate follow to a count"
+            f"steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
+            f"{listed([e * 1e3 for e in model.exposures], 'ms')}",
+            mend="take a dark at the exposure of the steps, or darks at two exposures around it",
+            code="dark-exposure-differs",
         )
         return None
     return model

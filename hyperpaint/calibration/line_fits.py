@@ -1,7 +1,7 @@
-"""The line of one sweep step: where it lies, which columns it lights, its fit over bands, its area.
+"""Fit the lamp line of one sweep step over bands: its place, lit columns, width and area.
 
 Two axes, two fits, never mixed: over bands the light of one wavelength shows the response of the camera, over
-columns the profile of the beam, which says nothing about the camera.
+columns the profile of the beam, which is no property of the camera.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from hyperpaint.kernels.line_fits import (
     profiles,
 )
 
+#: Line shapes that a sweep distinguishes, and what the kernel calls them.
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
-"""Line shapes that a sweep distinguishes, and what the kernel calls them."""
 
+#: Share of the brightest column from which a column counts as lit.
 LIT = 0.2
-"""Share of the brightest column from which a column counts as lit."""
 
+#: Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area.
 REACH = 2.2
-"""Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area."""
 
 _DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
 _FEWEST_BESIDE = 12  # bands beyond a window from which its background is estimated
@@ -42,7 +42,7 @@ _GAUSS = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit heig
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of one frame, constant + slope x signal, and of the dark that is taken off [count2]."""
+    """Variance of one frame, constant + slope x signal, and of the subtracted dark [count2]."""
 
     constant: float
     slope: float
@@ -55,7 +55,7 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Light:
-    """What lights the camera at one step, for fits in units of bands: widths in bands, shape of the line."""
+    """Light of one step, for fits in units of bands: widths in bands, shape of the lamp line."""
 
     width: Floats
     triangular: bool
@@ -63,7 +63,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The bands about the line of one step, column by column."""
+    """The bands around the lamp line of one step, column by column."""
 
     columns: npt.NDArray[np.int64]  #: (line,): lit columns
     #: (line,): band of the first sample; negative where the window begins before the array
@@ -114,9 +114,9 @@ class Fits:
 
 
 def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
-    """Return the window about the line of one step, or None where there is none.
+    """Return the window around the lamp line of one step; None without a line.
 
-    ``net`` (band, cross_track) are counts less dark, ``raw`` as they were read; ``bad`` elements are left
+    ``net`` (band, cross_track) are counts less dark, ``raw`` counts as read; ``bad`` elements are left
     out; ``saturation`` is the count at which the converter is full, or None.
     """
     bands, columns = net.shape
@@ -172,7 +172,7 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
 
 
 def _mean(values: Floats, axis: int) -> Floats:
-    """Return the mean of what is finite; NaN where nothing is."""
+    """Return the mean of finite values; NaN without any."""
     is_finite = np.isfinite(values)
     count = is_finite.sum(axis=axis)
     total = np.where(is_finite, values, 0.0).sum(axis=axis)
@@ -195,9 +195,9 @@ def _rough_width(spectrum: Floats, peak: int) -> float:
 
 
 def _background(outside: Floats) -> tuple[Floats, Floats]:
-    """Return the mean of each column beyond its window, clipped, and its variance in that of a band.
+    """Return the clipped mean of each column beyond its window, and its variance relative to one band's.
 
-    A dark that has drifted lifts all bands alike; left in, it would add to the area band by band.
+    A dark that has drifted lifts all bands alike; uncorrected, it would add to the area band by band.
     """
     is_finite = np.isfinite(outside)
     mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
@@ -214,7 +214,7 @@ def _background(outside: Floats) -> tuple[Floats, Floats]:
 
 
 def _brightest(light: Floats) -> float:
-    """Return the light of the brightest columns, whatever a single one says."""
+    """Return the light of the brightest columns, insensitive to a single one."""
     levels = np.where(np.isfinite(light), light, 0.0)
     if levels.size < 5:
         return float(levels.max(initial=0.0))
@@ -223,7 +223,7 @@ def _brightest(light: Floats) -> float:
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
-    """Improve ``parameters`` (line, 4) in place, and return them with what the fits say of them."""
+    """Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits."""
     lines = len(parameters)
     fits = LineFits(parameters, np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, np.bool_))
     fit_lines(samples, shape, triangular, fits)
@@ -231,7 +231,7 @@ def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Float
 
 
 def fit_beam(beam: Floats) -> tuple[float, float]:
-    """Return centre and full width at half maximum of the beam over columns; NaN where it shows no peak."""
+    """Return centre and full width at half maximum of the beam over columns; NaN without a peak."""
     is_finite = np.isfinite(beam)
     columns = np.arange(beam.size, dtype=np.float64)
     weights = np.where(is_finite, 1.0, 0.0)[None]
@@ -252,10 +252,10 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
 def fit_window(
     window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
 ) -> Fits:
-    """Return the fits of all lines of a window (`find_line`), weighted by ``noise``, of ``frames`` frames.
+    """Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
 
-    ``shape`` is a value of `SHAPES`. ``light`` is what the camera looked at; of no width in the first fit,
-    which is of the line as it is seen. ``start`` are fits to begin from.
+    ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
+    which is of the line without deconvolution. ``start`` are fits to begin from.
     """
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
@@ -292,7 +292,7 @@ def fit_window(
 def _fit_twice(
     window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
 ) -> tuple[LineFits, Bools]:
-    """Fit in place, and again without the worst sample where that is no noise; return what was used, too."""
+    """Fit in place, and again without an outlying worst sample; return the fits and the samples used."""
     used = np.isfinite(window.values)
     begin = parameters.copy()
     for last in (False, True):

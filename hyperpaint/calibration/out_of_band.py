@@ -18,18 +18,16 @@ from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 
 from .line_fits import Window
 
-_FEWEST_OUTSIDE = 4
-"""Bands outside a line, at least, from which what scatters beside it is known."""
+#: Least bands outside a lamp line from which scattered light is known.
+MIN_BANDS_OUTSIDE = 4
+#: Bins of distance beside a lamp line from which its wing is extrapolated, exponentially, by e at most.
 _NEAREST_BINS = 3
-"""Bins of distance beside a line by which what scatters rises towards it, exponentially, by e at the most."""
-
-
+#: Relative standard uncertainty of the wing inside a line's window, extrapolated from outside [1].
 _WING_U = 0.25
-"""Relative standard uncertainty of what scatters into a line's window, told from what does beside it [1]."""
 
 
 class OffLines(NamedTuple):
-    """Light off the lines of a sweep."""
+    """Light off the lamp lines of a sweep."""
 
     second_order: Floats  #: (step,): counts at twice the wavelength over those of the line [1]
     stray_light: Floats  #: (band, source band): share of each band's counts that every other sees [1]
@@ -38,17 +36,17 @@ class OffLines(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether it is told from none, and so can be taken out of a flight."""
+        """Whether stray light is known well enough to be subtracted from a flight."""
         return self.relative < MAX_STRAY_LIGHT_U
 
     @property
     def counted(self) -> float:
-        """Areas of the lines as they are counted over those without what is scattered into them [1]."""
+        """Measured areas of the lamp lines over their areas without scattered light [1]."""
         return 1.0 / (1.0 - self.wing) if self.is_known else 1.0
 
     @property
     def counted_u(self) -> float:
-        """Relative standard uncertainty of the areas by that [1]."""
+        """Relative standard uncertainty of the areas by scattered light [1]."""
         return self.wing * (_WING_U if self.is_known else 1.0)
 
 
@@ -56,7 +54,7 @@ def light_off_lines(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats,
     dark_check: dict[str, float],
 ) -> OffLines:  # fmt: skip
-    """Return what a sweep shows off its lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
+    """Return the light off the lamp lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
     second = second_order_share(rows, step_wavelength, wavelength, width)
     matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second)
     offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
@@ -67,10 +65,10 @@ def light_off_lines(
 def dark_off_lines(
     windows: Sequence[Window | None], area: Floats, placed: Bools, rows: Floats
 ) -> dict[str, float]:
-    """Return what one count of a wrong dark does to the light off the lines, and by how much it looks wrong.
+    """Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
 
     ``windows`` (step,); ``area`` of the lines [count] and whether they are in place (step, column); ``rows``
-    (step, band) as of `second_order_share`. Empty where no step tells.
+    (step, band) as of `second_order_share`. Empty where no step has a background.
     """
     level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
     for step, window in enumerate(windows):
@@ -87,11 +85,11 @@ def dark_off_lines(
 
 
 def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
-    """Return counts at twice the wavelength over those of the line, a step (step,) [1].
+    """Return counts at twice the wavelength over counts of the lamp line (step,) [1].
 
     ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
-    ``step_wavelength`` (step,) and ``wavelength`` (band,) [nm]; ``width`` (step,) is the full width at half
-    maximum of the line as it is seen [nm]. The second order is up to twice as wide.
+    ``step_wavelength`` (step,) and ``wavelength`` (band,) [nm]; ``width`` (step,) is the measured full width
+    at half maximum of the line [nm]. The second order is up to twice as wide.
     """
     share = np.full(len(rows), np.nan)
     for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
@@ -104,7 +102,7 @@ def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats
 
 
 def common_offset(level: Floats, area: Floats) -> float:
-    """Return the counts off the lines that do not follow their light: those of a dark that is off [count].
+    """Return the offset of the dark: counts off the lamp lines that do not follow their light [count].
 
     ``level`` and ``area`` (step,) are the counts of a band off the line and the area of the line, medians of
     the lit columns [count].
@@ -124,8 +122,8 @@ def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
     shares = []
     for row, source in zip(rows, _bands_of(centre, len(matrix)), strict=True):
         outside = row != 0
-        if outside.sum() >= _FEWEST_OUTSIDE:
-            # what is taken off a line: the clipped mean of the bands outside
+        if outside.sum() >= MIN_BANDS_OUTSIDE:
+            # the background that is subtracted from a line: the clipped mean of the bands outside
             middle = np.median(row[outside])
             spread = 1.4826 * np.median(np.abs(row[outside] - middle))
             background = row[outside & (np.abs(row - middle) <= 4.0 * spread)].mean()
@@ -140,10 +138,10 @@ def _bands_of(centre: Floats, bands: int) -> npt.NDArray[np.int64]:
 def stray_light_matrix(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
 ) -> Floats:
-    """Return the share of each band's light that every other band sees (band, source_band) [1].
+    """Return the share of each band's light that every other band receives (band, source_band) [1].
 
     ``rows``, ``step_wavelength``, ``wavelength`` and ``width`` as in `second_order_share`, of which
-    ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lines.
+    ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lamp lines.
     """
     bands = rows.shape[1]
     distance = np.arange(bands) - centre[:, None]
@@ -178,7 +176,7 @@ def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
     sides = [_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
 
     def wing(at: npt.NDArray[Any]) -> Floats:
-        # within the window of a line its own light hides what scatters: there it rises as it does beside
+        # within the window of a line scattered light is hidden: extrapolate its rise from outside
         level = np.interp(at, centres, levels)
         for sign, (first, rise) in zip((-1.0, 1.0), sides, strict=True):
             within = np.maximum(near - sign * at, 0.0) * (sign * at >= 0) * rise
@@ -189,7 +187,7 @@ def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
 
 
 def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
-    """Return the wing where it is nearest to its line on one side, and its rise towards that [band-1]."""
+    """Return the wing nearest to its lamp line on one side, and its rise towards the line [band-1]."""
     order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
     at, level = distance[order], levels[order]
     if not ((at > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
@@ -199,11 +197,11 @@ def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
 
 
 def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float) -> float:
-    """Return the relative standard uncertainty of the light off the lines as a matrix tells it [1].
+    """Return the relative standard uncertainty of the light off the lamp lines in a matrix [1].
 
-    By how much its sums differ from those of single steps, and by the ``offset`` of the dark that is in them,
-    relative to a line's area. ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix`` (band,
-    source band) is the result. 1 where there is none.
+    From the difference of its sums to those of single steps, and from the ``offset`` of the dark that is in
+    them, relative to a line's area. ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix``
+    (band, source band) is the result. 1 without any.
     """
     source = _bands_of(centre, len(matrix))
     outside = rows != 0

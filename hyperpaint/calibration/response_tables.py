@@ -1,8 +1,8 @@
-"""The camera's response as the lines of a sweep show it, where neither line model is it.
+"""Measure the camera's response from all lamp lines of a sweep, where neither line model fits.
 
-Every line is the monochromator's convolved with the camera's response, seen at as many places as columns and
-steps put bands beside it. In units of the width all lines are one curve; the monochromator is taken out of it
-by least squares that allow no negative response.
+Every lamp line is the monochromator's line convolved with the camera's response, sampled at as many places as
+columns and steps put bands beside it. In units of the width all lines are one curve; the monochromator's line
+is deconvolved by least squares without negative response.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .wavelength_map import WavelengthMap
 
 @dataclass(frozen=True)
 class ShapeRules:
-    """What decides between a line model and a table.
+    """Thresholds between a line model and a table.
 
     Attributes
     ----------
@@ -35,14 +35,14 @@ class ShapeRules:
         Weight of the table's second differences against the curve: keeps noise of 1e-3 from ringing where the
         monochromator is as wide as the camera's response.
     least_samples
-        Samples in the mean place of the curve below which it is not looked at.
+        Least mean number of samples at a place of the curve.
     least_misfit
-        Distance of curve and model, relative to the model, from which a table is taken [1]: what is fitted by
-        the right model leaves 0.0006, a slit with a tail of a tenth of its width 0.024.
+        Distance of curve and model, relative to the model, from which a table is used [1]: the right model
+        leaves 0.0006, a slit with a tail of a tenth of its width 0.024.
     widest_light
         Width of the monochromator over the camera's from which its line hides the response [1].
     sun_zenith_deg
-        Daylight in which the effect is stated.
+        Zenith angle of the sun in the daylight for which the effect is stated [degree].
     """
 
     reach: float = 2.0
@@ -61,9 +61,9 @@ class MeasuredShape(NamedTuple):
     """The response in units of its width.
 
     ``offset`` (place,): wavelength minus that of the band, over the width; ``response`` (place,), of unit
-    area; ``misfit``: distance of the lines from the best model, relative [1]; ``effect``: largest relative
-    change of matched daylight that the model's place would make [1]; ``is_resolved``: whether the light was
-    narrow enough.
+    area; ``misfit``: distance of the lamp lines from the best model, relative [1]; ``effect``: largest
+    relative change of matched daylight by the model instead of the response [1]; ``is_resolved``: whether the
+    light was narrow enough.
     """
 
     offset: Floats
@@ -74,7 +74,7 @@ class MeasuredShape(NamedTuple):
 
     @property
     def is_another(self) -> bool:
-        """Tell whether the response is neither model."""
+        """Whether the response fits neither model."""
         return self.misfit > SHAPE_RULES.least_misfit
 
     def table(self, fwhm: Floats) -> tuple[Floats, Floats]:
@@ -93,7 +93,7 @@ def measured_shape(
     own: Floats,
     shape: str,
 ) -> MeasuredShape | None:
-    """Return the response that lines show; None where they are too few.
+    """Return the response measured from the lamp lines; None where they are too few.
 
     ``placed`` (step, cross_track): lines that are used; ``own`` (step,): the camera's width there [nm];
     ``shape``: the best line model.
@@ -146,7 +146,7 @@ def measured_shape(
 
 
 def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
-    """Return by how much a response (offset,) is seen at places (place,) through a line of a width."""
+    """Return the matrix from a response (offset,) to a curve at places (place,) through a line of a width."""
     apart = place[:, None] - offset
     if triangular:
         line = np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
@@ -156,7 +156,7 @@ def _convolution(place: Floats, offset: Floats, width: float, *, triangular: boo
 
 
 def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
-    """Return the response (offset,), nowhere negative and of unit area, that the light makes into a curve."""
+    """Return the response (offset,), not negative and of unit area, whose convolution fits a curve."""
     from scipy.optimize import nnls
 
     size = source.shape[1]
@@ -169,7 +169,7 @@ def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
 
 
 def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> float:
-    """Return the largest relative change of daylight, 420 to 950 nm, that a band sees through a model."""
+    """Return the largest relative change of daylight in a band, 420 to 950 nm, by a model of its response."""
     nm = np.arange(380.0, 1001.0)
     mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
     direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(mass)).irradiance(nm)

@@ -38,10 +38,10 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
 
 
 def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: Floats) -> Floats:
-    """Return what turns the responsivity that a line saw into that of a band at the same wavelength.
+    """Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
 
     ``wavelength`` (step,) [nm]; ``line`` (step,) is the responsivity from the lines' areas at any scale,
-    median of the columns, NaN where it is not known; ``own`` and ``source`` (step,) are the variances of the
+    median of the columns, NaN where unknown; ``own`` and ``source`` (step,) are the variances of the
     camera's line shape and of the monochromator's [nm2].
     """
     factor = np.ones_like(line)
@@ -152,7 +152,7 @@ def line_pull(
     amplitude: Floats,
     shape: str,
 ) -> Floats:
-    """Return by how much the lines of a sweep lie beyond the wavelengths of their light (step,) [nm].
+    """Return the shift of the lamp lines from the wavelengths of their light (step,) [nm].
 
     ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``own``, ``spacing`` and ``amplitude``
     (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the height of the line
@@ -179,7 +179,7 @@ def _fitted(
     offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, *,
     frames: float, amplitude: float, shape: int,
 ) -> float:  # fmt: skip
-    """Return where the fit puts a line of such light that is centred at zero [band]."""
+    """Return the fitted centre of a lamp line whose light is centred at zero [band]."""
     half = int(np.ceil(2.2 * np.hypot(own, source) + 2.0))
     place = np.arange(-half, half + 1, dtype=np.float64)
     parts = np.empty((len(offset), place.size))

@@ -1,4 +1,4 @@
-"""All steps of a sweep: read once, one after the other, and fitted line by line."""
+"""Read all steps of a sweep once, one after the other, and fit their lamp lines."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .wavelength_map import WavelengthMap
 
 Tick = Callable[[], None]
 
+#: Where a noise model comes from; a third source is what the sweep states.
 FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
-"""Where a noise model comes from; a third source is what the sweep states."""
 
 _CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a line does so in one, or two
 _SAME_COUNT = 0.25
@@ -33,7 +33,7 @@ SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What is kept of a sweep once it has been read."""
+    """Data of a sweep that are kept after reading."""
 
     windows: list[Window | None]  #: One a step; None where there is no line
     rows: Floats  #: (step, band): counts outside the lines relative to the lines' areas
@@ -43,7 +43,7 @@ class Read:
 
 @dataclass(eq=False)
 class Lines:
-    """What is known of the lines of all steps, (step, cross_track) unless said; NaN where there is none."""
+    """Fitted lamp lines of all steps, (step, cross_track) except where noted; NaN without a line."""
 
     centre: Floats
     own_width: Floats
@@ -61,7 +61,7 @@ class Lines:
 
     @classmethod
     def empty(cls, steps: int, columns: int) -> Lines:
-        """Return lines of which nothing is known yet."""
+        """Return lines without any fit."""
         shape = (steps, columns)
         arrays = {field.name: np.full(shape, np.nan) for field in fields(cls)}
         return cls(
@@ -74,7 +74,7 @@ class Lines:
         )
 
     def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
-        """Keep the fits of one step."""
+        """Store the fits of one step."""
         at = (step, window.columns)
         self.centre[at] = fits.parameters[:, CENTRE]
         self.own_width[at] = fits.parameters[:, WIDTH]
@@ -94,7 +94,7 @@ class Lines:
 
 
 def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None, tick: Tick) -> Read:
-    """Read every step once and keep the windows about its lines.
+    """Read every step once and keep the windows around its lamp lines.
 
     SchemaError where the lines do not move along the array as the wavelengths do, or light falls where none
     is stated; a warning where lines look clipped and ``saturation_count`` is missing.
@@ -128,7 +128,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         windows.append(window)
         tick()
     _check_monotone(lab, windows)
-    _check_told(lab, windows)
+    _check_flux(lab, windows)
     if lab.saturation is None:
         _warn_of_clipping(np.where(bad, -np.inf, highest))
     noise, source = _noise_model(lab, tally, scatter)
@@ -142,7 +142,7 @@ def binned(signal: Floats, *values: Floats) -> Floats:
 
 
 def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
-    """Return the photon-transfer line of the sweep, else what is stated, else the scatter off the lines."""
+    """Return the photon transfer of the sweep, else the stated noise, else the scatter off the lamp lines."""
     dark = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
     alone = lab.dark.leverage(float(np.median(lab.exposure))) / (lab.dark_frames or np.median(lab.frames))
     used = tally[0] > 50
@@ -159,21 +159,22 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
         return NoiseModel(
             constant, 1.0 / lab.electrons_per_count, dark or constant * float(alone)
         ), "as stated"
-    # the dark's own noise is in that scatter already
+    # that scatter includes the dark's own noise
     return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
 
 
-def _check_told(lab: LabSweep, windows: list[Window | None]) -> None:
+def _check_flux(lab: LabSweep, windows: list[Window | None]) -> None:
     """Refuse lit columns of which flux or capture fraction is zero or NaN."""
-    untold = [
+    missing_flux = [
         f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
         for step, window in enumerate(windows)
         if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
     ]
-    if untold:
+    if missing_flux:
         raise refused(
-            "flux x capture_fraction is zero or nan in columns that counts show to be lit: "
-            f"{listed(untold)}; measure it there"
+            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+            mend="measure it there",
+            code="flux-missing",
         )
 
 
@@ -183,10 +184,11 @@ def _warn_of_clipping(highest: Floats) -> None:
     same = highest >= top - _SAME_COUNT
     if (same.sum(axis=0) >= _CLIPPED).any():
         warnings.warn(
-            f"saturation_count is not given, and the highest counts repeat one value, {top:g}, in "
-            f"{int(same.sum())} elements: lines that the converter has clipped would pass; give "
-            "saturation_count",
-            PaintWarning,
+            PaintWarning(
+                f"saturation_count is missing, and the highest count {top:g} repeats in {int(same.sum())} "
+                "elements: clipped lamp lines are not recognised; give saturation_count",
+                code="saturation-missing",
+            ),
             stacklevel=4,
         )
 
@@ -203,13 +205,14 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
             [f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
         )
         raise refused(
-            f"lines do not move along the array as the wavelengths do: {where}; are the steps in order, and "
-            "do counts and step_wavelength belong together?"
+            f"lamp lines do not move along the array as the wavelengths do: {where}",
+            mend="check that counts and step_wavelength belong together, in order",
+            code="steps-unordered",
         )
 
 
 def fit_as_seen(lab: LabSweep, read: Read, tick: Tick) -> tuple[Lines, list[Fits | None]]:
-    """Return Gaussian fits of the lines as they are, whatever the light: good for where they lie."""
+    """Return Gaussian fits of the lamp lines without deconvolution, which give their places."""
     lines = Lines.empty(lab.shape[0], lab.shape[2])
     fits_of_steps: list[Fits | None] = []
     for step, window in enumerate(read.windows):

@@ -1,4 +1,4 @@
-"""Derived from a calibration: relative responsivity, quantum efficiency, lines beside their fits."""
+"""Quantities derived from a calibration: relative responsivity, quantum efficiency, fitted lamp lines."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .detector import deviant_darks
 from .lab_sweep import LabSweep, check_sweep
 from .line_fits import SHAPES, find_line
 
+#: [J m]
 PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
-"""[J m]"""
 
 
 def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:
@@ -93,13 +93,16 @@ def quantum_efficiency(
     names = ["responsivity", "wavelength"]
     if calibration.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
-            "a quantum efficiency needs an absolute scale, which this calibration has not (absolute_scale = "
-            "'unknown'); give it one by hyperpaint.calibration.anchor_to_radiance"
+            "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
+            mend="give it one by hyperpaint.calibration.anchor_to_radiance",
+            code="scale-unknown",
         )
     if electrons_per_count is None:
         if "electrons_per_count" not in calibration.variables:
             raise SchemaError(
-                "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"
+                "'electrons_per_count' is missing for a quantum efficiency",
+                mend="pass electrons_per_count=, or hyperpaint.radiometry.estimate_noise",
+                code="variable-missing",
             )
         names.append("electrons_per_count")
     inputs = require(calibration, names, "a quantum efficiency")
@@ -132,14 +135,14 @@ class FittedLine:
 def fitted_lines(
     calibration: xr.Dataset, sweep: xr.Dataset | None, steps: Sequence[int], column: int
 ) -> list[FittedLine]:
-    """Return some lines of one column with their fits.
+    """Return some lamp lines of one column with their fits.
 
     Parameters
     ----------
     calibration
         Of `hyperpaint.calibrate`.
     sweep
-        That it was made from, of which these steps are read; None for the fits alone.
+        The sweep it was made from, of which these steps are read; None for the fits alone.
     steps
         Numbers of steps that have a fit in this column.
     column
@@ -152,7 +155,7 @@ def fitted_lines(
     Raises
     ------
     SchemaError
-        The calibration holds no lines, or the sweep is not whole.
+        The calibration holds no lamp lines, or the sweep is incomplete.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""From line centres to the wavelength of every element: a smooth surface over bands and columns."""
+"""Fit the wavelength of every element to lamp lines: a smooth surface over bands and columns."""
 
 from __future__ import annotations
 
@@ -68,18 +68,22 @@ def fit_wavelength_map(
     band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
     column_degree: int | None = None, uncertainty: Floats | None = None,
 ) -> WavelengthMap:  # fmt: skip
-    """Return the robust low-order surface through line centres; SchemaError where there are too few.
+    """Return the robust low-order surface through centres of lamp lines; SchemaError where they are too few.
 
-    ``band`` and ``column`` (line,) is where each line lies, in fractional bands, ``wavelength`` (line,) that
-    of its light [nm], ``uncertainty`` (line,) the standard deviation of each centre [band]; ``sizes`` are
-    bands and columns of the array. ``column_degree`` is that of the smile; None for the lowest of 0 to 4
-    beyond which nothing is gained.
+    ``band`` and ``column`` (line,) are the place of each line, in fractional bands, ``wavelength`` (line,)
+    the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of each centre [band];
+    ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None for the
+    lowest of 0 to 4 that suffices.
     """
     different = len(np.unique(np.round(wavelength, 6)))
     across = len(np.unique(column))
     degree = min(BAND_DEGREE, different - 2)
     if degree < 1:
-        raise SchemaError(f"lines of {different} wavelengths, expected 3 or more for a wavelength map")
+        raise SchemaError(
+            f"lamp lines of {different} wavelengths",
+            expected="3 or more for a wavelength map",
+            code="lamp-lines-few",
+        )
     degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < across]
     weight = np.ones_like(band)
     if uncertainty is not None:
@@ -140,10 +144,10 @@ def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
 
 
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
-    """Return the width of every band [nm] from those of the steps, robustly; beyond them that of the last.
+    """Return the width of every band [nm] by a robust fit to those of the steps; held constant beyond them.
 
-    ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lines, medians over the columns; ``at``
-    (band,) is where the width is wanted; all in nm.
+    ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
+    ``at`` (band,) are the wavelengths of the result; all in nm.
     """
     low, high = float(wavelength.min()), float(wavelength.max())
     scale = max(high - low, 1.0)

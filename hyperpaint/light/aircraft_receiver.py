@@ -1,16 +1,18 @@
-"""From a light sensor that leans with the aircraft to the irradiance of level ground.
+"""Correct the record of a light sensor on the aircraft to a level receiver.
 
-The direct part goes with the cosine of the sun's angle to the sensor's normal, the diffuse part with what of
-the sky it sees, and which of the two is how large the record itself has to say: leaning changes its level,
-and so it is asked again after a first correction.
+Direct light follows the cosine of the sun's angle from the sensor's normal, diffuse light follows the part of
+the sky in view. The record itself gives the diffuse fraction; since the tilt changes the record's level, the
+fraction is derived a second time from the corrected record.
 """
 
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -24,37 +26,35 @@ from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
 from .synchrony import check_irradiance_times
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _ANGLES = ("roll", "pitch", "heading")
 _PLACE = ("latitude", "longitude")
 _TIMES = ("time", "navigation_time", IRRADIANCE_TIME)
+#: Wavelengths of the split into direct and diffuse light [nm]; it is smooth between.
 _NODES_NM = np.array([350.0, 400, 450, 500, 550, 600, 700, 800, 900, 1000, 1300, 1700, 2500])
-"""Where the split is asked for; it is smooth between."""
 _CLEAR, _HAZY, _OVERCAST, _CONTRADICTORY = (
     SKY_STATES.index(word) for word in ("clear", "hazy", "overcast", "contradictory")
 )
+#: Zenith angle of the sun above which nothing is corrected: a degree of attitude changes direct light by a
+#: tenth.
 MAX_ZENITH_DEG = 80.0
-"""Sun beyond which nothing is corrected [degree]: a degree of attitude changes direct light by a tenth."""
+#: Tilt above which a sample is left out [degree]: survey aircraft do not bank so far.
 MAX_TILT_DEG = 30.0
-"""Attitude beyond which a sample is left out [degree]: aircraft that survey do not lean so far."""
+#: Longest interval over which the attitude is interpolated [s]; beyond its ends it holds for a quarter of it.
 MAX_GAP_S = 1.0
-"""Interval of the attitude that is interpolated at the most [s]; a quarter of it is how long one holds."""
+#: Time for which one split holds [s]: air and sun change little.
 SAME_SKY_S = 600.0
-"""How long one split holds [s]: air and sun change little."""
-LEARNT_NM = 50.0
-"""Width of the intervals in which the record itself tells how it goes with the attitude [nm]."""
-LEARNT_SD = 0.03
-"""How far the share of light that goes with the attitude may be off without that [1]."""
-LEARNT_FROM = 8
-"""Steps from sample to sample from which on it does [1]."""
-ASKED = 200
-"""Samples that are asked for their sky at the most, at even distances; between them it is interpolated."""
+#: Width of the intervals in which the dependence on attitude is fitted to the record [nm].
+FIT_INTERVAL_NM = 50.0
+#: Prior standard deviation of the fitted dependence [1].
+FIT_PRIOR_SD = 0.03
+#: Fewest steps from sample to sample for the fit.
+MIN_FIT_STEPS = 8
+#: Most samples whose sky is determined, evenly spaced.
+MAX_SKY_SAMPLES = 200
 
 
 class _Sensor(NamedTuple):
-    """How the sensor stood at every sample, and what it makes of light."""
+    """Attitude of the sensor at every sample, and its response to light."""
 
     normal: Floats  # (sample, 3) to the east, the north and up; NaN where unknown
     zenith: Floats  # (sample,) of the sun [degree]
@@ -69,29 +69,33 @@ class _Sensor(NamedTuple):
         return np.asarray(np.degrees(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0))))
 
     def of_sky(self) -> float:
-        """Return the response to even light from all sides [1]."""
+        """Return the sensor's mean response to an isotropic sky, relative to the cosine law [1]."""
         incidence = np.linspace(0.0, 90.0, 181)
         weight = np.sin(np.radians(2.0 * incidence))
         return float((np.interp(incidence, *self.response) * weight).sum() / weight.sum())
 
     @property
     def lean(self) -> Floats:
-        """How far it leans to the sun, times the tangent of the sun's zenith angle (sample,) [1]."""
+        """Part of the normal towards the sun, times the tangent of the sun's zenith angle (sample,) [1]."""
         turn = np.radians(self.azimuth)
         sunward = self.normal[:, 0] * np.sin(turn) + self.normal[:, 1] * np.cos(turn)
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
 
     def bright_side(self, channels: Floats) -> Floats:
-        """Return by how much a clear sky lights it more for a unit of `lean` (sample, channel) [1]."""
-        # the sun goes slowly: one gain for those within half a degree
+        """Return the relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]."""
+        # one gain for suns within half a degree
         rounded, which = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
         return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in rounded])[which]
 
     def factor(self, diffuse: Floats, by_lean: Floats) -> Floats:
-        """Return what it reads over a level sensor of the cosine law (sample, channel) [1].
+        """Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
 
-        Of the ``diffuse`` fraction, and the diffuse light that it gains for a unit of `lean` over all level
-        light (sample, channel).
+        Parameters
+        ----------
+        diffuse : (sample, channel)
+            Diffuse fraction of the level irradiance [1].
+        by_lean : (sample, channel)
+            Gain of diffuse light per unit of `lean`, relative to the level irradiance [1].
         """
         height = np.cos(np.radians(self.zenith))
         beam = np.clip(self.normal[:, 2] + self.lean, 0.0, 1.0 / height)
@@ -101,8 +105,8 @@ class _Sensor(NamedTuple):
         return np.asarray((1.0 - diffuse) * beam[:, None] + self.of_sky() * sky)
 
 
+#: What the attribute ``irradiance_mount`` of a levelled record begins with.
 _LEVELLED = "aircraft, corrected to level"
-"""What the attribute ``irradiance_mount`` of a levelled record begins with."""
 
 
 @takes_quantities(ground_reflectance="1")
@@ -114,7 +118,7 @@ def level_irradiance(
     cosine_response: xr.DataArray | None = None,
     ground_reflectance: float = 0.2,
 ) -> xr.Dataset:
-    r"""Return the record of a light sensor on the aircraft as a level one would have made it.
+    r"""Return the record of a light sensor on the aircraft, corrected to a level sensor.
 
     Eager.
 
@@ -125,28 +129,28 @@ def level_irradiance(
         unit of irradiance, as the sensor measured it.
     attitude
         A flight line, or navigation as of `hyperpaint.open_navigation`: ``roll``, ``pitch``, ``heading``,
-        ``latitude`` and ``longitude`` over time. What angles mean, its attributes ``convention_...`` say; by
-        default canonical, see `hyperpaint.Convention`.
+        ``latitude`` and ``longitude`` over time. Its attributes ``convention_...`` give the signs and order
+        of the angles; by default they are canonical, see `hyperpaint.Convention`.
     mounting
         Roll, pitch and heading of the sensor in the aircraft [degree].
     cosine_response
-        What the sensor reads over the cosine law (incidence) [1], with a coordinate ``incidence`` [degree]
-        from its normal; 1 by default.
+        Response of the sensor relative to the cosine law (incidence) [1], with a coordinate ``incidence``
+        [degree] from its normal; 1 by default.
     ground_reflectance
-        Of what fills the rest of its view [1].
+        Reflectance of the ground, which fills the rest of the sensor's view [1].
 
     Returns
     -------
     Dataset
-        The same with ``irradiance`` of a level sensor, and ``irradiance_tilt`` (irradiance_time) [degree].
-        NaN where the attitude is not known, or beyond 30 degrees. The attribute ``irradiance_mount`` says
-        what was done.
+        The record with ``irradiance`` of a level sensor, and ``irradiance_tilt`` (irradiance_time) [degree].
+        NaN where the attitude is not known, or beyond 30 degrees. The attribute ``irradiance_mount`` names
+        the correction and the sky.
 
     Raises
     ------
     SchemaError, TimeError, UnitsError
-        Variables are missing, or have other dims or units; no sample has an attitude; the response is not
-        one; the record has no channel from which the sky is told.
+        Variables are missing, or have other dims or units; no sample has an attitude; the cosine response is
+        out of range; the record has no channel that the split into direct and diffuse light needs.
 
     Warns
     -----
@@ -161,10 +165,10 @@ def level_irradiance(
 
     with :math:`f` the diffuse fraction (`hyperpaint.light.diffuse_from_record`), :math:`i` and
     :math:`\theta` the angles of the sun from the sensor's normal and from the zenith, :math:`V` the part of
-    the sky in view, :math:`b` the lean towards the sun times :math:`\tan \theta`, :math:`s` what a clear sky
-    is brighter on that side (`hyperpaint.light.sky_functions.sunward_gain`), :math:`\rho_n` the ground, and
-    :math:`r`, :math:`\bar r` the response to the beam and to the sky. Under an overcast sky light comes from
-    above whatever the attitude: of it only :math:`\bar r` is taken out.
+    the sky in view, :math:`b` the lean towards the sun times :math:`\tan \theta`, :math:`s` the relative gain
+    of a clear sky on that side (`hyperpaint.light.sky_functions.sunward_gain`), :math:`\rho_n` the ground's
+    reflectance, and :math:`r`, :math:`\bar r` the response to the beam and to the sky. Under an overcast sky
+    light comes from above whatever the attitude: only :math:`\bar r` is corrected.
 
     Examples
     --------
@@ -186,116 +190,124 @@ def level_irradiance(
     >>> bool(abs(level.irradiance[1] / level.irradiance[0] - 1.0).max() < 0.01)
     True
     """
-    import xarray as xr
-
     if str(irradiance.attrs.get("irradiance_mount", "")).startswith(_LEVELLED):
         raise SchemaError(
-            "this record is corrected to level already (attribute irradiance_mount); open it anew"
+            "this record is already corrected to level (attribute irradiance_mount)",
+            mend="open the original record",
+            code="record-already-levelled",
         )
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
     if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
-    own = record[IRRADIANCE_WAVELENGTH]
-    channels = (convert(own, "nm") if "units" in own.attrs else own).values.astype(np.float64)
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
+        )
+    wavelength = record[IRRADIANCE_WAVELENGTH]
+    if "units" in wavelength.attrs:
+        wavelength = convert(wavelength, "nm")
+    channels = wavelength.values.astype(np.float64)
     sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
     usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
     if not usable.any():
-        raise SchemaError("no sample of the light sensor has an attitude; does the navigation cover it?")
+        raise SchemaError(
+            "no sample of the light sensor has an attitude",
+            mend="pass navigation that covers the record",
+            code="attitude-missing",
+        )
     if not usable.all():
-        text = f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude, and are NaN"
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        text = (
+            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN"
+        )
+        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=2)
     is_low = sensor.zenith > MAX_ZENITH_DEG
     if is_low[usable].any():
-        text = f"with the sun beyond {MAX_ZENITH_DEG:g} degrees the light sensor's attitude is not corrected"
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        text = f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees"
+        warnings.warn(PaintWarning(text, code="sun-low"), stacklevel=2)
     spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
-    some = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
-    words = "the sun too low"
-    if some.size:
-        factor, words = _factor(spectra, stamps, channels, sensor, some)
+    correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
+    sky = "the sun too low"
+    if correctable.size:
+        factor, sky = _factor(spectra, stamps, channels, sensor, correctable)
         factor[is_low] = 1.0
     level = record.copy(data=(spectra / factor).astype(np.float32))
     tilt = xr.DataArray(sensor.tilt.astype(np.float32), dims=(IRRADIANCE_TIME,))
     levelled = irradiance.assign(
         irradiance=schema.label(level, "irradiance"), irradiance_tilt=schema.label(tilt, "irradiance_tilt")
     )
-    return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {words}")
+    return levelled.assign_attrs(irradiance_mount=f"{_LEVELLED}: {sky}")
 
 
 def _factor(
     spectra: Floats, stamps: Array, channels: Floats, sensor: _Sensor, usable: Array
 ) -> tuple[Floats, str]:
-    """Return the factor of all samples (sample, channel) by what ``usable`` ones tell, and the sky's name.
-
-    Warns PaintWarning: The record fits no sky.
-    """
-    some = usable[:: max(1, -(-usable.size // ASKED))]
-    _, state = _split(spectra[some], stamps[some], channels, sensor.place)
+    """Return the factor of all samples (sample, channel), from ``usable`` ones, and the sky's name."""
+    sampled = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
+    _, state = _split(spectra[sampled], stamps[sampled], channels, sensor.place)
     if np.mean(state == _OVERCAST) > 0.5:
         return np.full(spectra.shape, sensor.of_sky()), "overcast, its attitude without effect"
     clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
     gain = sensor.bright_side(channels)
     factor = sensor.factor(clear, clear * gain)
+    # periods of SAME_SKY_S, each with one split
     seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
-    number = max(1, round(float(np.ptp(seconds)) / SAME_SKY_S))
-    part = np.minimum((seconds / (np.ptp(seconds) + 1.0) * number).astype(np.int64), number - 1)
-    # the first of the record under a modelled sky, the second under the one that it showed
+    periods = max(1, round(float(np.ptp(seconds)) / SAME_SKY_S))
+    period = np.minimum((seconds / (np.ptp(seconds) + 1.0) * periods).astype(np.int64), periods - 1)
+    # the first pass corrects under a modelled clear sky, the second under the sky that the first one finds
     for _ in range(2):
-        fraction, state = _split((spectra / factor)[some], stamps[some], channels, sensor.place)
+        fraction, state = _split((spectra / factor)[sampled], stamps[sampled], channels, sensor.place)
         fits = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
         diffuse, by_lean = clear.copy(), clear * gain
-        for each in range(number):
-            here, asked = part == each, fits & (part[some] == each)
-            if asked.any():
-                diffuse[here] = np.median(fraction[asked], axis=0)
-                is_bright = np.isin(state[asked], (_CLEAR, _HAZY)).mean() > 0.5
-                by_lean[here] = diffuse[here] * gain[here] if is_bright else 0.0
-            rows = usable[part[usable] == each]
-            assumed = sensor.factor(diffuse, by_lean)[rows]
-            first, second = _left_by_lean(spectra[rows], assumed, sensor.lean[rows], seconds[rows], channels)
-            by_lean[here] += first + second * sensor.lean[here][:, None]
+        for number in range(periods):
+            inside, fitting = period == number, fits & (period[sampled] == number)
+            if fitting.any():
+                diffuse[inside] = np.median(fraction[fitting], axis=0)
+                is_bright = np.isin(state[fitting], (_CLEAR, _HAZY)).mean() > 0.5
+                by_lean[inside] = diffuse[inside] * gain[inside] if is_bright else 0.0
+            # the dependence on lean that remains in the record itself
+            rows = usable[period[usable] == number]
+            factors = sensor.factor(diffuse, by_lean)[rows]
+            first, second = _left_by_lean(spectra[rows], factors, sensor.lean[rows], seconds[rows], channels)
+            by_lean[inside] += first + second * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
-    unknown = (state == _CONTRADICTORY).mean()
-    if unknown > 0.5:
+    if (state == _CONTRADICTORY).mean() > 0.5:
         text = "the light sensor's record fits no sky; its attitude is corrected as under a clear one"
-        warnings.warn(text, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=3)
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 
 def _left_by_lean(
     spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
 ) -> tuple[Floats, Floats]:
-    """Return what the ``factor`` of spectra (sample, channel) lacks for a unit of lean, and of its square.
+    """Return the change of ``factor`` per unit of lean, and per unit of its square, each (channel,).
 
-    Each (channel,). From sample to sample, where light itself changes little: the slopes of the logarithm of
-    spectra over factors, with none as prior. Intervals of wavelength that have no light get none.
+    A robust fit of the changes from sample to sample, in which the light itself changes little: logarithm of
+    spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get zero.
     """
     change = np.diff(seconds)
     near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
     powers = np.stack([lean, lean**2], axis=1)
-    nodes = np.arange(channels.min(), channels.max() + LEARNT_NM, LEARNT_NM)
+    nodes = np.arange(channels.min(), channels.max() + FIT_INTERVAL_NM, FIT_INTERVAL_NM)
     slopes = np.zeros((nodes.size, 2))
-    for place, node in enumerate(nodes):
-        inside = np.abs(channels - node) <= LEARNT_NM / 2.0
-        light, own = np.nan_to_num(spectra[:, inside]).sum(axis=1), factor[:, inside]
-        if near.sum() < LEARNT_FROM or not inside.any() or not (light > 0.0).all():
+    for row, node in enumerate(nodes):
+        inside = np.abs(channels - node) <= FIT_INTERVAL_NM / 2.0
+        light = np.nan_to_num(spectra[:, inside]).sum(axis=1)
+        if near.sum() < MIN_FIT_STEPS or not inside.any() or not (light > 0.0).all():
             continue
-        mean = own.mean(axis=1)
+        mean = factor[:, inside].mean(axis=1)
         rise, steps = np.diff(np.log(light / mean)), np.diff(powers / mean[:, None], axis=0)
-        fit = slopes[place]
+        fit = slopes[row]
         for _ in range(10):
-            rest = rise - steps @ fit
-            spread = max(1.4826 * float(np.median(np.abs(rest[near]))), 1e-5)
-            # what a cloud does is far from the rest
-            used = near & (np.abs(rest) <= 3.0 * spread)
+            residual = rise - steps @ fit
+            spread = max(1.4826 * float(np.median(np.abs(residual[near]))), 1e-5)
+            # steps changed by clouds are outliers
+            used = near & (np.abs(residual) <= 3.0 * spread)
             x, y = steps[used] / spread, rise[used] / spread
-            fit = np.linalg.solve(x.T @ x + np.eye(2) / LEARNT_SD**2, x.T @ y)
-        slopes[place] = fit
-    first, second = (np.interp(channels, nodes, each) for each in slopes.T)
+            fit = np.linalg.solve(x.T @ x + np.eye(2) / FIT_PRIOR_SD**2, x.T @ y)
+        slopes[row] = fit
+    first, second = (np.interp(channels, nodes, column) for column in slopes.T)
     return first, second
 
 
@@ -303,16 +315,14 @@ def _split(
     spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
 ) -> tuple[Floats, Array]:
     """Return diffuse fraction (sample, channel) and the number of the state (sample,)."""
-    import xarray as xr
-
     nm = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
     record = xr.DataArray(
         spectra,
         {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: nm},
         (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
     )
-    named = schema.label(record, "irradiance").to_dataset()
-    split = diffuse_from_record(named, *place, wavelength=_NODES_NM)
+    dataset = schema.label(record, "irradiance").to_dataset()
+    split = diffuse_from_record(dataset, *place, wavelength=_NODES_NM)
     rows = split["diffuse_fraction"].values.astype(np.float64)
     return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), split["sky_state"].values
 
@@ -325,60 +335,70 @@ def _sensor(
     ground: float,
 ) -> _Sensor:
     """Return the sensor at every sample, from the attitude of the aircraft."""
-    from scipy.spatial.transform import Rotation
-
     problems = Problems("the light sensor cannot be levelled", SchemaError)
     missing = [name for name in (*_ANGLES, *_PLACE) if name not in attitude.variables]
     clock = next((name for name in _TIMES if name in attitude.variables), None)
     if missing or clock is None:
-        problems.add(f"the attitude has no {', '.join([*missing, *([] if clock else ['time'])])}")
+        problems.add(
+            f"the attitude has no {', '.join([*missing, *([] if clock else ['time'])])}",
+            code="variable-missing",
+        )
     if np.shape(mounting) != (3,) or not np.isfinite(mounting).all():
-        problems.add(f"mounting={mounting!r}, expected roll, pitch and heading [degree]")
+        problems.add(
+            f"mounting={mounting!r}", expected="roll, pitch and heading [degree]", code="angles-unreadable"
+        )
     if not 0.0 <= ground <= 1.0:
-        problems.add(f"ground_reflectance={ground!r}, expected 0 to 1")
+        problems.add(f"ground_reflectance={ground!r}", expected="0 to 1", code="value-out-of-range")
     response = _response(cosine_response, problems)
     problems.raise_if_any()
+    # angles in the canonical convention
     convention = Convention.from_attrs(attitude.attrs) or Convention()
     angles = [attitude[name] for name in _ANGLES]
-    if all("units" in each.attrs for each in angles):
-        angles = [convert(each, "degree") for each in angles]
+    if all("units" in angle.attrs for angle in angles):
+        angles = [convert(angle, "degree") for angle in angles]
         convention = convention.replace(angle_unit="degree")
-    roll, pitch, heading = convention.canonical(*(np.asarray(each.values, np.float64) for each in angles))
+    roll, pitch, heading = convention.canonical(*(np.asarray(angle.values, np.float64) for angle in angles))
     time = attitude[clock].values.astype("datetime64[ns]")
-    there = ~np.isnat(time) & np.isfinite(roll)
+    timed = ~np.isnat(time) & np.isfinite(roll)
     normal = np.full((stamps.size, 3), np.nan)
     places = [np.asarray(attitude[name].values, np.float64) for name in _PLACE]
-    known = np.isfinite(places[0]) & np.isfinite(places[1])
-    if there.any() and known.any():
-        order = np.flatnonzero(there)[np.argsort(time[there], kind="stable")]
+    located = np.isfinite(places[0]) & np.isfinite(places[1])
+    if timed.any() and located.any():
+        order = np.flatnonzero(timed)[np.argsort(time[timed], kind="stable")]
         turns = np.stack([heading, pitch, roll], axis=-1)[order]
+        # normals of the sensor: in the body, then to the north, the east and down
         axis = Rotation.from_euler("ZYX", mounting[::-1], degrees=True).apply([0.0, 0.0, -1.0])
-        # north, east, down
         body = Rotation.from_euler("ZYX", turns, degrees=True).apply(axis)
+        # interpolate them to the samples, not over gaps of the attitude
         at = (stamps - time[order[0]]) / np.timedelta64(1, "s")
         rows = (time[order] - time[order[0]]) / np.timedelta64(1, "s")
         after = np.clip(np.searchsorted(rows, at), 1, max(rows.size - 1, 1))
         low, high = rows[after - 1], rows[np.minimum(after, rows.size - 1)]
         away = np.minimum(np.abs(at - low), np.abs(at - high))
         is_known = ((at >= low) & (at <= high) & (high - low <= MAX_GAP_S)) | (away <= MAX_GAP_S / 4.0)
-        each = np.stack([np.interp(at, rows, body[:, axis]) for axis in (1, 0, 2)], axis=-1)
-        each *= np.array([1.0, 1.0, -1.0]) / np.linalg.norm(each, axis=-1, keepdims=True)
-        normal = np.where(is_known[:, None], each, np.nan)
+        normal = np.stack([np.interp(at, rows, body[:, axis]) for axis in (1, 0, 2)], axis=-1)
+        normal *= np.array([1.0, 1.0, -1.0]) / np.linalg.norm(normal, axis=-1, keepdims=True)
+        normal = np.where(is_known[:, None], normal, np.nan)
     # to a kilometre, so that a crop of the line means the same sky
-    latitude, longitude = (round(float(each[known].mean()), 2) if known.any() else 0.0 for each in places)
+    latitude, longitude = (round(float(p[located].mean()), 2) if located.any() else 0.0 for p in places)
     zenith, azimuth = solar_position(stamps, latitude, longitude)
     return _Sensor(normal, zenith, azimuth, (latitude, longitude), response, ground)
 
 
 def _response(cosine_response: Any, problems: Problems) -> tuple[Floats, Floats]:
-    """Return incidence [degree] and what is read over the cosine law [1]."""
+    """Return incidence [degree] and response relative to the cosine law [1]."""
     if cosine_response is None:
         return np.array([0.0, 90.0]), np.ones(2)
     if not hasattr(cosine_response, "coords") or "incidence" not in cosine_response.coords:
-        problems.add("cosine_response has no coordinate 'incidence' [degree]")
+        problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
         return np.array([0.0, 90.0]), np.ones(2)
-    incidence = np.asarray(cosine_response["incidence"].values, np.float64)
-    values = np.asarray(cosine_response.values, np.float64)
+    incidence, values = (
+        np.asarray(array.values, np.float64) for array in (cosine_response["incidence"], cosine_response)
+    )
     if values.ndim != 1 or (np.diff(incidence) <= 0).any() or not ((values > 0.0) & (values < 2.0)).all():
-        problems.add("cosine_response must be 0 to 2 at incidences that increase; it is over the cosine law")
+        problems.add(
+            "cosine_response is out of range, or its incidences do not increase",
+            expected="0 to 2, relative to the cosine law",
+            code="cosine-response-invalid",
+        )
     return incidence, values

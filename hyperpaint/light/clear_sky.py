@@ -1,12 +1,12 @@
-"""A clear sky: how much light comes from the sun and from the sky, at 1 nm.
+"""Spectral irradiance of a clear sky, direct and diffuse, at 1 nm.
 
-In comes the state of the air and the sun's zenith angle; out go spectra. The one thing that the chain and the
-simulator share: both mean the same light, and neither checks it against the other (the tests have tables of
-ASTM G173 and SPECTRL2 by pvlib for that). How the sky's light is spread over directions: `sky_functions`.
+In comes the state of the air and the sun's zenith angle; out go spectra. The chain and the simulator share
+this module, `sun` and `sky_functions`, so neither tests them for the other: the tests compare with tables of
+ASTM G173 and SPECTRL2 by pvlib. `sky_functions` distributes diffuse light over directions.
 
 Above the air: the extraterrestrial spectrum of ASTM G173 at 1 nm. Rayleigh, Angstrom aerosol, ozone and the
 coupling of ground and air: SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986). Oxygen, carbon
-dioxide and water: what is left of G173's direct beam after these, as optical depths of 1 nm cells.
+dioxide and water: the rest of G173's direct beam after these, as optical depths of 1 nm cells.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from hyperpaint.base.errors import SchemaError
 
 from .sun import Scatterers, air_mass, scattered_light
 
+#: Relative air mass at which the table's cells of 1 nm have their depths [1].
 TABLE_AIR_MASS = 1.5
-"""Relative air mass at which the table's cells of 1 nm have their depths [1]."""
 
 OZONE_HEIGHT_KM, EARTH_RADIUS_KM = 22.0, 6370.0
 
 
 class SunlightTable(NamedTuple):
-    """Sunlight above the air and what gases take of it; every part has shape (wavelength,).
+    """Sunlight above the air and absorption by gases; every field has shape (wavelength,).
 
     Attributes
     ----------
@@ -135,7 +135,11 @@ class ClearSky:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.sun_zenith < 90.0:
-            raise SchemaError(f"sun_zenith is {self.sun_zenith!r}, expected 0 to below 90 degrees")
+            raise SchemaError(
+                f"sun_zenith is {self.sun_zenith!r}",
+                expected="0 to below 90 degrees",
+                code="value-out-of-range",
+            )
 
     @property
     def mass(self) -> float:
@@ -147,10 +151,13 @@ class ClearSky:
 
         Takes ``wavelength`` (point,), 300 to 2500 [nm]; `SchemaError` beyond.
         """
-        table = sunlight_table()
         if wavelength.size and not 300.0 <= wavelength.min() <= wavelength.max() <= 2500.0:
-            span = f"{wavelength.min():g} to {wavelength.max():g} nm"
-            raise SchemaError(f"wavelength goes from {span}; the clear sky covers 300 to 2500 nm")
+            raise SchemaError(
+                f"wavelength goes from {wavelength.min():g} to {wavelength.max():g} nm",
+                expected="300 to 2500 nm",
+                code="value-out-of-range",
+            )
+        table = sunlight_table()
         above, mixed, water = (
             np.interp(wavelength, table.wavelength, part)
             for part in (table.extraterrestrial, table.mixed, table.water)

@@ -1,9 +1,9 @@
-r"""What a clear coat lets through of sun and sky, and what it keeps of the light that leaves.
+r"""Transmission of a clear coat for light of sun and sky, and for light that leaves.
 
-A body of Lambert's kind under a coat of index n, lit from the angle i and seen at the angle v, sends
+A Lambertian body under a coat of index n, lit from the angle i and seen at the angle v, sends
 :math:`T(i) T(v) b / (n^2 (1 - b F_i))` of a perfect diffuser's light, :math:`T = 1 - F` the interface's
-transmittance and :math:`F_i` what it throws back inside. What depends on the body, the albedo b and all
-returns from inside, is the same in every geometry: over what the same panel shows when it is lit and seen
+transmittance and :math:`F_i` its diffuse internal reflectance. The factors that depend on the body, the
+albedo b and all internal returns, are the same in every geometry. Relative to the same paint lit and seen
 near its normal, as by a field spectrometer, there remains
 
 .. math:: C = \frac{f_{dir} T(\theta_s) + f_{dif} (1 - F_{sky})}{T(0)} \cdot \frac{T(\theta_v)}{T(0)}
@@ -24,12 +24,12 @@ from hyperpaint.base.arrays import Floats
 
 from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
 
+#: Refractive index of automotive clear coats, 1.48 to 1.55, and its standard uncertainty [1].
 COAT_INDEX, COAT_INDEX_U = 1.5, 0.03
-"""Refractive index of automotive clear coats, 1.48 to 1.55, and its standard uncertainty [1]."""
 
 
 def interface_reflectance(angle: npt.ArrayLike, index: float = COAT_INDEX) -> Floats:
-    """Return Fresnel's reflectance of unpolarised light from outside at an angle of incidence [degree].
+    """Return Fresnel's reflectance for unpolarised light from outside at an angle of incidence [degree].
 
     Examples
     --------
@@ -49,7 +49,7 @@ def _reflectance(cosine: Floats, index: float) -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
-    """Return the mean reflectance of the functions of a clear sky (3,), and of CIE's overcast sky."""
+    """Return the mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky."""
     sky = dome()
     reflected = sky.level * _reflectance(sky.cosine, index)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
@@ -62,7 +62,7 @@ def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
 def sky_reflectance(
     wavelength: npt.ArrayLike, sun_zenith: float | None, cloud: float = 0.0, index: float = COAT_INDEX
 ) -> Floats:
-    """Return how much of the sky's light a level coat reflects (band,) [1].
+    """Return the reflectance of a level coat for the light of the sky (band,) [1].
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def sky_reflectance(
 def transmitted_share(
     fraction: Any, sky: Any, incidence: float, view: float = 0.0, index: float = COAT_INDEX
 ) -> Any:
-    """Return C, what a coat leaves of its body's light over what it leaves near the normal [1].
+    """Return C, the transmission of a coat in and out relative to normal incidence and view [1].
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def transmitted_share(
     sky : (..., band)
         `sky_reflectance` for the same index [1].
     incidence, view
-        Angles of the sun and of the camera to the panel's normal [degree].
+        Angles of the sun and of the camera to the surface's normal [degree].
     index
         Refractive index.
 

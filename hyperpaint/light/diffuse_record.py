@@ -1,16 +1,17 @@
-"""How much of the light is the sky's, and what sky it was, from a record of irradiance alone.
+"""Diffuse fraction and state of the sky, from a record of irradiance alone.
 
-A record against all clear and cloudy skies that there may be at its place and time (`sky_states`): by level,
-colour, and changes over a minute. For `process`, which stores it with each line, and for all that needs the
-split of lines that have a record only.
+A record is compared with clear and cloudy skies that are possible at its place and time (`sky_states`): by
+level, colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
+and for flight lines that have a record only.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -22,20 +23,17 @@ from .sky_states import RULES, Evidence, explain, windows_in
 from .sun import solar_position
 from .synchrony import check_irradiance_times
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Words of ``sky_state``, in the order of its numbers.
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
-"""Words of ``sky_state``, in the order of its numbers."""
 
+#: Variables of the split of a line's light into direct and diffuse.
 SPLIT = ("diffuse_fraction", "diffuse_fraction_u", "sky_state")
-"""Variables that say how the light of a line divides."""
 
 _SHOWN_NM = (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0, 750.0, 800.0, 850.0, 900.0, 950.0, 1000.0)
 
 
 def sun_distance_factor(time: Array) -> Floats:
-    """Return sunlight above the air over that at one astronomical unit (time,), to 0.1 % [1].
+    """Return extraterrestrial irradiance relative to one astronomical unit (time,), to 0.1 % [1].
 
     Examples
     --------
@@ -56,7 +54,7 @@ def diffuse_from_record(
     calibration_uncertainty: float = 0.05,
     pressure: float = 101_325.0,
 ) -> xr.Dataset:
-    r"""Return the diffuse fraction of measured downwelling light, and what sky it came from.
+    """Return the diffuse fraction of measured downwelling light, and the state of the sky.
 
     Parameters
     ----------
@@ -64,37 +62,37 @@ def diffuse_from_record(
         With ``irradiance`` (irradiance_time, irradiance_wavelength) of a level receiver, in any unit of
         irradiance.
     latitude, longitude
-        Where it stood, north and east positive [degree].
+        Place of the receiver, north and east positive [degree].
     wavelength : (band,)
-        Where the fraction is wanted, 300 to 2500 [nm].
+        Wavelengths of the fraction, 300 to 2500 [nm].
     calibration_uncertainty
-        Relative standard uncertainty of the record's level [1]. 5 % is what a calibrated field spectrometer
-        with a cosine receptor is good for; a larger one leaves the decision to colour and changes.
+        Relative standard uncertainty of the record's level [1]. 5 % suits a calibrated field spectrometer
+        with a cosine receptor; a larger one leaves the decision to colour and changes.
     pressure
-        At the receiver [Pa].
+        Air pressure at the receiver [Pa].
 
     Returns
     -------
     Dataset
         ``diffuse_fraction`` and ``diffuse_fraction_u`` (irradiance_time, band), float32 [1], mean and
-        standard deviation of what is possible; NaN where a sample has no data. ``sky_state``
+        standard deviation over the possible skies; NaN where a sample has no data. ``sky_state``
         (irradiance_time), int8: 0 clear, 1 hazy, 2 broken, 3 overcast, 4 contradictory: thin cloud before the
         sun, a level that no sky has or a receiver that is not calibrated, or several skies that explain it
         alike; the uncertainty is then wide. ``sky_probability`` (irradiance_time, state) [1], and
-        ``cloud_share`` (irradiance_time) [1], the way from a clear sky's fraction at 550 nm to 1.
+        ``cloud_share`` (irradiance_time) [1], from 0 at a clear sky's fraction at 550 nm to 1 at fraction 1.
 
     Raises
     ------
     SchemaError, TimeError, UnitsError
-        Stamps are missing, stand twice or run backwards; variables are missing, of other dims or units; the
-        place is not known; or the record has no channel in the intervals between the bands of oxygen and
-        water, 407 to 1013 nm, that are compared.
+        Stamps are missing, stand twice or run backwards; variables are missing, or have other dims or units;
+        the place is not finite; or the record has no channel in the compared intervals, 407 to 1013 nm
+        between the bands of oxygen and water.
 
     Notes
     -----
-    Bayes' rule over some 4600 skies drawn from what is usual: air from SPECTRL2 with other aerosol, ozone,
-    ground and pressure, and clouds over it, see `hyperpaint.light.sky_states`. What a spectrum alone cannot
-    tell: a thin neutral cloud from a dirty receiver.
+    Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
+    and pressure, and clouds over it, see `hyperpaint.light.sky_states`. A spectrum alone cannot distinguish a
+    thin neutral cloud from a dirty receiver.
 
     Examples
     --------
@@ -110,20 +108,21 @@ def diffuse_from_record(
     >>> split.sky_state.values, split.diffuse_fraction.values[0].round(1)
     (array([0, 0], dtype=int8), array([0.3, 0.1], dtype=float32))
     """
-    import xarray as xr
-
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
+        )
     channels = record[IRRADIANCE_WAVELENGTH]
     channels = convert(channels, "nm") if "units" in channels.attrs else channels
     _check(latitude, longitude, calibration_uncertainty, pressure)
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     if not windows_in(channels.values.astype(np.float64)).centre.size:
         raise SchemaError(
-            "irradiance has no channel in the intervals that are compared, "
-            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm"
+            "irradiance has no channel in the compared intervals, "
+            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
+            code="irradiance-coverage",
         )
     at = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
@@ -149,19 +148,19 @@ def diffuse_from_record(
 
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
-    """Return one of `SPLIT` with its attributes of the table; a state's numbers say what they mean."""
+    """Return a variable of `SPLIT` with its attributes of the table."""
     words = sky_state_attrs() if array.name == "sky_state" else {}
     return schema.label(array, str(array.name), **words)
 
 
 def sky_state_attrs() -> dict[str, Any]:
-    """Return the CF attributes that say what the numbers of ``sky_state`` mean."""
+    """Return the CF attributes that name the numbers of ``sky_state``."""
     numbers = np.arange(len(SKY_STATES), dtype=np.int8)
     return {"flag_values": numbers, "flag_meanings": " ".join(SKY_STATES)}
 
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
-    """Return the number of the likeliest of `SKY_STATES`; contradictory where none is likely enough."""
+    """Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`."""
     state = probability.argmax(axis=1)
     undecided = probability.max(axis=1) < RULES.decided
     return np.where(undecided, len(SKY_STATES) - 1, state).astype(np.int8)
@@ -169,12 +168,14 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
 
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
     problems = Problems("the split of irradiance is not known", SchemaError)
-    if not (np.isfinite(latitude) and np.isfinite(longitude)):
-        problems.add(f"latitude {latitude}, longitude {longitude}: expected the place of the receiver")
-    if not 0.0 < calibration <= 1.0:
-        problems.add(f"calibration_uncertainty={calibration!r}, expected above 0, at most 1")
-    if not 3e4 <= pressure <= 1.1e5:
-        problems.add(f"pressure={pressure!r}, expected 30000 to 110000 Pa")
+    is_place = np.isfinite(latitude) and np.isfinite(longitude)
+    for is_valid, found, expected in (
+        (is_place, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
+        (0.0 < calibration <= 1.0, f"calibration_uncertainty={calibration!r}", "above 0, at most 1"),
+        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
 
 
@@ -186,30 +187,28 @@ def _split(
     place: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud (sample,).
+    """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
 
     ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
-    ``sun_zenith``: where the clock is not to be believed [degree].
+    ``sun_zenith`` replaces the zenith angle from clock and place [degree].
     """
     latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
-    # a channel that most samples lack would leave none of which all is known
+    # leave out channels that most samples lack: a sample is used only where all its intervals are known
     finite = np.isfinite(spectra)
-    held = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
-    spectra, channels = spectra[:, held], channels[held]
+    kept = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
+    spectra, channels = spectra[:, kept], channels[kept]
+    # means over the compared intervals, at one astronomical unit
     windows = windows_in(channels)
     used = windows.operator.any(axis=0)
-    # of a record without any value, no interval is left, and all of it is unknown
     means = spectra[:, used] @ windows.operator[:, used].T
     means /= sun_distance_factor(time)[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
+    # without any interval, as in a record without values, every sample is unknown
     usable = (
-        bool(windows.centre.size)
-        & (means > 0.0).all(axis=1)
-        & np.isfinite(means).all(axis=1)
-        & np.isfinite(zenith)
+        bool(windows.centre.size) & ((means > 0.0) & np.isfinite(means)).all(axis=1) & np.isfinite(zenith)
     )
     samples, bands = len(means), wavelength.size
     fraction, u = np.full((samples, bands), np.nan), np.full((samples, bands), np.nan)
@@ -219,26 +218,25 @@ def _split(
     if usable.any():
         seconds = (time[usable] - time[usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
         evidence = Evidence(np.log(means[usable]), zenith[usable], seconds, level_u)
-        answer = explain(evidence, windows, pressure)
-        for out, values in ((fraction, answer.fraction), (u, answer.u)):
-            out[usable] = [np.interp(wavelength, answer.nodes, row) for row in values]
-        probability[usable], cloud[usable] = answer.probability, answer.cloud
+        explained = explain(evidence, windows, pressure)
+        for out, values in ((fraction, explained.fraction), (u, explained.u)):
+            out[usable] = [np.interp(wavelength, explained.nodes, row) for row in values]
+        probability[usable], cloud[usable] = explained.probability, explained.cloud
     return fraction, u, probability, cloud
 
 
 def split_of_lines(
     line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
 ) -> xr.Dataset | None:
-    """Return `SPLIT` of the lines of a flight line, from its own record; None where it has none, or no place.
+    """Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
 
     ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
-    fraction of both samples around it by their distance, and the state of the nearer one; NaN, and
-    contradictory, where it has no time. ``sun_zenith`` [degree] goes before the sun of the clock. Lazy where
-    the record or ``wavelength`` come from a file.
+    fraction interpolated between both samples around it, and the state of the nearer one; NaN, and
+    contradictory, where it has no time. ``sun_zenith`` [degree] replaces the zenith angle from the clock.
+    Lazy where the record or ``wavelength`` come from a file.
     """
     import dask
     import dask.array as da
-    import xarray as xr
 
     wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
     if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
@@ -246,14 +244,14 @@ def split_of_lines(
     variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
-    known = np.isfinite(latitude) & np.isfinite(longitude)
-    if not known.any() or IRRADIANCE_WAVELENGTH not in record.coords:
+    located = np.isfinite(latitude) & np.isfinite(longitude)
+    if not located.any() or IRRADIANCE_WAVELENGTH not in record.coords:
         return None
     channels = convert(record[IRRADIANCE_WAVELENGTH], "nm").values.astype(np.float64)
     if not windows_in(channels).centre.size:
         return None
     # to a kilometre, so that a crop of the line means the same sky
-    place = round(float(latitude[known].mean()), 2), round(float(longitude[known].mean()), 2)
+    place = round(float(latitude[located].mean()), 2), round(float(longitude[located].mean()), 2)
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
@@ -262,18 +260,18 @@ def split_of_lines(
     time = variables["time"].values
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(time, _block_starts(line)):
-        three = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
+        block = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
-        for out, one, shape, dtype in zip(parts, three, shapes, ("f4", "f4", "i1"), strict=True):
-            out.append(da.from_delayed(one, shape, dtype))
-    dims = ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,))
-    columns = zip(SPLIT, dims, parts, strict=True)
-    split = xr.Dataset({name: (own, da.concatenate(blocks)) for name, own, blocks in columns})
+        for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
+            out.append(da.from_delayed(array, shape, dtype))
+    all_dims = ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,))
+    columns = zip(SPLIT, all_dims, parts, strict=True)
+    split = xr.Dataset({name: (dims, da.concatenate(blocks)) for name, dims, blocks in columns})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
 
 
 def _block_starts(line: xr.Dataset) -> list[int]:
-    """Return where blocks of lines begin, but the first: those of the cube, few of which are held at once."""
+    """Return where blocks of lines begin, except the first: the chunks of the cube."""
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
             sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
@@ -300,8 +298,8 @@ def _at_lines(
     gap = np.maximum(place[after] - place[before], 1)
     part = np.clip((at - place[before]) / gap, 0.0, 1.0)[:, None]
     rows = [
-        np.where(known[:, None], (1.0 - part) * each[usable[before]] + part * each[usable[after]], np.nan)
-        for each in (fraction, u)
+        np.where(known[:, None], (1.0 - part) * values[usable[before]] + part * values[usable[after]], np.nan)
+        for values in (fraction, u)
     ]
     nearer = usable[np.where(part[:, 0] > 0.5, after, before)]
     state = np.where(known, states_of(probability)[nearer], state).astype(np.int8)

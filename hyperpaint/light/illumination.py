@@ -1,7 +1,7 @@
-"""From an irradiance series to the irradiance of every band and column.
+"""Match an irradiance series to every band and column of the camera, and to tilted surfaces.
 
 The spectrometer's samples are matched to the imager's responses (`match_irradiance`), at the wavelength
-shifts of its smile, and turned onto a tilted surface. Which samples light a line: see `synchrony`.
+shifts of its smile, and converted to a tilted surface (`Tilt`). `synchrony` assigns samples to lines.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from .responses import Matching, Responses, log_slope, matching_operator, mean_r
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
 
+#: Wavelength at which the shift between camera and record is stated, and interval of its slope [nm].
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
-"""Where the shift between camera and record is stated, and over what its change is [nm]."""
 
 
+#: Distance of the wavelength shifts at which operators are computed [nm]; between them E is cubic.
 NODE_SPACING = 0.5
-"""Distance of the wavelength shifts at which operators are made [nm]; between them E is cubic."""
 MAX_NOISE_GAIN = 3.0
+#: Largest zenith angle of the sun for which the sky's directions are modelled [degree]; held beyond.
 MAX_SUN_ZENITH_DEG = 89.0
-"""Sun beyond which the sky's directions are those of a sun at it [degree]."""
 
 
 @takes_quantities(angle="degree", azimuth="degree")
 @dataclass(frozen=True)
 class Tilt:
-    """The attitude of a surface that is not level, and what it sees.
+    """Attitude of a tilted surface, and the sky and ground in its view.
 
     Attributes
     ----------
@@ -47,15 +47,15 @@ class Tilt:
     azimuth
         Of its normal, clockwise from north [degree].
     sky_view_factor
-        Part of the sky it sees [1]; ``(1 + cos angle) / 2``, that of an open field, by default.
+        Part of the sky it sees [1]; ``(1 + cos angle) / 2``, an open field, by default.
     ground_reflectance
-        Reflectance of what fills the rest of its view [1].
+        Reflectance of the ground, which fills the rest of its view [1].
     diffuse_fraction : (band,)
         Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.light.sun` by default.
     sky
-        "clear": diffuse light comes from where a clear sky is bright (`hyperpaint.light.sky_functions`);
-        "uniform": evenly. By default clear with the modelled split, uniform with a given one, which may be of
-        any sky.
+        "clear": diffuse light is distributed as under a clear sky (`hyperpaint.light.sky_functions`);
+        "uniform": evenly. By default clear with the modelled split, uniform with a given one, which may
+        belong to any sky.
 
     Raises
     ------
@@ -81,17 +81,23 @@ class Tilt:
     def __post_init__(self) -> None:
         problems = Problems("the tilt of the surface is out of range", SchemaError)
         if not 0.0 <= self.angle <= 90.0:
-            problems.add(f"angle {self.angle:g}, expected 0 to 90 degrees from level")
+            problems.add(
+                f"angle {self.angle:g}", expected="0 to 90 degrees from level", code="value-out-of-range"
+            )
         if not np.isfinite(self.azimuth):
-            problems.add(f"azimuth {self.azimuth:g}, expected degrees clockwise from north")
+            problems.add(
+                f"azimuth {self.azimuth:g}",
+                expected="degrees clockwise from north",
+                code="value-out-of-range",
+            )
         for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
             value = getattr(self, name)
             if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
-                problems.add(f"{name} {value}, expected 0 to 1")
+                problems.add(f"{name} {value}", expected="0 to 1", code="value-out-of-range")
         if self.sky not in (None, "clear", "uniform"):
-            problems.add(f"sky {self.sky!r}, expected 'clear' or 'uniform'")
+            problems.add(f"sky {self.sky!r}", expected="'clear' or 'uniform'", code="choice-unknown")
         problems.raise_if_any()
-        if self.sky is None:  # said where the tilt is
+        if self.sky is None:
             object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")
 
     def factor(self, time: Array, latitude: float, longitude: float, wavelength: Floats) -> Floats:
@@ -111,7 +117,7 @@ class Tilt:
             sun_azimuth - np.radians(self.azimuth)
         )
         height = np.cos(zenith)
-        # without a beam to speak of, nothing departs from level ground
+        # direct light relative to level ground; 1 where the sun is at the horizon
         beam = np.where(height > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(height, 1e-3), 1.0)
         view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view_factor is None else self.sky_view_factor
         if self.diffuse_fraction is None:
@@ -136,7 +142,7 @@ class Tilt:
 
 @dataclass(frozen=True)
 class Smile:
-    """The smile as the kernels want it: a cubic in every cell between two wavelength shifts."""
+    """Wavelength shifts of the columns for the kernels: a cubic in every cell between two shifts."""
 
     nodes: Floats  #: (node,): wavelength shifts [nm]; a single 0 where there is no smile
     shift: Array  #: (1 or band, column) float32: place of a column in its cell, 0 to 1
@@ -173,10 +179,16 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     SchemaError
         The shift is not finite, or beyond 20 nm.
     """
-    given = np.zeros(columns) if wavelength_shift is None else wavelength_shift
-    shift = np.atleast_2d(np.asarray(given, np.float64))
+    shift = np.atleast_2d(
+        np.asarray([0.0] * columns if wavelength_shift is None else wavelength_shift, np.float64)
+    )
     if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
-        raise SchemaError("'wavelength_shift' must be finite and at most 20 nm; check its units")
+        raise SchemaError(
+            "'wavelength_shift' is not finite or too large",
+            expected="at most 20 nm",
+            mend="check its units",
+            code="wavelength-shift-range",
+        )
     if not shift.any():
         whole = np.array([[0, columns]])
         return Smile(np.zeros(1), np.zeros((1, columns), np.float32), whole, np.zeros((1, 1), np.int64))
@@ -184,9 +196,9 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     last = max(int(np.ceil(shift.max() / NODE_SPACING)), first + 1)
     cell = np.clip(np.floor(shift / NODE_SPACING).astype(np.int64) - first, 0, last - first - 1)
     starts = [np.concatenate(([0], np.flatnonzero(np.diff(row)) + 1)) for row in cell]
-    most = max(start.size for start in starts)
+    runs = max(start.size for start in starts)
     # rows with fewer runs are filled with empty ones
-    edges = np.stack([np.pad(start, (0, most + 1 - start.size), constant_values=columns) for start in starts])
+    edges = np.stack([np.pad(start, (0, runs + 1 - start.size), constant_values=columns) for start in starts])
     cells = np.take_along_axis(cell, np.minimum(edges[:, :-1], columns - 1), axis=1)
     nodes = np.arange(first - 1, last + 2, dtype=np.float64) * NODE_SPACING
     return Smile(nodes, (shift / NODE_SPACING - first - cell).astype(np.float32), edges, cells)
@@ -206,9 +218,9 @@ def match_irradiance(
     srf_offset: npt.ArrayLike | None = None,
     srf: npt.ArrayLike | None = None,
 ) -> xr.DataArray:
-    r"""Return the irradiance as the imager's own bands would have seen it.
+    """Return the irradiance in the imager's own bands.
 
-    Lazy in ``irradiance``; the operator itself is made at once, from wavelengths and widths alone.
+    Lazy in ``irradiance``; the operator itself is computed at once, from wavelengths and widths alone.
 
     Parameters
     ----------
@@ -251,8 +263,8 @@ def match_irradiance(
 
     Notes
     -----
-    The operator is that of `hyperpaint.light.responses.matching_operator`. Its rows sum to 1, so that a
-    constant irradiance passes unchanged.
+    The operator is `hyperpaint.light.responses.matching_operator`. Its rows sum to 1, so that a constant
+    irradiance passes unchanged.
 
     Examples
     --------
@@ -267,22 +279,25 @@ def match_irradiance(
     problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
     dims = schema.VARIABLES["irradiance"].dims
     if set(irradiance.dims) != set(dims):
-        problems.add(f"'irradiance' has dims {irradiance.dims}, expected {dims}")
+        problems.add(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
     elif schema.IRRADIANCE_WAVELENGTH not in irradiance.coords:
-        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing")
     problems.raise_if_any()
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
     channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
     if "units" in channels.attrs:
         channels = convert(channels, "nm")
     imager = {
-        "wavelength": wavelength, "fwhm": fwhm, "srf_shape": srf_shape, "responsivity": responsivity,
-        "srf_offset": srf_offset, "srf": srf,
-    }  # fmt: skip
-    matching = matching_operator(
-        *_both(channels.values, irradiance_fwhm, irradiance_srf_shape, imager), nodes
-    )
-    _warn_of(matching, channels.values, imager)
+        "wavelength": wavelength,
+        "fwhm": fwhm,
+        "srf_shape": srf_shape,
+        "responsivity": responsivity,
+        "srf_offset": srf_offset,
+        "srf": srf,
+    }
+    responses = _responses(channels.values, irradiance_fwhm, irradiance_srf_shape, imager)
+    matching = matching_operator(*responses, nodes)
+    _warn_of_bands(matching, channels.values, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
@@ -306,50 +321,58 @@ def match_irradiance(
     return schema.label(matched, "irradiance")
 
 
-def _both(
+def _responses(
     channels: Floats, irradiance_fwhm: Any, irradiance_shape: str, imager: Mapping[str, Any]
 ) -> tuple[Responses, Responses]:
-    """Return the responses of a spectrometer and of an imager."""
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
     responsivity = imager.get("responsivity")
     slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm)
-    spectrometer = Responses(channels, irradiance_fwhm, irradiance_shape)
     bands = Responses(
-        wavelength, fwhm, imager["srf_shape"], spacing=imager.get("spacing"), slope=slope,
-        offset=imager["srf_offset"], table=imager["srf"],
-    )  # fmt: skip
-    return spectrometer, bands
+        wavelength,
+        fwhm,
+        imager["srf_shape"],
+        spacing=imager.get("spacing"),
+        slope=slope,
+        offset=imager["srf_offset"],
+        table=imager["srf"],
+    )
+    return Responses(channels, irradiance_fwhm, irradiance_shape), bands
 
 
-def _warn_of(matching: Matching, channels: Floats, imager: Mapping[str, Any]) -> None:
-    """Warn of bands that the spectrometer does not resolve or cover, in words a user can act on."""
+def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, Any]) -> None:
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:
         warnings.warn(
-            f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain above "
-            f"{MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); structure narrower than its width "
-            "stays in their reflectance",
-            PaintWarning,
+            PaintWarning(
+                f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain "
+                f"above {MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); their reflectance keeps "
+                "structure that is narrower than its width",
+                code="bands-too-sharp",
+            ),
             stacklevel=3,
         )
-    outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))  # a row is, or is not
+    # a row of weights is NaN as a whole
+    outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))
     if outside.size:
         warnings.warn(
-            f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
-            f"lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and become NaN",
-            PaintWarning,
+            PaintWarning(
+                f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} "
+                f"nm) lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and "
+                "become NaN",
+                code="bands-outside-irradiance",
+            ),
             stacklevel=3,
         )
 
 
 def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Floats:
-    """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one.
+    """Return spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
 
     ``order``: channels of the spectra in the order of the weights; None for the same.
     """
-    # a spectrometer reaches far beyond the camera: most of its channels have no weight
+    # most channels of the spectrometer lie outside the camera's range and have no weight
     used = matching.used
     spectra = np.asarray(spectra[..., used if order is None else order[used]], np.float64)
     weights, missing = matching.weights[..., used], np.isnan(spectra)
@@ -362,9 +385,9 @@ def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Fl
 
 
 class RecordDeparture(NamedTuple):
-    """How an irradiance record differs from what is declared, as a camera in the same flight sees it."""
+    """Difference of an irradiance record from its declaration, measured by a comparison with the camera."""
 
-    shift_nm: float  #: Wavelength of the camera minus that of the record, at `ALIGNED_AT_NM` [nm]
+    shift_nm: float  #: Wavelength of the camera minus wavelength of the record, at `ALIGNED_AT_NM` [nm]
     slope_nm: float  #: Its change over `ALIGNED_PER_NM` [nm]
     width: float  #: Width of the record over the declared one [1]
 
@@ -374,7 +397,7 @@ class RecordDeparture(NamedTuple):
 
 
 def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
-    """Return what `matched_series` asks of the bands, from a line's small variables by name."""
+    """Return the imager's responses as `matched_series` takes them, from a flight line's small variables."""
     gain = arrays.get("radiance_gain")
     return {
         "wavelength": np.asarray(arrays["wavelength"], np.float64),
@@ -394,30 +417,30 @@ def matched_series(
     irradiance_shape: str,
     imager: Mapping[str, Any],
     nodes: Floats,
-    as_found: RecordDeparture | None = None,
+    departure: RecordDeparture | None = None,
 ) -> tuple[Floats, Floats]:
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
-    The array side of `match_irradiance`. ``as_found``: what a comparison in flight found of the record and
-    nobody applied (`departure_of_record`): it shows in the misfit.
+    The array side of `match_irradiance`. ``departure``: difference of the record from its declaration that a
+    comparison in flight measured and nobody corrected (`departure_of_record`); it enters the misfit.
     """
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
-    spectrometer, bands = _both(channels[order], width, irradiance_shape, imager)
+    spectrometer, bands = _responses(channels[order], width, irradiance_shape, imager)
     matching = matching_operator(spectrometer, bands, nodes)
-    _warn_of(matching, channels[order], imager)
+    _warn_of_bands(matching, channels[order], imager)
     misfit = matching.misfit
-    if as_found is not None:
-        found = Responses(
-            channels[order] - as_found.shift_at(channels[order]), width * as_found.width, irradiance_shape
+    if departure is not None:
+        measured = Responses(
+            channels[order] - departure.shift_at(channels[order]), width * departure.width, irradiance_shape
         )
         shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-        misfit = misfit_through(spectrometer, found, bands, shifts)
+        misfit = misfit_through(spectrometer, measured, bands, shifts)
     return _apply(matching, np.asarray(spectra), order), misfit
 
 
 def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
-    """Return what was found of a line's record and not applied; None where there is nothing.
+    """Return the measured departure of a flight line's record that was not corrected; None without one.
 
     From the attributes that `hyperpaint.alignment.align` leaves.
     """

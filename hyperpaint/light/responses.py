@@ -19,20 +19,20 @@ from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
+#: Standard deviation of a Gaussian per unit of full width at half maximum.
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
-"""Standard deviation of a Gaussian per unit of full width at half maximum."""
 
+#: Half support of a Gaussian line shape in FWHM; beyond it lie 2e-7 of its area.
 _REACH = 2.2
-"""Half support of a Gaussian line shape in FWHM; beyond it lie 2e-7 of its area."""
 
-_FINEST = 40.0
-"""Steps of the grid of responses per width of the narrowest channel."""
+#: Steps of the grid of responses per width of the narrowest channel.
+STEPS_PER_FWHM = 40.0
 
-_MOST_STEPS, _MOST_SAMPLES = 200_000, 100_000_000
-"""Of the grid of one band, alone and times the channels near it: widths some thousand times apart."""
+#: Most steps of the grid of one band, alone and times the channels near it; widths differ by some thousand.
+MAX_GRID_STEPS, MAX_GRID_SAMPLES = 200_000, 100_000_000
 
+#: Ridge of the least squares, in units of the mean squared norm of a spectrometer response.
 RIDGE = 1e-4
-"""Ridge of the least squares, in units of the mean squared norm of a spectrometer response."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,15 @@ class Responses:
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
         if self.shape not in SRF_SHAPES:
-            problems.add(f"line shape {self.shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+            problems.add(
+                f"line shape {self.shape!r}",
+                expected=f"one of {', '.join(SRF_SHAPES)}",
+                code="choice-unknown",
+            )
         if not np.isfinite(wavelength).all():
-            problems.add("wavelengths must be finite [nm]")
+            problems.add("wavelengths are not finite", code="not-finite")
         if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
-            problems.add("'fwhm' must be finite and positive [nm]")
+            problems.add("'fwhm' is not finite and positive", expected="widths in nm", code="fwhm-invalid")
         if self.shape == "tabulated":
             problems_of_table(problems, self.offset, self.table, wavelength.size)
         problems.raise_if_any()
@@ -98,7 +102,7 @@ class Responses:
     def on(self, grid: Floats, band: int | Ints) -> Floats:
         """Return responses on an even grid [nm], (point,) of one band or (band, point) of several.
 
-        The sum of each times the step is 1.
+        Each row times the grid step sums to 1.
         """
         bands = np.atleast_1d(band)
         distance = grid - self.wavelength[bands, None]
@@ -118,34 +122,47 @@ class Responses:
         if self.slope is not None:
             response = response * np.exp(self.slope[bands, None] * distance)
         total = response.sum(axis=1, keepdims=True)
-        # one without a point of the grid inside it stays zero
+        # a response without a grid point inside stays zero
         total = np.where(total > 0, total, np.inf)
         response = response / (total * (grid[1] - grid[0]))
         return np.asarray(response if np.ndim(band) else response[0])
 
 
 def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:
-    """Note what is wrong with tabulated line shapes."""
+    """Add the faults of tabulated line shapes to ``problems``."""
     if offset is None or table is None:
-        problems.add("shape 'tabulated' needs 'srf' (band, srf_offset) and 'srf_offset' [nm]")
+        problems.add(
+            "line shape 'tabulated' without its table",
+            expected="'srf' (band, srf_offset) and 'srf_offset' [nm]",
+            code="variable-missing",
+        )
         return
     offset, table = np.asarray(offset), np.asarray(table)
     if table.shape != (bands, offset.size):
-        problems.add(f"'srf' has shape {table.shape}, expected ({bands}, {offset.size}): (band, srf_offset)")
+        problems.add(
+            f"'srf' has shape {table.shape}",
+            expected=f"({bands}, {offset.size}): (band, srf_offset)",
+            code="length-mismatch",
+        )
     elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
-        problems.add("every row of 'srf' must be finite and have a positive sum")
+        problems.add("a row of 'srf' is not finite or has no positive sum", code="response-table-invalid")
     if offset.size < 3 or not (np.diff(offset) > 0).all():
-        problems.add("'srf_offset' must increase and have at least three values [nm]")
+        problems.add(
+            "'srf_offset' does not increase or is too short",
+            expected="three or more values in nm",
+            code="response-table-invalid",
+        )
 
 
 def _even_spacing(wavelength: Floats) -> Floats:
-    """Return the spacing of bands that are all there; a choice of bands has no width of pixels."""
+    """Return the spacing of contiguous bands; SchemaError for a selection of bands."""
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
         raise SchemaError(
-            "a slit-shaped response needs the camera's band spacing, which the bands here do not give; give "
-            "'band_spacing' (band) [nm], or choose bands after the reflectance is computed"
+            "a slit-shaped response needs the camera's band spacing, and these bands are not contiguous",
+            mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
+            code="band-spacing-missing",
         )
     return band_spacing(wavelength)
 
@@ -167,7 +184,7 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
 def mean_responsivity(gain: npt.ArrayLike) -> Floats:
     """Return the mean responsivity of every band, any scale, from gains (band, column).
 
-    Gains that are not positive and finite are left out; NaN of a band that is bad in every column.
+    Gains that are not positive and finite are left out; NaN for a band without a usable gain.
     """
     gain = np.asarray(gain, np.float64)
     usable = np.isfinite(gain) & (gain > 0)
@@ -179,8 +196,8 @@ def mean_responsivity(gain: npt.ArrayLike) -> Floats:
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
     """Return d ln R / d wavelength at every band [nm-1].
 
-    The slope at the band of the parabola through its neighbours: at the ends of the array, where they lie to
-    one side, a straight line would take the curvature for slope.
+    The slope of a parabola through the neighbours of a band: at the ends of the array, where they lie to one
+    side, a straight line would take the curvature for slope.
 
     ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out. ``width``
     (band,) is the half width of the window of the fit [nm].
@@ -191,7 +208,7 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
     near = usable & (np.abs(distance) <= 1.0)
     terms = [np.zeros(near.shape) for _ in range(5)]
     for power, term in enumerate(terms):
-        term[near] = distance[near] ** power  # few are near: powers of all take longer than the matching
+        term[near] = distance[near] ** power  # near bands only: powers of all take longer than the matching
     sums = [term.sum(axis=1) for term in terms]
     normal = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
     right = np.stack([term @ log for term in terms[:3]], axis=-1)
@@ -223,7 +240,7 @@ class Matching:
 def matching_operator(
     spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike = (0.0,), *, ridge: float = RIDGE
 ) -> Matching:
-    r"""Return the weights that make a spectrometer's channels see as an imager's bands do.
+    r"""Return the weights that combine a spectrometer's channels into an imager's bands.
 
     Parameters
     ----------
@@ -232,25 +249,25 @@ def matching_operator(
     imager
         Responses of the imager's bands at its centre column.
     nodes
-        Wavelength shifts [nm] at which operators are made, for the imager's smile.
+        Wavelength shifts [nm] of the operators, for the imager's smile.
     ridge
         Strength of the regularisation.
 
     Raises
     ------
     SchemaError
-        Widths are so far apart that responses would need more samples than there is memory for.
+        Widths differ so much that responses would need more samples than memory holds.
 
     Notes
     -----
-    With :math:`s_j` the responses of the channels and :math:`r` that of a band, all of unit area, the weights
-    minimise
+    With :math:`s_j` the responses of the channels and :math:`r` the response of a band, all of unit area, the
+    weights minimise
 
     .. math:: \int \Big(\sum_j w_j s_j - r\Big)^2 d\lambda + \epsilon\,\overline{\|s\|^2} \sum_j w_j^2,
               \qquad \sum_j w_j = 1 .
 
     A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range, or where
-    channels are missing over more than two widths of them inside it: nothing is extrapolated.
+    channels are missing over more than two widths inside it: nothing is extrapolated.
     """
     shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
     return _remembered_operator(spectrometer, imager, shifts, ridge)
@@ -260,22 +277,29 @@ def matching_operator(
 def _remembered_operator(
     spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
 ) -> Matching:
-    """Make an operator once for all flight lines of a camera, and for every recomputation of one."""
+    """Compute an operator once for all flight lines of a camera, and for every recomputation."""
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
-    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / _FINEST
+    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / STEPS_PER_FWHM
     shape = (shifts.size, imager.wavelength.size)
     weights = np.zeros((*shape, centres.size))
     misfit, noise_gain, coverage = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
     moved = [imager.shifted(float(shift)) for shift in shifts]
-    # one grid and one set of channels serve a band at all its shifts
+    # one grid and one set of channels for all shifts of a band
     half = imager.reach() + np.ptp(shifts) / 2
     for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
         near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
-        # detectors differ in width: only that of the channels around the band counts
+        # detectors of a spectrometer differ in width: use the channels around the band
         widest = reach[near].max() if near.size else reach.max()
-        _check_size((2.0 * half[band] + 4.0 * widest) / step, near.size, spectrometer, imager)
+        steps = (2.0 * half[band] + 4.0 * widest) / step
+        if steps > MAX_GRID_STEPS or steps * near.size > MAX_GRID_SAMPLES:
+            fwhm = np.concatenate([spectrometer.fwhm, imager.fwhm])
+            raise SchemaError(
+                f"'fwhm' reaches from {fwhm.min():g} to {fwhm.max():g} nm, which cannot be matched",
+                mend="check the widths and their units",
+                code="fwhm-range",
+            )
         grid = np.arange(-half[band] - 2 * widest, half[band] + 2 * widest + step, step) + centre
         responses = np.stack([bands.on(grid, band) for bands in moved])
         inside = (grid >= centres[0]) & (grid <= centres[-1])
@@ -304,14 +328,15 @@ def _remembered_operator(
 def misfit_through(
     declared: Responses, spectrometer: Responses, imager: Responses, nodes: tuple[float, ...]
 ) -> Floats:
-    """Return the misfit (node, band) of an operator whose spectrometer is another than it was made for [1].
+    """Return the misfit (node, band) of an operator applied to another spectrometer than it was made for [1].
 
-    ``declared``: what it was made for; ``spectrometer``: responses of the channels as they are. NaN where the
-    operator is. Remembered, since a line is planned once to look at it, and once to write it.
+    ``declared``: responses that the operator was made for; ``spectrometer``: true responses of the channels.
+    NaN where the operator is NaN. Cached, since a flight line is planned once to look at it and once to write
+    it.
     """
     matching = matching_operator(declared, imager, nodes)
     reach = spectrometer.reach()
-    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / _FINEST
+    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / STEPS_PER_FWHM
     misfit = np.full(matching.misfit.shape, np.nan)
     for node, shift in enumerate(nodes):
         moved = imager.shifted(shift)
@@ -321,23 +346,13 @@ def misfit_through(
             half = moved.reach()[band] + 2.0 * reach[near].max()
             grid = np.arange(-half, half + step, step) + moved.wavelength[band]
             response = moved.on(grid, int(band))
-            seen = row[near] @ spectrometer.on(grid, near)
-            misfit[node, band] = np.sqrt(((seen - response) ** 2).sum() / (response**2).sum())
+            combined = row[near] @ spectrometer.on(grid, near)
+            misfit[node, band] = np.sqrt(((combined - response) ** 2).sum() / (response**2).sum())
     misfit.flags.writeable = False
     return misfit
 
 
-def _check_size(steps: float, channels: int, *responses: Responses) -> None:
-    if steps > _MOST_STEPS or steps * channels > _MOST_SAMPLES:
-        widths = np.concatenate([each.fwhm for each in responses])
-        raise SchemaError(
-            f"'fwhm' reaches from {widths.min():g} to {widths.max():g} nm: responses so far apart cannot be "
-            "matched; is a width wrong, or in another unit?"
-        )
-
-
 def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> bool:
-    """Tell whether sorted channels leave more than ``widest`` open within ``half`` of a centre [nm]."""
     first = max(int(np.searchsorted(centres, centre - half)) - 1, 0)
     last = int(np.searchsorted(centres, centre + half)) + 1
     steps = np.diff(centres[first:last])
@@ -345,7 +360,7 @@ def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> boo
 
 
 def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
-    """Return the ridge weights (node, channel) of channels for responses, each row summing to 1."""
+    """Return ridge weights (node, channel) that combine channels into responses, each row summing to 1."""
     # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
     gram = np.einsum("ig,jg->ij", channels, channels)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)

@@ -1,32 +1,29 @@
-"""The functions of the clear sky fitted to a table of its radiance, measured or by another model."""
+"""Fit the functions of the clear sky to a table of sky radiance, measured or modelled."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
+from scipy.optimize import nnls
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.units import convert, takes_quantities
 
 from .sky_functions import function_shapes, relative_radiance, scattering_cosine
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 FUNCTIONS = ("uniform", "molecular", "aureole")
-_FEWEST = 6  # directions
+MIN_DIRECTIONS = 6
 
 
 @takes_quantities(sun_zenith="degree")
 def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
-    r"""Return the shares of the sky's functions that come nearest to a table of its radiance.
+    r"""Return the shares of the sky functions that fit a table of sky radiance best.
 
     Parameters
     ----------
     table
         Has ``sky_radiance`` (wavelength, sky_zenith, sky_azimuth) [W m-2 sr-1 nm-1], azimuth from the sun
-        [degree], as the readers of `hyperpaint.io.skies` return it; none below the horizon counts.
+        [degree], as the readers of `hyperpaint.io.skies` return it; directions below the horizon are ignored.
     sun_zenith
         [degree]
 
@@ -34,13 +31,12 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     -------
     Dataset
         ``share`` (wavelength, function) of the level irradiance, not negative, of sum 1; ``misfit``
-        (wavelength), the relative deviation left, root mean square over directions as level ground weights
-        them.
+        (wavelength), the relative residual, root mean square over directions as level ground weights them.
 
     Raises
     ------
     SchemaError
-        There is no radiance, or of fewer than 6 directions above the horizon.
+        There is no radiance, or fewer than 6 directions above the horizon.
 
     Notes
     -----
@@ -61,24 +57,25 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     >>> fit_sky(table, 40.0).share.values.round(6)
     array([[1., 0., 0.]])
     """
-    import xarray as xr
-    from scipy.optimize import nnls
-
     if "sky_radiance" not in table.variables:
         raise SchemaError(
-            "the sky's table has no sky_radiance, expected it by wavelength, zenith and azimuth"
+            "the table of the sky has no sky_radiance (wavelength, sky_zenith, sky_azimuth)",
+            code="variable-missing",
         )
-    given = convert(table["sky_radiance"], "W m-2 sr-1 nm-1")
-    given = given.transpose("wavelength", "sky_zenith", "sky_azimuth")
+    sky = convert(table["sky_radiance"], "W m-2 sr-1 nm-1").transpose(
+        "wavelength", "sky_zenith", "sky_azimuth"
+    )
     angles = [
-        np.radians(convert(table[name].reset_coords(drop=True), "degree").values) for name in given.dims[1:]
+        np.radians(convert(table[name].reset_coords(drop=True), "degree").values) for name in sky.dims[1:]
     ]
     zenith, azimuth = np.meshgrid(*angles, indexing="ij")
     cosine = np.cos(zenith)
-    lit = (cosine > 1e-3) & (given.values > 0.0).all(axis=0)
-    if lit.sum() < _FEWEST:
+    lit = (cosine > 1e-3) & (sky.values > 0.0).all(axis=0)
+    if lit.sum() < MIN_DIRECTIONS:
         raise SchemaError(
-            f"sky_radiance has {int(lit.sum())} directions above the horizon, expected {_FEWEST}"
+            f"sky_radiance has {int(lit.sum())} directions above the horizon",
+            expected=f"{MIN_DIRECTIONS} or more",
+            code="sky-directions-few",
         )
     ring = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
     weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * ring)[lit]
@@ -87,10 +84,10 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     functions = np.stack([np.ones_like(from_sun), *parts], axis=1)
     scale = np.sqrt(weight / weight.sum())
     shares, misfit = [], []
-    for radiance in given.values[:, lit]:
-        sums, rest = nnls(functions * (scale / radiance)[:, None], scale)
+    for radiance in sky.values[:, lit]:
+        sums, residual = nnls(functions * (scale / radiance)[:, None], scale)
         shares.append(sums / sums.sum())
-        misfit.append(rest)
+        misfit.append(residual)
     return xr.Dataset(
         {
             "share": (("wavelength", "function"), np.array(shares), {"units": "1"}),

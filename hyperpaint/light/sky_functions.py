@@ -1,10 +1,10 @@
-r"""How the light of a clear sky is spread over directions.
+r"""Distribution of clear-sky radiance over directions.
 
-Three functions a sun, of unit level irradiance each: uniform; molecular (brighter towards the horizon and
-along the sun's line, as Rayleigh's phase function has it); aureole (around the sun and towards the horizon,
-as aerosol does it). A clear sky is a sum of them with shares that are not negative and depend on wavelength,
-so that paths of light traced once serve every state of the air. With the cosine :math:`\mu` of the zenith
-angle and the angle :math:`\Theta` from the sun, :math:`u = \ln(\mu + 0.05)`, relative to a uniform sky,
+Three functions for each sun position, of unit level irradiance each: uniform; molecular (brighter towards the
+horizon and along the sun's direction, as Rayleigh's phase function); aureole (around the sun and towards the
+horizon, as aerosol scatters). A clear sky is their sum with shares that are not negative and depend on
+wavelength, so that light paths traced once serve every state of the air. With the cosine :math:`\mu` of the
+zenith angle, the angle :math:`\Theta` from the sun, :math:`u = \ln(\mu + 0.05)`, relative to a uniform sky,
 
 .. math:: f = \exp(c_0 + c_1 u + c_2 u^2 + c_3 u^3 + c_4 \Theta + c_5 \Theta^2 + c_6 \Theta^3 + c_7 u \Theta)
 
@@ -25,8 +25,8 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
+#: Added to the cosine of the zenith angle in u [1].
 HORIZON_SHIFT = 0.05
-"""Added to the cosine of the zenith angle in u [1]."""
 
 
 class _Tables(NamedTuple):
@@ -72,7 +72,7 @@ def scattering_cosine(cosine: Floats, azimuth: Floats, sun_zenith: float) -> Flo
 
 
 def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats:
-    """Return a sky function over a uniform sky of the same level irradiance [1].
+    """Return a sky function relative to a uniform sky of the same level irradiance [1].
 
     Takes one of `function_shapes` (8,), and the cosines of the zenith angle, above 0, and of the angle from
     the sun, any shape.
@@ -84,7 +84,7 @@ def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats
 
 
 class Dome(NamedTuple):
-    """Directions of the upper half, for integrals: Gauss's rule in the cosine, even steps in azimuth."""
+    """Directions of the upper hemisphere for integrals: Gauss's rule in the cosine, even steps in azimuth."""
 
     cosine: Floats  # (zenith, azimuth)
     azimuth: Floats  # (zenith, azimuth), 0 to 180 degrees from the sun [rad]
@@ -93,7 +93,7 @@ class Dome(NamedTuple):
 
 @functools.cache
 def dome() -> Dome:
-    """Return the directions that integrals over the sky are taken at."""
+    """Return the directions at which integrals over the sky are evaluated."""
     nodes, weights = np.polynomial.legendre.leggauss(32)
     cosine, azimuth = np.meshgrid(0.5 * (nodes + 1.0), (np.arange(48) + 0.5) / 48 * np.pi, indexing="ij")
     return Dome(cosine, azimuth, cosine * weights[:, None] / 48)
@@ -103,8 +103,8 @@ def dome() -> Dome:
 def function_shapes(sun_zenith: float) -> Floats:
     """Return the coefficients of the molecular function and of the aureole (2, 8) for a sun [degree].
 
-    In the order of the exponent's terms, the constant :math:`c_0` last, such that the level irradiance is
-    that of a uniform sky.
+    In the order of the exponent's terms, the constant :math:`c_0` last, normalised to the level irradiance of
+    a uniform sky.
 
     Raises
     ------
@@ -118,7 +118,9 @@ def function_shapes(sun_zenith: float) -> Floats:
     0.5
     """
     if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
     tables, sky = _tables(), dome()
     rows = _between(tables.suns, tables.shapes, sun_zenith)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
@@ -130,7 +132,7 @@ def function_shapes(sun_zenith: float) -> Floats:
 
 
 def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
-    """Return what uniform, molecular and aureole function give of a clear sky's level irradiance [1].
+    """Return the shares of uniform, molecular and aureole function in a clear sky's level irradiance [1].
 
     Parameters
     ----------
@@ -158,7 +160,7 @@ def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: floa
 
 
 def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
-    """Return the radiance of a clear sky straight above over that of a uniform one (band,) [1].
+    """Return the zenith radiance of a clear sky relative to a uniform sky (band,) [1].
 
     Arguments as for `clear_sky_shares`.
 
@@ -175,7 +177,7 @@ def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float
 def radiance_towards_sun(
     wavelength: npt.ArrayLike, sun_zenith: float, angle: float, aerosol: float = 0.1
 ) -> Floats:
-    """Return the radiance of a clear sky over that of a uniform one (band,) [1], some way from the zenith.
+    """Return the radiance of a clear sky relative to a uniform sky (band,) [1], at an angle from the zenith.
 
     ``angle`` from the zenith, positive towards the sun [degree]; other arguments as for `clear_sky_shares`.
 
@@ -192,10 +194,10 @@ def radiance_towards_sun(
 
 
 def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
-    r"""Return by how much a clear sky lights a panel that leans towards the sun more than a level one.
+    r"""Return the relative gain of clear-sky light on a surface tilted towards the sun (band,) [1].
 
     Relative change of diffuse light for a unit change of :math:`c = \cos i / \cos \theta_s`, direct light,
-    by a small tilt (band,) [1]; arguments as for `clear_sky_shares`.
+    by a small tilt; arguments as for `clear_sky_shares`.
 
     Notes
     -----
@@ -204,7 +206,7 @@ def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 
     sun.
     """
     sky = dome()
-    # with the sun straight above both are zero; their quotient is not
+    # with the sun at the zenith numerator and denominator vanish, their quotient does not
     zenith = max(float(sun_zenith), 5.0)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, zenith)
     sunward = np.sqrt(1.0 - sky.cosine**2) / sky.cosine * np.cos(sky.azimuth)
@@ -218,9 +220,10 @@ def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 
 
 
 def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from_sun: float) -> Floats:
-    r"""Return a clear sky's light on a slope over that of a uniform sky (band,) [1].
+    r"""Return a clear sky's light on a slope relative to a uniform sky's (band,) [1].
 
-    Of the same level irradiance, by the side of the sky that the slope faces; 1 of a level surface.
+    Both have the same level irradiance. The result depends on the side of the sky that the slope faces; it
+    is 1 for a level surface.
 
     Parameters
     ----------
@@ -231,7 +234,7 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     angle
         Between the slope's normal and the zenith, 0 to 90 [degree].
     from_sun
-        Azimuth of the normal less that of the sun [degree].
+        Azimuth of the normal less azimuth of the sun [degree].
 
     Notes
     -----
@@ -254,6 +257,6 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     to_sun = scattering_cosine(cosine, azimuth, sun_zenith)
     shapes = function_shapes(float(sun_zenith))
     gains = np.array([1.0, *((weight * relative_radiance(shape, cosine, to_sun)).sum() for shape in shapes)])
-    # of a level surface 1 to the last bit, but for the rounding of the sums
+    # written as a departure from 1, so that a level surface gives 1 to the last bit
     shares = clear_sky_shares(wavelength, sun_zenith)
     return np.asarray(1.0 + (gains - 1.0) @ shares)

@@ -1,13 +1,13 @@
-r"""What skies there may be over a spectrometer, and how well each explains a spectrum of irradiance.
+r"""Possible skies over a spectrometer, and how well each explains a spectrum of irradiance.
 
-Skies are drawn once, always the same: states of clear air, and clouds of four kinds over them. With direct
+Skies are drawn once with a fixed seed: states of clear air, and clouds of four kinds over them. With direct
 light D and diffuse light S of the clear air, and a cloud's tint t,
 
 .. math:: E = a D + b S + e D + c \, t (D + S), \qquad f_{dif} = 1 - a D / E
 
-clear or hazy: a = b = 1; thin cloud: what the beam loses comes back in part as diffuse light e D; broken: the
-sun is seen, hidden or behind an edge, clouds of the cover c take the place of blue sky; overcast: c alone.
-All in arrays, of draws and wavelengths; labels are those of `diffuse_record`.
+clear or hazy: a = b = 1; thin cloud: the beam's loss returns in part as diffuse light e D; broken: the
+sun is visible, hidden or behind an edge, clouds of the cover c replace blue sky; overcast: c alone.
+All in arrays, of draws and wavelengths; `diffuse_record` adds labels.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from hyperpaint.base.arrays import Floats, Ints
 from .clear_sky import ClearSky
 from .sun import Scatterers, scattered_light
 
+#: Kinds of sky that are drawn: no cloud, thin cloud before the sun, broken cloud, overcast.
 KINDS = ("air", "thin", "broken", "overcast")
-"""Kinds of sky that are drawn: no cloud, thin cloud before the sun, broken cloud, overcast."""
 
 
 @dataclass(frozen=True)
 class SkyRules:
-    """What is expected of skies and of receivers before a spectrum is seen.
+    """Prior of skies and receivers, before a spectrum is compared.
 
     Attributes
     ----------
     window_nm
-        Centres of the intervals that are compared [nm]: between the bands of oxygen and water.
+        Centres of the compared intervals [nm]: between the bands of oxygen and water.
     half_width_nm
-        Of the intervals [nm]: wide enough for lines of the sun to be alike for all spectrometers.
+        Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
     shape_u
-        Relative standard uncertainty of an interval by itself [1]: noise, sunlight, the model's bands.
+        Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
     colour_u, colour_nm
-        That of slow changes over the spectrum [1], and their length [nm]: a lamp's and a receiver's, and what
-        SPECTRL2 leaves against other models (tests: 2 to 3 %).
+        Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
+        receiver, and the residual of SPECTRL2 against other models (tests: 2 to 3 %).
     wide_u, wide_prior
-        Relative standard uncertainty of the level where a receiver is not what it says [1], and how often
-        that is. A light sensor as it comes is wrong by a quarter (MicaSense's, as their tutorial has it).
+        Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
+        one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
     aerosol, aerosol_spread
         Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
     hazy_aerosol
@@ -53,16 +53,16 @@ class SkyRules:
         Of `KINDS`.
     calm, restless
         Relative standard deviation of the level over `window_s` below which, and above which, each of
-        `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud takes the sun and gives
-        it back.
+        `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the
+        sun.
     calm_spread, restless_spread
         Spread of its logarithm beyond them.
     window_s
-        Seconds to both sides in which light is compared with itself: clouds pass in seconds to a minute.
+        Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
     wrong_clock
-        How often a clock, or a place, is wrong, so that the sun stands elsewhere [1].
+        Probability that clock or place are wrong, so that the sun stands elsewhere [1].
     other_sun_deg
-        Distance of that sun in zenith angle, at least [degree]: nearer ones are hardly told apart.
+        Least distance of that sun in zenith angle [degree]: nearer ones can hardly be distinguished.
     misfit
         Chi-square per interval of the best draw beyond which no sky explains a spectrum.
     decided
@@ -100,24 +100,26 @@ class SkyRules:
 
 RULES = SkyRules()
 
+#: Number of drawn states of the air; clouds are drawn over each.
 _AIRS = 512
-"""States of the air; clouds are drawn over each."""
 _REPEATS = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
 _NODES_NM = np.array(
     [300.0, 350, 380, 410, 450, 500, 550, 600, 650, 700, 760, 830, 900, 1000, 1200, 1600, 2500]
 )
-_LOWEST = 88.0  # degree: where the sun stands lower, it is not told what the light is
-_POINTS = 5  # wavelengths of an interval at which the model is asked
+#: Zenith angle of the sun above which the sky's state is not determined [degree].
+MAX_SUN_ZENITH_DEG = 88.0
+#: Wavelengths of an interval at which the model is evaluated.
+POINTS_PER_WINDOW = 5
 
 
 class _Draws(NamedTuple):
     kind: Ints  # (draw,) number of `KINDS`
-    air: Ints  # (draw,) which state of the air
+    air: Ints  # (draw,) number of the state of the air
     beam: Floats  # (draw,) a
     blue: Floats  # b
     returned: Floats  # e
     cloud: Floats  # c
-    tint: Floats  # of the cloud: share that goes with the fourth power of the wavelength
+    tint: Floats  # of the cloud: share that falls with the fourth power of the wavelength
     states: Floats  # (parameter, air): aerosol, exponent, ozone, relative pressure, ground, water
 
 
@@ -153,19 +155,19 @@ def _draws() -> _Draws:
             amounts = beam, 1.0 - 0.3 * (1.0 - beam) * u[3], (1.0 - beam) * (0.3 + 0.6 * u[2]), none
         elif name == "broken":
             cover = 0.1 + 0.85 * u[2]
-            # in 45 of 100 the sun is free, in 35 hidden, else behind an edge
+            # the sun is free in 45 %, hidden in 35 %, else behind an edge
             beam = np.where(u[1] < 0.45, 1.0, np.where(u[1] < 0.8, 0.1 * u[4], u[4]))
             amounts = beam, 1.0 - cover, none, cover * (0.15 + 0.4 * u[3])
         else:
             amounts = none, none, none, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
         air = np.tile(np.arange(_AIRS), _REPEATS[name])
         parts.append((np.full(count, number), air, *amounts, tint))
-    kind, own, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return _Draws(kind, own, beam, blue, returned, cloud, tint, states)
+    kind, air, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return _Draws(kind, air, beam, blue, returned, cloud, tint, states)
 
 
 class Windows(NamedTuple):
-    """Intervals of the spectrum that a spectrometer covers."""
+    """Compared intervals of the spectrum that a spectrometer covers."""
 
     centre: Floats  # (window,) [nm]
     operator: Floats  # (window, channel): means over channels
@@ -191,7 +193,7 @@ class _Spectra(NamedTuple):
 
 def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[Floats, Floats]:
     """Return irradiance and its diffuse fraction of all draws (draw, wavelength)."""
-    beam, blue, returned, cloud, tint = (each[:, None] for each in draws[2:7])
+    beam, blue, returned, cloud, tint = (amount[:, None] for amount in draws[2:7])
     direct, diffuse = direct[draws.air], diffuse[draws.air]
     colour = 1.0 - tint + tint * (nm / 490.0) ** -4.0
     scattered = blue * diffuse + returned * direct + cloud * colour * (direct + diffuse)
@@ -200,26 +202,25 @@ def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[
 
 
 def _points_of(centres: tuple[float, ...]) -> Floats:
-    """Return the wavelengths at which the model is asked of intervals, some for each [nm]."""
-    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * _POINTS + 1)[1::2]
+    """Return the wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm]."""
+    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
     return np.asarray((np.array(centres)[:, None] + steps).ravel())
 
 
 @functools.lru_cache(maxsize=64)
 def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> _Spectra:
-    """Return what all draws send down under a sun at one zenith angle [degree]."""
+    """Return the spectra of all draws under a sun at one zenith angle [degree]."""
     draws = _draws()
-    aerosol, exponent, ozone, relative, ground, water = (each[:, None] for each in draws.states)
+    aerosol, exponent, ozone, relative, ground, water = (state[:, None] for state in draws.states)
     at = np.array(centres)
-    points = _points_of(centres)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
-    shape = (_AIRS, at.size, _POINTS)
-    direct, diffuse = (part.reshape(shape).mean(axis=2) for part in sky.irradiance(points))
+    shape = (_AIRS, at.size, POINTS_PER_WINDOW)
+    direct, diffuse = (part.reshape(shape).mean(axis=2) for part in sky.irradiance(_points_of(centres)))
     whole, _ = _mixed(draws, at, direct, diffuse)
+    # the diffuse fraction needs no gases: they absorb of both parts alike
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
-    # gases take of both parts alike
     direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
     _, fraction = _mixed(draws, _NODES_NM, direct, diffuse)
     clear = (diffuse / (direct + diffuse))[draws.air]
@@ -228,7 +229,7 @@ def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> 
 
 @functools.lru_cache(maxsize=16)
 def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, float]:
-    """Return what makes misfits of intervals independent, of unit size, and half the log determinant."""
+    """Return the matrix that whitens misfits of intervals, and half their covariance's log determinant."""
     at = np.array(centres)
     covariance = RULES.shape_u**2 * np.eye(at.size) + level_u**2
     covariance += RULES.colour_u**2 * np.exp(-0.5 * ((at[:, None] - at) / RULES.colour_nm) ** 2)
@@ -237,7 +238,7 @@ def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, floa
 
 
 class Evidence(NamedTuple):
-    """What is known of the samples of a record."""
+    """Measurements of a record."""
 
     level: Floats  # (sample, window): logarithm of the irradiance [W m-2 nm-1]
     sun_zenith: Floats  # (sample,) [degree]
@@ -256,7 +257,7 @@ class Explained(NamedTuple):
 
 
 class _Weighed(NamedTuple):
-    """What each kind of sky says of each sample, for both widths of the level (sample, width, kind ...)."""
+    """Posterior of each kind of sky and sample, for both widths of the level (sample, width, kind ...)."""
 
     log: Floats  # logarithm of the evidence
     mean: Floats  # (..., node) of the diffuse fraction
@@ -274,36 +275,38 @@ def _weighed(evidence: Evidence, windows: Windows, pressure: float) -> _Weighed:
     best = np.full(shape[0], np.inf)
     is_hazy = (draws.states[0][draws.air] >= RULES.hazy_aerosol).astype(np.float64)
     kinds = [np.flatnonzero(draws.kind == number) for number in range(len(KINDS))]
-    sun = np.minimum(evidence.sun_zenith, _LOWEST)
+    sun = np.minimum(evidence.sun_zenith, MAX_SUN_ZENITH_DEG)
     node_zenith = np.round(2.0 * sun) / 2.0
     for zenith in np.unique(node_zenith):
         spectra = _spectra(float(zenith), pressure, centres)
         for part in np.array_split(here := np.flatnonzero(node_zenith == zenith), 1 + here.size // 128):
-            # the sun moves on between the nodes
+            # levels at the sun of the node
             turn = np.cos(np.radians(sun[part])) / np.cos(np.radians(zenith))
-            seen = evidence.level[part] - np.log(turn)[:, None]
+            level = evidence.level[part] - np.log(turn)[:, None]
             for width, level_u in enumerate((evidence.level_u, np.hypot(evidence.level_u, RULES.wide_u))):
                 white, size = _whitening(centres, float(level_u))
-                ours, theirs = seen @ white.T, spectra.level @ white.T
+                # chi-square of every sample with every draw
+                ours, theirs = level @ white.T, spectra.level @ white.T
                 chi = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2.0 * ours @ theirs.T
                 if width == 0:
                     best[part] = chi.min(axis=1) / len(centres)
                 chi /= np.maximum(1.0, best[part] / RULES.misfit)[:, None]
-                for number, own in enumerate(kinds):
-                    least = chi[:, own].min(axis=1)
-                    weight = np.exp(-0.5 * (chi[:, own] - least[:, None]))
+                # evidence of each kind, and its means over the draws
+                for number, draw in enumerate(kinds):
+                    least = chi[:, draw].min(axis=1)
+                    weight = np.exp(-0.5 * (chi[:, draw] - least[:, None]))
                     total = weight.sum(axis=1)
-                    log[part, width, number] = np.log(total / own.size) - 0.5 * least - size
+                    log[part, width, number] = np.log(total / draw.size) - 0.5 * least - size
                     weight /= total[:, None]
-                    mean[part, width, number] = weight @ spectra.fraction[own]
-                    square[part, width, number] = weight @ spectra.fraction[own] ** 2
-                    clear[part, width, number] = weight @ spectra.clear[own]
-                    turbid[part, width, number] = weight @ is_hazy[own]
+                    mean[part, width, number] = weight @ spectra.fraction[draw]
+                    square[part, width, number] = weight @ spectra.fraction[draw] ** 2
+                    clear[part, width, number] = weight @ spectra.clear[draw]
+                    turbid[part, width, number] = weight @ is_hazy[draw]
     return _Weighed(log, mean, square, clear, turbid, best)
 
 
 class _Elsewhere(NamedTuple):
-    """What clear air says of each sample under a sun that the clock has elsewhere (sample, ...)."""
+    """Posterior of clear air for each sample with the sun at other zenith angles (sample, ...)."""
 
     log: Floats  # logarithm of the evidence
     mean: Floats  # (sample, node) of the diffuse fraction
@@ -316,7 +319,7 @@ _OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
 @functools.lru_cache(maxsize=64)
 def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
     """Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air."""
-    aerosol, exponent, ozone, relative, ground, water = (each[::4, None] for each in _draws().states)
+    aerosol, exponent, ozone, relative, ground, water = (state[::4, None] for state in _draws().states)
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
@@ -343,27 +346,30 @@ def _elsewhere(evidence: Evidence, windows: Windows, pressure: float) -> _Elsewh
         log[:, number] = np.log(total / len(theirs)) - 0.5 * least - size
         mean[:, number] = weight @ fraction / total[:, None]
         square[:, number] = weight @ fraction**2 / total[:, None]
+    # average over the other suns, without those near the sun of the clock
     log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
-    most = log.max(axis=1)
-    share = np.exp(log - most[:, None])
+    best = log.max(axis=1)
+    share = np.exp(log - best[:, None])
     total = share.sum(axis=1)
     share = (share / total[:, None])[..., None]
     return _Elsewhere(
-        most + np.log(total / _OTHER_SUNS_DEG.size), (share * mean).sum(axis=1), (share * square).sum(axis=1)
+        best + np.log(total / _OTHER_SUNS_DEG.size), (share * mean).sum(axis=1), (share * square).sum(axis=1)
     )
 
 
 def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
-    r"""Return what the skies drawn say of a record, each weighted by how well it explains a sample.
+    """Return the posterior over the drawn skies, each weighted by how well it explains a sample.
 
     Notes
     -----
-    Misfits of the logarithm are Gaussian, with the covariance of a level that is common to all wavelengths,
-    of slow colour and of single intervals; the level is `Evidence.level_u` or, with a small prior, `wide_u`.
-    The evidence of a kind of sky is averaged over `window_s` and weighted by how much the level varies in it;
-    where even the best draw does not fit, all misfits are divided until it does, which leaves a wide answer.
-    What a clear sky under a sun elsewhere explains better contradicts the clock.
+    Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
+    colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small prior,
+    `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and weighted by how
+    much the level varies in it. Where even the best draw does not fit, all misfits are divided until it does,
+    which gives a wide posterior. A spectrum that clear air under another sun explains better contradicts the
+    clock.
     """
+    # posterior of kinds of sky and widths of the level
     weighed = _weighed(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
     variation = _variation(evidence)
@@ -376,7 +382,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
         (share[..., None] * part).sum(axis=(1, 2)) for part in (weighed.mean, weighed.square, weighed.clear)
     )
     if (probability[:, :2].sum(axis=1) < RULES.decided).any():
-        # what is no clear sky may be one at another hour
+        # a spectrum that is no clear sky's now may be a clear sky's at another hour
         elsewhere = _elsewhere(evidence, windows, pressure)
         other = _averaged(elsewhere.log, evidence.seconds) + variation[:, KINDS.index("air")]
         here = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
@@ -384,8 +390,8 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
         probability = (1.0 - wrong) * probability + wrong * np.eye(5)[4]
         fraction += wrong * (elsewhere.mean - fraction)
         square += wrong * (elsewhere.square - square)
-    probability[(weighed.best > RULES.misfit) | (evidence.sun_zenith > _LOWEST)] = np.eye(5)[4]
-    # the mean of the kind that is likely, with the doubt about it in the uncertainty
+    probability[(weighed.best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
+    # mean of the likeliest kind; its distance from the mean of all enters the uncertainty
     kind = np.array([0, 0, KINDS.index("broken"), KINDS.index("overcast")])
     state = probability[:, :4].argmax(axis=1)
     sure = probability[:, :4].max(axis=1) >= RULES.decided
@@ -393,7 +399,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     model = RULES.floor + RULES.model * mean * (1.0 - mean)
     u = np.sqrt(np.maximum(square - 2.0 * mean * fraction + mean**2, 0.0) + model**2)
     fraction = mean
-    # between clouds the receiver has at one moment what the ground has at the next
+    # between clouds the receiver measures at one moment the light that the ground gets at the next
     apart = fraction - fraction.mean(axis=0)
     square = _averaged(apart**2, evidence.seconds) - _averaged(apart, evidence.seconds) ** 2
     change = np.maximum(square, 0.0)
@@ -406,8 +412,8 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
 def _probabilities(share: Floats, turbid: Floats) -> Floats:
     """Return the probability of the five states (sample, state).
 
-    Of the shares of kinds (sample, width of the level, kind), and of turbid air among them. Thin cloud, and a
-    level that is not what it should be, contradict the others.
+    From the shares of kinds (sample, width of the level, kind), and the share of turbid air among them. Thin
+    cloud, and a level far from its calibration, count as contradictory.
     """
     sure = share[:, 0]
     air, thin, broken, overcast = sure.T
@@ -416,7 +422,7 @@ def _probabilities(share: Floats, turbid: Floats) -> Floats:
 
 
 def _near(seconds: Floats) -> tuple[Ints, Ints]:
-    """Return first and last but one of the samples that lie within the window of each (sample,)."""
+    """Return the first sample within the window of each sample, and the first after it (sample,)."""
     first = np.searchsorted(seconds, seconds - RULES.window_s, side="left")
     return first, np.searchsorted(seconds, seconds + RULES.window_s, side="right")
 
@@ -430,13 +436,13 @@ def _averaged(values: Floats, seconds: Floats) -> Floats:
 
 
 def _variation(evidence: Evidence) -> Floats:
-    """Return the logarithm of how likely the level's changes are under each kind of sky (sample, kind)."""
+    """Return the log likelihood of the level's changes under each kind of sky (sample, kind)."""
     height = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
     level = evidence.level.mean(axis=1) - np.log(height)
     level = level - level.mean()
     mean = _averaged(level, evidence.seconds)
     spread = np.sqrt(np.maximum(_averaged(level**2, evidence.seconds) - mean**2, 0.0))
-    # a record of some seconds says little of what a minute brings
+    # a record of some seconds contains little of the changes of a minute
     first, last = _near(evidence.seconds)
     span = (evidence.seconds[last - 1] - evidence.seconds[first]) / (2.0 * RULES.window_s)
     log = np.log(np.maximum(spread, 1e-3))[:, None]

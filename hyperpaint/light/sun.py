@@ -1,4 +1,4 @@
-"""Where the sun stands, and how much of the light comes from it rather than from the sky."""
+"""Position of the sun, and the split of clear-sky light into direct and diffuse."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def diffuse_fraction(
 
 
 class Scatterers(NamedTuple):
-    """What scatters light in a clear atmosphere.
+    """Scattering properties of a clear atmosphere.
 
     Attributes
     ----------
@@ -163,10 +163,10 @@ class Scatterers(NamedTuple):
 def scattered_light(
     wavelength: Floats, zenith: float, air: Scatterers, mass: float | None = None
 ) -> tuple[Floats, Floats]:
-    """Return direct and diffuse irradiance of level ground over that of the sun above the air, without gases.
+    """Return direct and diffuse level irradiance relative to the sun above the air, without gas absorption.
 
     The scattering half of SPECTRL2, see `diffuse_fraction`, at ``wavelength`` (point,) [nm] with the sun at
-    ``zenith`` [degree]; ``mass`` is the air mass of the direct path, by default that of `air_mass`.
+    ``zenith`` [degree]; ``mass`` is the air mass of the direct path, by default `air_mass`.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""From the times of lines and irradiance samples to the samples that light each line.
+"""Assign irradiance samples to the lines that they light, by time.
 
-Irradiance is linear in time between the two samples around a line. What lies outside the record, or in a gap
-of it, is flagged: nothing is extrapolated. How far the clocks of camera and spectrometer disagree is not in
-the data; what such an error could do to a line is (`timing_sensitivity`).
+Irradiance is linear in time between the two samples around a line. Lines outside the record, or in a gap of
+it, are flagged: nothing is extrapolated. The data do not contain the offset between the clocks of camera and
+spectrometer; `timing_sensitivity` bounds the error that it could cause.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from hyperpaint.base.schema import Quality
 
 from .sun import solar_position
 
+#: Relative change of the 400-1000 nm irradiance between two samples above which the light is unstable.
 UNSTABLE_CHANGE = 0.02
-"""Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
 LOW_SUN_ZENITH = 75.0
+#: Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s.
 UNKNOWN_CLOCK = 40.0
-"""Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s."""
+#: Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive.
 TIMING_EFFECT = 0.01
-"""Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive."""
 
 
 @dataclass(frozen=True)
 class LineLight:
-    """Which irradiance samples light each line."""
+    """Irradiance samples on either side of each line, with weight, age and flags."""
 
     #: before, after (line,) int64: the samples on either side of the line
     before: npt.NDArray[np.int64]
@@ -82,7 +82,7 @@ def line_light(
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
     if valid.size == 0:
-        raise TimeError("the irradiance record holds no valid spectrum")
+        raise TimeError("the irradiance record holds no valid spectrum", code="irradiance-empty")
     missing = np.isnat(lines)
     stamps, ticks = lines.astype(np.int64), samples[valid].astype(np.int64)
     stamps = np.where(missing, ticks[0], stamps)
@@ -121,19 +121,19 @@ def line_light(
 
 
 def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: float) -> Floats:
-    r"""Return the largest error that clocks could cause in the irradiance of each line (line,), relative [1].
+    r"""Return the largest relative error of each line's irradiance that clock errors could cause (line,) [1].
 
     ``stamps`` (line,) and ``ticks`` (sample,), which increase, are times of lines and samples, int64 [ns];
     ``levels`` (sample, interval) irradiances summed over intervals of wavelength, any scale; ``within`` is
-    how far the clocks may disagree [s].
+    the largest offset between the clocks [s].
 
     Notes
     -----
     .. math:: \max_{k, |\delta| \le u} \exp \left| \ln \frac{E_k(t + \delta)}{E_k(t)} \right| - 1
 
-    over the intervals :math:`k`, since a cloud takes more of the red than of the blue. As far as the record
-    reaches: what lies beyond its ends is not known. A cloud's shadow also needs time from the spectrometer to
-    the scene, which acts as a clock error does.
+    over the intervals :math:`k`, since a cloud dims the red more than the blue. Limited to the time of the
+    record. A cloud's shadow also needs time from the spectrometer to the scene, which acts as a clock error
+    does.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
     empty = np.full(levels.shape[1], np.inf)
     u = round(within * 1e9)
     low, here, high = (_at(ticks, levels, stamps + shift) for shift in (-u, 0, u))
-    # inside the window the extremes are at samples; most lines share theirs with their neighbours
+    # inside the window the extremes are at samples; many lines share a window
     first, last = np.searchsorted(ticks, stamps - u), np.searchsorted(ticks, stamps + u, side="right")
     windows, which = np.unique(np.stack([first, last]), axis=1, return_inverse=True)
     extremes = np.array(
@@ -163,7 +163,6 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
 
 
 def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
-    """Return the logarithm of the levels at times, linear between samples; held beyond the ends."""
     after = np.clip(np.searchsorted(ticks, stamps, side="right"), 1, ticks.size - 1)
     weight = np.clip((stamps - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
     between = levels[after - 1] + weight * (levels[after] - levels[after - 1])
@@ -171,50 +170,71 @@ def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
 
 
 def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
-    problems = Problems("irradiance cannot be given to lines", SchemaError)
+    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
     if max_gap is not None and not max_gap > 0:
-        problems.add(f"'irradiance_max_gap' is {max_gap:g} s, expected a positive number")
+        problems.add(
+            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+        )
     if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-        problems.add(f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s, expected 0 or more seconds")
+        problems.add(
+            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
+            expected="0 or more seconds",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
 
 
 def check_irradiance_times(samples: Array) -> None:
-    """Raise TimeError unless stamps are all there and increase."""
+    """Raise TimeError unless all stamps are present and increase."""
     problems = Problems("irradiance times cannot be used", TimeError)
     if not samples.size:
-        problems.add("irradiance_time has size 0: no sample is selected")
+        problems.add("irradiance_time has size 0: no sample is selected", code="empty-input")
     if np.isnat(samples).any():
-        problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
+        problems.add(
+            f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
+            mend="drop them",
+            code="time-missing",
+        )
     steps = np.diff(samples.astype(np.int64))
     same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
     if same.size:
-        problems.add(f"{same.size} duplicate stamps, first {samples[same[0]]}; keep one spectrum of each")
+        problems.add(
+            f"{same.size} duplicate stamps, first {samples[same[0]]}",
+            mend="keep one spectrum of each",
+            code="time-duplicate",
+        )
     if back.size:
         problems.add(
-            f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
+            f"stamps run backwards at {samples[back[0] + 1]}",
+            mend="sort them with .sortby('irradiance_time')",
+            code="time-unordered",
         )
     problems.raise_if_any()
 
 
 def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
-    """Return the line with another irradiance record, and all that belongs to it, in place of its own.
+    """Return the line with another irradiance record, attributes included, in place of its own.
 
     Raises
     ------
     SchemaError
-        It is no such record.
+        ``irradiance`` is no Dataset, or lacks 'irradiance'.
     """
     if not isinstance(irradiance, xr.Dataset):
         raise SchemaError(
-            f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
-            "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+            f"irradiance= is {type(irradiance).__name__}",
+            expected=(
+                "a Dataset with 'irradiance' and 'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+            ),
+            code="type-wrong",
         )
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
     if "irradiance" not in names:
         held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
         raise SchemaError(
-            f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
+            f"the Dataset given as irradiance= holds {held}",
+            expected="'irradiance' and 'irradiance_fwhm'",
+            code="variable-missing",
         )
     own = [name for name in dataset.variables if str(name).startswith("irradiance")]
     of_line = {

@@ -1,7 +1,7 @@
-"""Can the inputs of a flight line be true? Judged before anything is processed, by the inputs themselves.
+"""Check whether the inputs of a flight line can be true, before anything is processed.
 
-Opened lines and their files come in, `Finding`s go out: a name, what was found, what was expected, how to
-mend it. Called by `workflows`, which refuses or warns.
+Opened lines and their files come in, `Finding`s go out: a name, found, expected, and mend. Called by
+`workflows`, which refuses or warns.
 """
 
 from .finding import KINDS, Finding, Kind

@@ -13,10 +13,10 @@ from hyperpaint.base.constants import lines_a_task
 
 @dataclass(frozen=True)
 class SampleRules:
-    """How much of a cube is looked at.
+    """Size of the sample of a cube.
 
     blocks, lines
-        Blocks, and lines in each: 128 lines tell a mean to a tenth of the noise, and a cube of 640 x 4000 x
+        Blocks, and lines in each: 128 lines give a mean to a tenth of the noise, and a cube of 640 x 4000 x
         272 is read in a tenth of a second [1].
     """
 
@@ -29,11 +29,11 @@ RULES = SampleRules()
 
 @dataclass(frozen=True)
 class CubeSample:
-    """What a sample of a cube shows of every element (band, cross_track), in counts."""
+    """Statistics of a sample of a cube for every element (band, cross_track), in counts."""
 
     lines: int  #: Lines of the sample
     mean: Floats
-    most: Floats
+    highest: Floats
     divisor: int  #: Greatest common divisor of all counts
 
 
@@ -47,7 +47,7 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
     starts = np.unique(np.linspace(0, total - size, min(RULES.blocks, max(1, total // size))).astype(int))
     shape = counts.shape[1:]
     sums = np.zeros(shape)
-    most = np.full(shape, -np.inf)
+    highest = np.full(shape, -np.inf)
     lines, divisor = 0, 0
     for start in starts.tolist():
         block = counts[start : start + size].to_numpy()[recorded[start : start + size]]
@@ -55,8 +55,8 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
             continue
         lines += len(block)
         sums += block.sum(axis=0, dtype=np.float64)
-        most = np.maximum(most, block.max(axis=0))
+        highest = np.maximum(highest, block.max(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
     if not lines:
         return None
-    return CubeSample(lines, sums / lines, most, divisor)
+    return CubeSample(lines, sums / lines, highest, divisor)

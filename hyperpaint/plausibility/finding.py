@@ -1,4 +1,4 @@
-"""What may be wrong with the inputs of a flight line: every kind with its name, weight and mend."""
+"""Faults that the inputs of a flight line may have: every kind with its name, weight and mend."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class Kind:
     Attributes
     ----------
     name
-        By which it is listed and accepted.
+        Name by which it is listed and accepted; its error code.
     meaning
-        What the inputs show.
+        Fault of the inputs.
     mend
-        What to look for.
+        Remedy.
     refused
         Whether processing stops, since results would be wrong; else it goes on with a warning.
     """
@@ -29,38 +29,38 @@ class Kind:
     refused: bool = True
 
 
-_LIST = (
+_ROWS = (
     Kind(
         "counts-over-range",
-        "Counts lie above the last that the converter of the camera gives.",
+        "Counts are above the highest count of the camera's converter.",
         "set bit_depth in [camera], or shift left-justified counts down",
     ),
     Kind(
         "stray-counts",
-        "A few elements hold counts above the last that the converter of the camera gives.",
-        "a frame counter or status word in the picture: its elements are flagged saturated",
+        "A few elements hold counts above the highest count of the camera's converter.",
+        "nothing if a frame counter or status word is in the picture: its elements are flagged saturated",
         refused=False,
     ),
     Kind(
         "byte-order",
-        "The picture is smooth once the two bytes of every count change places, and noise as it is.",
+        "The picture is noise, and smooth with the two bytes of every count exchanged.",
         "mend `byte order` in the header of the cube",
     ),
     Kind(
         "interleave",
-        "Neighbouring bands look alike where the samples are read in another interleave, and not as it is.",
+        "Neighbouring bands look alike in another interleave, but not in the declared one.",
         "mend `interleave` in the header of the cube",
     ),
     Kind(
         "band-order",
-        "The lines of the daylight (oxygen at 760 nm, and all others) stand in other bands than wavelengths "
-        "and gains say, or neighbouring bands have nothing in common.",
+        "The absorption bands of daylight (oxygen at 760 nm, and all others) are in other bands than "
+        "wavelengths and gains give, or neighbouring bands have nothing in common.",
         "mend the order of the bands in cube and dark, or name the calibration of this camera and binning",
     ),
     Kind(
         "dark-of-zeros",
         "Elements of the dark are exactly zero in every frame.",
-        'record the dark again; where the counts are dark-corrected, say cubes = "none" in [dark]',
+        'record the dark again; for dark-corrected counts write cubes = "none" in [dark]',
     ),
     Kind(
         "dark-over-scene",
@@ -69,52 +69,52 @@ _LIST = (
     ),
     Kind(
         "dark-lit",
-        "The dark holds light: it goes with wavelength as the scene does.",
+        "The dark holds light: its spectrum follows the scene's.",
         "record the dark again with the lens capped",
     ),
     Kind(
         "dark-unsteady",
-        "The frames of the dark are not alike: some are blank, or lit.",
-        "look at the frames of the dark cube, and leave these out",
+        "The frames of the dark differ: some are blank, or lit.",
+        "leave these frames out of the dark cube",
     ),
     Kind(
         "dark-pattern",
-        "The pattern of the dark is not the one that lies under the scene: it is of another camera, binning "
-        "or order of columns or bands.",
+        "The pattern of the dark is not part of the scene: it belongs to another camera, binning or order of "
+        "columns or bands.",
         "name the dark of this camera, in the same binning and orientation",
     ),
     Kind(
         "first-frame",
-        "The cube is named by a number that is not that of its first frame.",
-        "name the frame index of this cube; where the cube was renamed, nothing is to mend",
+        "The number in the cube's name is not the number of its first frame.",
+        "name the frame index of this cube; nothing for a renamed cube",
         refused=False,
     ),
     Kind(
         "foreign-frame-index",
-        "The frame index is that of another cube.",
+        "The frame index belongs to another cube.",
         "name the frame index of this cube",
     ),
     Kind(
         "doubled-frames",
-        "Lines are bit for bit those before them; noise makes frames differ.",
+        "Lines repeat the line before them bit for bit, although noise makes frames differ.",
         "leave these lines out of regions; places and times after them may be late",
         refused=False,
     ),
     Kind(
         "lost-frames",
-        "Frames are missing that the frame index counts as there, or nothing says so.",
+        "Frames are missing, although the frame index counts them or does not mention them.",
         "check the frame index against the cube; times and places may be wrong from there on",
         refused=False,
     ),
     Kind(
         "irradiance-constant",
-        "All records of irradiance are the same bits, or they stand still over the whole line: the "
-        "spectrometer had stopped.",
-        "name the record of this flight; a copied spectrum is not one of its time",
+        "All spectra of irradiance are bit-identical, or stay so over the whole line: the spectrometer had "
+        "stopped.",
+        "name the record of this flight, with spectra measured during the line",
     ),
     Kind(
         "irradiance-level",
-        "Irradiance is a small part of a clear sky's at the place and time, or a multiple.",
+        "Irradiance is a small part or a multiple of a clear sky's at the place and time.",
         "check the units of the record (units in [irradiance]), its receptor, its time and the line's place",
     ),
     Kind(
@@ -130,13 +130,13 @@ _LIST = (
         refused=False,
     ),
 )
-KINDS = {kind.name: kind for kind in _LIST}
-"""Every kind of finding, by its name."""
+#: Every kind of finding, by its name.
+KINDS = {kind.name: kind for kind in _ROWS}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing about a flight line that cannot be true, or is hardly so.
+    """One fault of a flight line that is impossible, or nearly so.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Finding:
         return str(self.problem())
 
     def problem(self, *, acceptable: bool = False) -> Problem:
-        """Return it as a problem of an error; one that is ``acceptable`` says how it is accepted."""
+        """Return it as a `Problem`; an ``acceptable`` one names the option that accepts it."""
         name, mend = self.kind.name, self.kind.mend
         option = mend
         if acceptable:

@@ -1,4 +1,4 @@
-"""All that is judged of one flight line."""
+"""Run all checks of one flight line."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from .plausible_record import judge_irradiance, judge_navigation
 def judge_line(
     line: xr.Dataset, cubes: tuple[FlightlineInputs, ...], *, lit: bool = True
 ) -> Iterator[Finding]:
-    """Judge a flight line and the cubes that it is made of; samples of them are read.
+    """Judge a flight line and its cubes; samples of them are read.
 
-    ``lit``: whether reflectance is made, so that the record of irradiance counts.
+    ``lit``: whether reflectance is computed, so that the record of irradiance matters.
     """
     name = str(line.attrs["name"])
     if lit:
@@ -47,7 +47,7 @@ def judge_line(
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
     """Judge the frames of a dark cube."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # said when the dark was opened
+        warnings.simplefilter("ignore", PaintWarning)  # opening the dark has warned
         counts = open_envi(path, unsaid="counts")["counts"]
     yield from judge_dark_frames(f"{path.parent.name}/{path.name}", counts)
 
@@ -55,7 +55,7 @@ def judge_dark_cube(path: Path) -> Iterator[Finding]:
 def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]:
     name = str(inputs.name)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # said when the line was opened
+        warnings.simplefilter("ignore", PaintWarning)  # opening the line has warned
         opened = open_envi(
             inputs.path, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity, unsaid="counts"
         )
@@ -69,7 +69,7 @@ def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]
     layout = list(judge_layout(name, inputs.path, cube.shape[0]))
     yield from layout
     sample = sample_cube(cube, recorded)
-    # of a cube that is read in a wrong order nothing else can be said
+    # a cube that is read in a wrong order allows no further check
     if sample is not None and not layout:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # bands without a gain have no mean
@@ -100,17 +100,14 @@ def _judge_sample(
 
 
 def _dark_of(line: xr.Dataset) -> tuple[Floats, bool]:
-    """Return the dark (band, cross_track) that a line gets, and whether it was measured at its exposure.
+    """Return the dark (band, cross_track) of a line, and whether it was measured at the line's exposure.
 
-    One that was fitted to darks of other exposures has their bias and rate, not the noise of one of them.
+    A dark that is fitted to darks of other exposures has no noise of its own.
     """
-    dark = line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values
+    parts = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
     exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
-    parts = {"dark_counts": dark}
     if "dark_exposure_time" in line:
         parts["dark_exposure_time"] = line["dark_exposure_time"].values
     taken = np.atleast_1d(parts.get("dark_exposure_time", exposure.mean())).astype(np.float64)
-    darks, _, _ = darks_of_lines(parts, exposure)
-    return darks.mean(axis=0, dtype=np.float64), bool(
-        (np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all()
-    )
+    dark = darks_of_lines(parts, exposure)[0].mean(axis=0, dtype=np.float64)
+    return dark, bool((np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all())

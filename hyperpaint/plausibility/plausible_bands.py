@@ -1,4 +1,4 @@
-"""Order of the bands, judged by the lines of the daylight in the picture."""
+"""Check the order of the bands by the solar lines and absorption bands of daylight in the cube."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from .finding import KINDS, Finding
 
 @dataclass(frozen=True)
 class BandRules:
-    """When bands stand in another order than their wavelengths.
+    """Thresholds beyond which bands are in another order than their wavelengths.
 
     bands, spacing_nm, fwhm_nm
-        Fewest bands, widest spacing and width [nm]: the lines of oxygen and water are 5 to 40 nm wide, and
-        have to be seen.
+        Fewest bands, widest spacing and width [nm]: the bands of oxygen and water are 5 to 40 nm wide, and
+        have to be resolved.
     explained, unexplained
-        Correlation of the picture's curvature over wavelength with that of daylight and gain, in the order
-        that explains it best, and in the order that is said [1]. The first set between 0.85, the most of 100
-        lamps of one to six peaks by chance (right), and 0.94, the least of the campaign's orders (wrong).
+        Correlation of the cube's curvature over wavelength with the curvature of daylight and gain, in the
+        best order, and in the declared order [1]. The first is set between 0.85, the highest of 100 lamps of
+        one to six peaks by chance (right), and 0.94, the least of the campaign's orders (wrong).
     margin
-        By how much the best has to stand over the best that is met with the curvature turned over [1]: among
-        22 000 orders the lines of a lamp meet some by chance, turned over as well. Orders of the campaign
-        (wrong) stand over it by 0.15 and more.
+        Least difference of the best order to the best one with inverted curvature [1]: among 22 000 orders a
+        lamp's lines match some by chance, inverted as well. Orders of the campaign (wrong) exceed it by 0.15
+        and more.
     common
         Part of the lit bands [1] that an order has to explain, and at least `bands`.
     daylight
-        Correlation of the record's curvature with that of a clear sky [1] from which it is of daylight.
+        Correlation of the record's curvature with a clear sky's [1] from which it is daylight.
     shift_nm
-        Smallest shift that is one [nm]: a smaller one is measured and mended by `hyperpaint.alignment`.
+        Smallest shift [nm]: a smaller one is measured and corrected by `hyperpaint.alignment`.
     stretches, shifts_nm
-        Other wavelengths that are tried: intervals of bands over those said [1], and shifts of the middle
-        band [nm].
+        Other wavelengths that are tried: intervals of bands over the declared ones [1], and shifts of the
+        middle band [nm].
     rough
-        Median of the squared differences of neighbouring bands over that of all pairs [1], of what is lit:
-        1 of bands in any order. A median, since one dead band or the lines of a lamp decide a mean. Set
-        between 0.1, the most of right collects of the campaign, and 0.38, the least of mixed bands.
+        Median squared difference of neighbouring bands over the median of all pairs [1], of lit bands: 1 for
+        bands in any order. A median, since one dead band or the lines of a lamp dominate a mean. Set
+        between 0.1, the highest of right collects of the campaign, and 0.38, the least of mixed bands.
     lit_counts, lit_share
-        Light from which a band is lit [count], and part of the most light [1]: darks drift by so much.
+        Light from which a band is lit [count], and part of the brightest band [1]: darks drift by so much.
     spread
-        Median difference of all pairs over the median light [1], under which the picture is even: of a
-        saturated line the pattern of the dark is left, some per cent of it.
+        Median difference of all pairs over the median light [1], below which the spectrum is even: a
+        saturated line leaves the pattern of the dark, some per cent of it.
     """
 
     bands: int = 24
@@ -76,23 +76,24 @@ def judge_bands(
     fwhm: float,
     record: tuple[Floats, Floats] | None,
 ) -> Iterator[Finding]:
-    """Judge the mean light over the dark [count] of every band, (band,) as gain and wavelength [nm].
+    """Judge the mean light above the dark [count] of every band, (band,) as gain and wavelength [nm].
 
-    fwhm: of the camera [nm]; record: wavelengths [nm] and irradiance, None where there is none: the
-    light may be a lamp's, and its lines are not judged.
+    fwhm: of the camera [nm]; record: wavelengths [nm] and irradiance, None without one: the light may then be
+    a lamp, and its lines are not judged.
     """
     spacing = float(np.median(np.abs(np.diff(wavelength)))) if wavelength.size > 1 else np.inf
     if wavelength.size < RULES.bands or not 0.0 < spacing <= RULES.spacing_nm or fwhm > RULES.fwhm_nm:
         return
     rising = np.argsort(wavelength)
     # a camera of many filters has unlike gains in neighbouring bands, and a smooth radiance
-    roughness = min(_roughness(each[rising], light[rising]) for each in (light, light * gain))
+    roughness = min(_roughness(spectrum[rising], light[rising]) for spectrum in (light, light * gain))
     if roughness > RULES.rough:
         yield Finding(
-            KINDS["band-order"], name,
-            f"neighbouring bands differ by {roughness:.2g} of what any two bands do",
-            f"under {RULES.rough:g}: spectra are smooth",
-        )  # fmt: skip
+            KINDS["band-order"],
+            name,
+            f"neighbouring bands differ by {roughness:.2g} of the difference of any two bands",
+            f"under {RULES.rough:g}, as in smooth spectra",
+        )
         return
     if record is None:
         return
@@ -101,42 +102,45 @@ def judge_bands(
     if not _correlation(_curvature(daylight.at(wavelength)), clear) > RULES.daylight:
         return
     expected = _curvature(daylight.at(wavelength) / gain)
-    shown = _curvature(light)
-    as_said = float(_correlation(shown, expected))
-    if not as_said < RULES.unexplained:
+    measured = _curvature(light)
+    declared = float(_correlation(measured, expected))
+    if not declared < RULES.unexplained:
         return
-    orders = {"reversed": float(_correlation(shown[::-1], expected))}
+    # reversed, rotated, and at other wavelengths
+    orders = {"reversed": float(_correlation(measured[::-1], expected))}
     for shift in range(1, wavelength.size):
         if min(shift, wavelength.size - shift) * spacing >= RULES.shift_nm:
-            # a roll by all bands but a few is one by a few the other way
+            # a rotation by more than half of the bands is one the other way
             by = shift if shift <= wavelength.size // 2 else shift - wavelength.size
-            orders[f"shifted by {-by} bands"] = float(_correlation(np.roll(shown, -shift), expected))
+            orders[f"shifted by {-by} bands"] = float(_correlation(np.roll(measured, -shift), expected))
     orders |= _agreements(_curvature(light * gain), wavelength, daylight)
     turned = _agreements(-_curvature(light * gain), wavelength, daylight)
     order, best = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
     chance = np.nanmax([-value for value in orders.values()] + list(turned.values()))
     if best > max(RULES.explained, chance + RULES.margin):
         yield Finding(
-            KINDS["band-order"], name,
-            f"the lines of the daylight agree with the bands by a correlation of {as_said:.2f}, by "
-            f"{best:.2f} where their order is {order}", f"at least {RULES.unexplained:g} as it is",
-        )  # fmt: skip
+            KINDS["band-order"],
+            name,
+            f"the correlation of the bands with daylight is {declared:.2f}, and {best:.2f} where their order "
+            f"is {order}",
+            f"at least {RULES.unexplained:g} in the declared order",
+        )
 
 
 def _roughness(spectrum: Floats, light: Floats) -> float:
-    """Return how unlike neighbouring bands are, as a part of all pairs; 0 where too few are lit."""
+    """Return the squared difference of neighbouring bands relative to all pairs; 0 where too few are lit."""
     lit = (light > max(RULES.lit_counts, RULES.lit_share * np.nanmax(light))) & np.isfinite(spectrum)
     if lit.sum() < RULES.bands:
         return 0.0
     pairs = np.abs(np.subtract.outer(spectrum[lit], spectrum[lit]))[np.triu_indices(lit.sum(), 1)]
     steps = np.abs(np.diff(np.where(lit, spectrum, np.nan)))
-    usual = float(np.median(pairs))
-    even = usual < RULES.spread * float(np.median(spectrum[lit]))
-    return 0.0 if even else float(np.nanmedian(steps) / usual) ** 2
+    typical = float(np.median(pairs))
+    even = typical < RULES.spread * float(np.median(spectrum[lit]))
+    return 0.0 if even else float(np.nanmedian(steps) / typical) ** 2
 
 
 def _agreements(radiance: Floats, wavelength: Floats, daylight: _Daylight) -> dict[str, float]:
-    """Return how well the lines of the daylight agree with the bands at other wavelengths."""
+    """Return the correlation of the bands with daylight at other wavelengths, by their description."""
     agreements = {}
     middle = float(wavelength.mean())
     shifts = np.arange(-RULES.shifts_nm, RULES.shifts_nm, 3.0)[:, None]
@@ -145,12 +149,12 @@ def _agreements(radiance: Floats, wavelength: Floats, daylight: _Daylight) -> di
             nm = middle + shifts + signed * (wavelength - middle)
             agreement = _correlation(radiance, _curvature(daylight.at(nm)))
             best = int(np.argmax(np.nan_to_num(agreement, nan=-1.0)))
-            agreements[f"that of {nm[best, 0]:.0f} to {nm[best, -1]:.0f} nm"] = float(agreement[best])
+            agreements[f"{nm[best, 0]:.0f} to {nm[best, -1]:.0f} nm"] = float(agreement[best])
     return agreements
 
 
 class _Daylight:
-    """Daylight as bands of a width see it, NaN beyond what is known of it."""
+    """Daylight at the resolution of the bands, NaN outside its range."""
 
     def __init__(self, wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> None:
         beyond = 2.0 * RULES.shifts_nm
@@ -166,7 +170,7 @@ class _Daylight:
 
 
 def _curvature(spectrum: Floats) -> Floats:
-    """Return second differences of the logarithm (..., band), NaN where there is next to no light."""
+    """Return second differences of the logarithm (..., band), NaN where there is almost no light."""
     least = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
     curvature = np.full(spectrum.shape, np.nan)
     curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > least, spectrum, np.nan)), 2)
@@ -174,12 +178,14 @@ def _curvature(spectrum: Floats) -> Floats:
 
 
 def _correlation(first: Floats, second: Floats) -> Floats:
-    """Return the correlation over the last axis, where both are known; NaN of too few of the first."""
+    """Return the correlation over the last axis, where both are known; NaN where few of the first are."""
     both = np.isfinite(first) & np.isfinite(second)
     count = both.sum(axis=-1)
     a, b = (np.where(both, part, 0.0) for part in (first, second))
-    a, b = (np.where(both, part - part.sum(axis=-1, keepdims=True) / np.maximum(count, 1)[..., None], 0.0)
-            for part in (a, b))  # fmt: skip
+    a, b = (
+        np.where(both, part - part.sum(axis=-1, keepdims=True) / np.maximum(count, 1)[..., None], 0.0)
+        for part in (a, b)
+    )
     size = np.sqrt((a**2).sum(axis=-1) * (b**2).sum(axis=-1))
     lit = np.isfinite(first).sum(axis=-1)
     enough = (count >= np.maximum(RULES.bands, RULES.common * lit)) & (size > 0.0)

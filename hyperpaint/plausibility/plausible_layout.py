@@ -1,4 +1,4 @@
-"""Interleave and byte order of a cube, judged by the picture that they make."""
+"""Check interleave and byte order of a cube by the smoothness of its spectra."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from .finding import KINDS, Finding
 
 @dataclass(frozen=True)
 class LayoutRules:
-    """When another layout explains a cube better.
+    """Thresholds at which another layout explains a cube better.
 
     bands, pixels
-        Bands looked at, and pixels in each, by chance: some thousand places of the file.
+        Random bands, and pixels in each, that are read: some thousand places of the file.
     rough, smoother
-        Mean squared difference of neighbouring bands over twice the variance [1]: from where on it is looked
-        for a better layout, and how many times smoother that is: 30 times in another interleave, 1000 times
-        with bytes exchanged.
+        Mean squared difference of neighbouring bands over twice the variance [1]: value above which other
+        layouts are tried, and ratio by which one has to be smoother: 30 times in another interleave, 1000
+        times with bytes exchanged.
     unlike
         The same [1] above which bands have nothing in common in the other layout either (1: noise): one band
-        of status words makes a picture rougher than noise, and every other layout smoother.
+        of status words makes a cube rougher than noise, and every other layout smoother.
     separate, separation
-        Share of the variance that bands explain in the better interleave, and over that share as it is [1]:
-        light and camera give every band a level of its own, and a wrong order mixes them. Without it,
-        neighbouring columns of an even field would look like bands of a camera that has few.
+        Share of the variance that bands explain in the better interleave, and over that share in the declared
+        one [1]: light and camera give every band a level of its own, and a wrong order mixes them. Without
+        it, neighbouring columns of an even field would look like bands of a camera that has few.
     """
 
     bands: int = 24
@@ -49,7 +49,7 @@ RULES = LayoutRules()
 
 
 class _View(NamedTuple):
-    """Counts as an interleave shows them, both (band, pixel)."""
+    """Counts read in one interleave, both (band, pixel)."""
 
     values: Floats
     neighbours: Floats  # Of the next band
@@ -62,7 +62,7 @@ class _View(NamedTuple):
 
     @property
     def separation(self) -> float:
-        """Share of the variance that lies between bands, less what chance gives."""
+        """Share of the variance that lies between bands, less its expectation by chance."""
         bands, pixels = self.values.shape
         within = float(self.values.var(axis=1).mean()) * pixels / (pixels - 1)
         between = max(float(self.values.mean(axis=1).var()) * bands / (bands - 1) - within / pixels, 0.0)
@@ -77,32 +77,36 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
         return
     with open(data_path, "rb", buffering=0) as file:
         views = {order: _view(file, header, lines, order) for order in ("bil", "bip", "bsq")}
-    own = views.pop(header.interleave)
-    if own.roughness <= RULES.rough:
+    declared = views.pop(header.interleave)
+    if declared.roughness <= RULES.rough:
         return
-    smooth = min(own.roughness / RULES.smoother, RULES.unlike)
+    smooth = min(declared.roughness / RULES.smoother, RULES.unlike)
     if header.dtype.itemsize == 2:
-        swapped = _View(*(part.astype(header.dtype).byteswap().astype(np.float64) for part in own))
+        swapped = _View(*(part.astype(header.dtype).byteswap().astype(np.float64) for part in declared))
         if swapped.roughness < smooth:
             other = "0 (little)" if header.dtype.newbyteorder("<") != header.dtype else "1 (big)"
             yield Finding(
-                KINDS["byte-order"], name,
-                f"neighbouring bands differ by {own.roughness:.2g} of the variance, by "
-                f"{swapped.roughness:.2g} with bytes exchanged", f"byte order = {other}",
-            )  # fmt: skip
+                KINDS["byte-order"],
+                name,
+                f"neighbouring bands differ by {declared.roughness:.2g} of the variance, by "
+                f"{swapped.roughness:.2g} with bytes exchanged",
+                f"byte order = {other}",
+            )
             return
     order, best = min(views.items(), key=lambda item: item[1].roughness)
-    least = max(RULES.separate, RULES.separation * own.separation)
+    least = max(RULES.separate, RULES.separation * declared.separation)
     if best.roughness < smooth and best.separation > least:
         yield Finding(
-            KINDS["interleave"], name,
-            f"neighbouring bands differ by {own.roughness:.2g} of the variance as {header.interleave}, by "
-            f"{best.roughness:.2g} as {order}", f"interleave = {order}",
-        )  # fmt: skip
+            KINDS["interleave"],
+            name,
+            f"neighbouring bands differ by {declared.roughness:.2g} of the variance as {header.interleave}, "
+            f"by {best.roughness:.2g} as {order}",
+            f"interleave = {order}",
+        )
 
 
 def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
-    """Read pixels by chance, the same in every band's turn, as the samples lie in an interleave."""
+    """Read random pixels, the same in every band, with the file's samples in the given interleave."""
     rng = np.random.default_rng(0)
     count = min(RULES.bands, header.bands - 1)
     bands = np.linspace(0, header.bands - 2, count).astype(np.int64)[:, None]
@@ -116,7 +120,7 @@ def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
             "bsq": (band * lines + line) * header.samples + column,
         }[order]
         size = header.dtype.itemsize
-        # single samples: mapping the file would take as much address space as it has bytes
+        # single reads: mapping the file would take its size in address space
         starts = (header.header_offset + size * places.ravel()).tolist()
         samples = bytearray()
         for start in starts:

@@ -1,4 +1,4 @@
-"""Records of irradiance and navigation that are not of the flight."""
+"""Check that records of irradiance and navigation belong to the flight."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .finding import KINDS, Finding
 
 @dataclass(frozen=True)
 class RecordRules:
-    """When records are not of the flight.
+    """Thresholds beyond which records do not belong to the flight.
 
     samples
-        Fewest equal spectra in a row that are no chance [1].
+        Fewest equal spectra in a row that are not a coincidence [1].
     still_factor
-        Times that a stand-still is longer than the others of the record [1]: loggers write a reading several
+        Length of a standstill relative to the others of the record [1]: loggers write a reading several
         times.
     least_share, most_share
-        Irradiance over a clear sky's [1]: a thunderstorm lets 0.02 through, sides of clouds add 0.5.
+        Irradiance over a clear sky's [1]: a thunderstorm transmits 0.02, sides of clouds add 0.5.
     still_lines, still_share, still_m
-        Fewest lines, share of the lines [1] that stand still bit by bit, and extent of all positions [m]
+        Fewest lines, share of the lines [1] with bit-identical positions, and extent of all positions [m]
         below which a platform does not move.
     turned
-        Attitude that changes by so much shows a camera that turns on its place [degree].
+        Change of attitude that shows a camera turning in place [degree].
     gap_share
         Lines without a position or angle [1].
     """
@@ -59,9 +59,11 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     times = line[IRRADIANCE_TIME].values
     if not np.isfinite(spectra).any():
         yield Finding(
-            KINDS["irradiance-level"], name,
-            f"none of the {len(spectra)} spectra has a value: all are zero, or undefined", "daylight",
-        )  # fmt: skip
+            KINDS["irradiance-level"],
+            name,
+            f"all {len(spectra)} spectra are zero or undefined",
+            "daylight",
+        )
         return
     yield from _judge_changes(name, spectra, times, line["time"].values)
     channels = line["irradiance_wavelength"].values.astype(np.float64)
@@ -71,11 +73,12 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     if math.isfinite(share) and not RULES.least_share <= share <= RULES.most_share:
         slip = f", {level.slip}" if level.slip else ""
         yield Finding(
-            KINDS["irradiance-level"], name,
+            KINDS["irradiance-level"],
+            name,
             f"the median irradiance of 400-1000 nm is {level.median:.3g} W m-2 nm-1, {share:.2g} times "
-            f"that of a clear sky at its place and time{slip}",
+            f"a clear sky's at its place and time{slip}",
             f"{RULES.least_share:g} to {RULES.most_share:g} times",
-        )  # fmt: skip
+        )
 
 
 def _judge_changes(name: str, spectra: Array, times: Array, flown: Array) -> Iterator[Finding]:
@@ -94,11 +97,11 @@ def _judge_changes(name: str, spectra: Array, times: Array, flown: Array) -> Ite
     if lengths[longest] == len(spectra) or (covers and lengths[longest] > RULES.still_factor * others):
         seconds = (times[last] - times[first]) / np.timedelta64(1, "s")
         yield Finding(
-            KINDS["irradiance-constant"], name,
-            f"{lengths[longest]} of {len(spectra)} spectra in a row are bit for bit the same, for "
-            f"{seconds:.3g} s",
-            "spectra that differ, by noise at least",
-        )  # fmt: skip
+            KINDS["irradiance-constant"],
+            name,
+            f"{lengths[longest]} of {len(spectra)} spectra in a row are bit-identical, for {seconds:.3g} s",
+            "spectra that differ, at least by noise",
+        )
 
 
 def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
@@ -114,29 +117,34 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
         if key in line.coords
     }
     gaps = {key: float(np.mean(~np.isfinite(values))) for key, values in pose.items()}
-    # angles that nothing measured at all are no gap: what needs them asks for them
+    # angles that were never measured are no gap: functions that need them ask for them
     gaps = {key: share for key, share in gaps.items() if share < 1.0 or key not in _ANGLES}
     if max(gaps.values()) > RULES.gap_share:
         lost = ", ".join(
             f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RULES.gap_share
         )
         yield Finding(
-            KINDS["navigation-gaps"], name,
-            f"missing for the lines: {lost}", f"at most {100 * RULES.gap_share:g} %",
-        )  # fmt: skip
-    there = np.isfinite(pose["latitude"]) & np.isfinite(pose["longitude"])
-    if there.sum() < RULES.still_lines:
+            KINDS["navigation-gaps"],
+            name,
+            f"missing for the lines: {lost}",
+            f"at most {100 * RULES.gap_share:g} %",
+        )
+    located = np.isfinite(pose["latitude"]) & np.isfinite(pose["longitude"])
+    if located.sum() < RULES.still_lines:
         return
-    north, east = np.radians(pose["latitude"][there]), np.radians(pose["longitude"][there])
+    north, east = np.radians(pose["latitude"][located]), np.radians(pose["longitude"][located])
     metres = 6.371e6 * np.stack([north, east * math.cos(float(north.mean()))])
     extent = float(np.hypot(*np.ptp(metres, axis=1)))
-    angles = [pose[key][there] for key in _ANGLES if key in pose]
-    angles = [values[np.isfinite(values)] for values in angles]
-    turned = max((float(np.ptp(np.unwrap(each, period=360.0))) for each in angles if each.size), default=0.0)
+    angles = [pose[key][located] for key in _ANGLES if key in pose]
+    finite = [values[np.isfinite(values)] for values in angles]
+    turned = max(
+        (float(np.ptp(np.unwrap(angle, period=360.0))) for angle in finite if angle.size), default=0.0
+    )
     still = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
     if turned < RULES.turned and (still > RULES.still_share or extent < RULES.still_m):
         yield Finding(
-            KINDS["navigation-still"], name,
+            KINDS["navigation-still"],
+            name,
             f"positions stay the same over {100 * still:.3g} % of the lines, and lie within {extent:.3g} m",
-            "a platform that moves from line to line",
-        )  # fmt: skip
+            "a platform that moves between lines",
+        )

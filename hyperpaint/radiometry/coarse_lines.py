@@ -1,4 +1,4 @@
-"""A flight line at the size of a screen: means of blocks of pixels, stored beside the line by `process`."""
+"""Means of blocks of pixels: a flight line at the size of a screen, stored beside the line by `process`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .counts_to_reflectance import reflectance
 from .slabs import line_chunked
 
 SCREEN_LINES = 1000
-SMALLEST_SIDE = 4
-"""Pixels along a side of a block: what is stored is at most a sixteenth of the cube."""
+#: Pixels along the side of the smallest block: stored means are at most a sixteenth of the cube.
+MIN_BLOCK_SIDE = 4
+#: Mantissa bits of a stored mean: precision and size of float16, in a type that netCDF holds.
 MEANS_BITS = 10
-"""Mantissa bits of a stored mean: as good as half precision, in a type that netCDF holds, and as small."""
 
 _SIDE = "block_side"
 
@@ -26,35 +26,35 @@ _SIDE = "block_side"
 def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
 
-    Lazy. What `process` stored beside the line is read where it serves, else the whole cube when it is
-    computed.
+    Lazy. Reads the means that `process` stored beside the line where they serve, else computes from the whole
+    cube.
 
     Parameters
     ----------
     dataset
-        A flight line with ``reflectance``, or with what it follows from.
+        A flight line with ``reflectance``, or with the variables that `reflectance` needs.
     side
-        Lines and columns of a block, at most 32; by default of what is stored, else the smallest power of 2
-        from 4 to 32 by which no more than 1,000 lines are left.
+        Lines and columns of a block, at most 32; by default the stored side, else the smallest power of 2
+        from 4 to 32 that leaves at most 1,000 lines.
 
     Returns
     -------
     Dataset
-        ``reflectance`` (along_track, band, cross_track), float32, and its coordinates, those of the middles
-        of blocks: a line as any other. ``coarse(line).paint.at(650.0)`` is the picture of a band,
-        ``coarse(line).paint.rgb()`` that of colours. Its pixel ``(y, x)`` is the mean, without what is
-        missing, of lines ``y * side`` to ``(y + 1) * side`` and those columns. Attributes of ``reflectance``:
-        ``block_side`` is the side, ``level`` says whether it was ``stored``, with 11 bits, or ``computed``.
+        ``reflectance`` (along_track, band, cross_track), float32, with the coordinates of the middles of
+        blocks: a flight line as any other. ``coarse(line).paint.at(650.0)`` is the picture of a band,
+        ``coarse(line).paint.rgb()`` the picture in colour. Its pixel ``(y, x)`` is the mean of the valid
+        pixels of lines ``y * side`` to ``(y + 1) * side`` and those columns. Attributes of ``reflectance``:
+        ``block_side`` is the side, ``level`` is ``stored``, with 11 bits, or ``computed``.
 
     Raises
     ------
     SchemaError
-        The line has no reflectance, nor what it follows from; or ``side`` is not 1 to 32.
+        The line has neither reflectance nor the variables to compute it; or ``side`` is not 1 to 32.
 
     Notes
     -----
-    What is stored is taken where the reflectance, or without it all it follows from, is as `open_store`
-    opened it.
+    Stored means are used where the reflectance, or without it the variables that it is computed from, are
+    unchanged since `open_store` opened them.
 
     Examples
     --------
@@ -66,7 +66,11 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """
     line = schema.rename_to_roles(dataset)
     if side is not None and not 1 <= side <= CHUNK_LINES:
-        raise SchemaError(f"side={side}, expected 1 to {CHUNK_LINES} lines and columns of a block")
+        raise SchemaError(
+            f"side={side}",
+            expected=f"1 to {CHUNK_LINES} lines and columns of a block",
+            code="value-out-of-range",
+        )
     stored = _stored(line, side)
     if stored is None:
         line = line if "reflectance" in line.variables else reflectance(line)
@@ -88,14 +92,14 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
 def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArray:
     """Return the means of blocks of reflectance as they are stored beside a line, lazily.
 
-    Made from the slabs that are written, one small task each; the same bits whatever the chunks.
+    One small task per written slab; the same bits whatever the chunks.
     """
     import dask.array as da
 
     cube = line_chunked(schema.require(line, ["reflectance"], "means of blocks")["reflectance"])
     lines, bands, columns = cube.shape
     if side is None:
-        side = SMALLEST_SIDE
+        side = MIN_BLOCK_SIDE
         while side < CHUNK_LINES and lines > SCREEN_LINES * side:
             side *= 2
     # whole blocks in every task
@@ -125,18 +129,14 @@ def _means(values: Array, side: int) -> Array:
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
-    """Return the stored means where they are of this line, whole and as it was stored."""
+    """Return the stored means where they belong to this line and are complete; None otherwise."""
     row = schema.VARIABLES["coarse_reflectance"]
     stored = line.get(row.name)
     if stored is None or set(stored.dims) != set(row.dims):
         return None
-    own = stored.attrs.get(_SIDE)
-    if not isinstance(own, int | np.integer) or own < 1 or side not in (None, own):
+    stored_side = stored.attrs.get(_SIDE)
+    if not isinstance(stored_side, int | np.integer) or stored_side < 1 or side not in (None, stored_side):
         return None
-    sizes = {
-        "coarse_y": -(-line.sizes.get(ALONG_TRACK, 0) // own),
-        "coarse_x": -(-line.sizes.get(CROSS_TRACK, 0) // own),
-    }
-    if any(stored.sizes[dim] != size for dim, size in sizes.items()):
-        return None
-    return stored if schema.has_own_means(line) else None
+    lengths = {"coarse_y": line.sizes.get(ALONG_TRACK, 0), "coarse_x": line.sizes.get(CROSS_TRACK, 0)}
+    is_whole = all(stored.sizes[dim] == -(-length // stored_side) for dim, length in lengths.items())
+    return stored if is_whole and schema.has_own_means(line) else None

@@ -45,8 +45,8 @@ _BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR 
 _BITS_OF_LIGHT = (
     Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
 )
+#: Bits that each product derives anew; others were set elsewhere, and stay.
 _OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
-"""Bits that are found anew, for each product; others were set elsewhere, and stay."""
 
 
 @takes_quantities()
@@ -64,7 +64,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        The same with ``radiance`` (along_track, band, cross_track), float32 [W m-2 sr-1 nm-1], and
+        The line with ``radiance`` (along_track, band, cross_track), float32 [W m-2 sr-1 nm-1], and
         ``quality`` (along_track, cross_track), uint16. Saturated samples and bad elements are NaN.
 
     Raises
@@ -72,8 +72,8 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     SchemaError, UnitsError
         Variables are missing, or have other dims or units; every problem is listed. The gain has
         no absolute scale (attribute ``absolute_scale`` of the calibration), or ``linearity_on`` is unknown.
-        When computed: values are out of range, such as a dark at another exposure or a linearity that turns
-        back.
+        When computed: values are out of range, such as a dark at another exposure or a linearity curve that
+        is not monotonic.
 
     Notes
     -----
@@ -82,18 +82,19 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     with :math:`g` the radiance gain, :math:`C` and :math:`D` the counts and the dark, :math:`t` the
     exposure time and :math:`\ell` the detector's linearity, as the calibration declares it (attributes
     ``linearity`` and ``linearity_on``, or the table ``linear_counts``): the identity without one. Saturation
-    is judged on the counts as they are. The attribute ``linearity_applied`` says what was applied.
+    is judged on raw counts. The attribute ``linearity_applied`` names the applied curve.
 
-    Where the calibration or the line declares ``masked`` elements, which see no light, what they count on
-    average beyond their dark in a line, the pedestal, is added to the dark of every element of that line,
-    without those further than 5 standard deviations from the mean. The attribute ``pedestal_applied`` says
-    so. The noise of that mean, which all samples of a line share, is in the systematic uncertainty.
+    Where the calibration or the line declares ``masked`` elements, which receive no light, the mean of their
+    counts above their dark in a line, the pedestal, is added to the dark of every element of that line;
+    elements further than 5 standard deviations from the mean are left out. The attribute ``pedestal_applied``
+    records it. The noise of that mean, which all samples of a line share, is in the systematic uncertainty.
 
-    Where the calibration or the line holds ``stray_light``, the share of each band's light that others see,
-    or ``band_shift_time``, in which a frame is shifted by a band under the light, what bands count of others
-    is subtracted: :math:`c = (1 + D)^{-1} (s - \kappa \sum s)`, where of :math:`n` bands :math:`\kappa =
-    \epsilon / (1 + n \epsilon)`, and :math:`\epsilon` is the shift time over the exposure. The attribute
-    ``stray_light_applied`` says so, ``stray_light_u`` of it is in the systematic uncertainty.
+    Where the calibration or the line holds ``stray_light``, the share of each band's light that other bands
+    receive, or ``band_shift_time``, in which a frame is shifted by a band under the light, the light of other
+    bands is subtracted: :math:`c = (1 + D)^{-1} (s - \kappa \sum s)`, where of :math:`n` bands
+    :math:`\kappa = \epsilon / (1 + n \epsilon)`, and :math:`\epsilon` is the shift time over the exposure.
+    The attribute ``stray_light_applied`` records it; its uncertainty ``stray_light_u`` is in the systematic
+    uncertainty.
 
     The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's; altitude never
     enters. Several darks are interpolated in time, or to the line's exposure by bias and
@@ -137,61 +138,61 @@ def reflectance(
     Parameters
     ----------
     dataset
-        A flight line. From ``counts`` when present, with what `radiance` needs; else from ``radiance``;
-        else what is stored is returned. Further ``time`` (along_track), ``wavelength`` and ``fwhm``
-        (band), ``wavelength_shift`` where there is smile, and the irradiance.
+        A flight line. From ``counts`` when present, with the variables that `radiance` needs; else from
+        ``radiance``; else the stored ``reflectance`` is returned. Further ``time`` (along_track),
+        ``wavelength`` and ``fwhm`` (band), ``wavelength_shift`` where there is smile, and the irradiance.
     irradiance
-        Replaces the line's own: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``
-        and, if wished, ``irradiance_max_gap`` and ``irradiance_clock_uncertainty``, each with ``units``.
+        Replaces the line's own record: ``irradiance`` (irradiance_time, irradiance_wavelength),
+        ``irradiance_fwhm`` and optionally ``irradiance_max_gap`` and ``irradiance_clock_uncertainty``, each
+        with ``units``.
     uncertainty
         Add standard uncertainties. They need counts, and ``electrons_per_count`` and ``read_noise`` of the
         calibration or from `hyperpaint.radiometry.estimate_noise`.
     tilt
-        Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
-        longitude. Where it names no ``diffuse_fraction``, that of the lines counts, else what the record
-        itself says (`hyperpaint.light.diffuse_from_record`): a clear sky, or another one.
+        Attitude of a tilted surface, as `Tilt` or (angle, azimuth) [degree]; needs latitude and longitude.
+        Without a ``diffuse_fraction`` of its own, the fraction of the lines is used, else the fraction that
+        `hyperpaint.light.diffuse_from_record` derives from the record.
     panel
         A target of known reflectance in the scene, to which every band is scaled; or several, seen at
-        different times, which correct the level of the record between them. What they measure, and what is
-        noticed of them, is stored beside reflectance, see `panel_closure`. By default the scale that
-        `hyperpaint.process` found by the panels which the line declares (attribute ``panels``), in crops as
-        well; ``dataset.drop_vars("panel_weight")`` does without.
+        different times, which correct the level of the record between them. Their measured factors and states
+        are stored beside reflectance, see `panel_closure`. By default the scale that `hyperpaint.process`
+        derived from the panels which the line declares (attribute ``panels``), in crops as well;
+        ``dataset.drop_vars("panel_weight")`` leaves it out.
     keep_bits
         Mantissa bits that are kept, rounding to nearest-even; all 23 by default.
 
     Returns
     -------
     Dataset
-        The same with ``reflectance`` (along_track, band, cross_track), float32 [1], ``quality``
-        (along_track, cross_track), uint16, ``irradiance_age`` (along_track), float32 [s],
-        ``timing_sensitivity`` (along_track), float32 [1]: by how much irradiance changes within the clocks'
-        uncertainty, and ``irradiance_misfit`` (band), float32 [1]. NaN where a sample is saturated, an
-        element bad, or a line outside the irradiance record or in a gap of it. Values below 0 and, in glint,
-        above 1 are kept. With ``uncertainty`` also ``reflectance_u_random`` and
-        ``reflectance_u_systematic``, as ``reflectance``; their attributes are those of obsarray, and name the
-        components that are known.
+        The line with ``reflectance`` (along_track, band, cross_track), float32 [1], ``quality`` (along_track,
+        cross_track), uint16, ``irradiance_age`` (along_track), float32 [s], ``timing_sensitivity``
+        (along_track), float32 [1]: the relative change of irradiance within the clocks' uncertainty, and
+        ``irradiance_misfit`` (band), float32 [1]. NaN where a sample is saturated, an element bad, or a line
+        outside the irradiance record or in a gap of it. Values below 0 and, in glint, above 1 are kept. With
+        ``uncertainty`` also ``reflectance_u_random`` and ``reflectance_u_systematic``, as ``reflectance``,
+        with obsarray's attributes, which name the known components.
 
     Raises
     ------
     SchemaError, UnitsError, TimeError
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
-        problem is listed. The gain has no absolute scale and there is no
-        ``panel``. When computed: values are out of range; or all panels are refused, with the reason.
+        problem is listed. The gain has no absolute scale and there is no ``panel``. When computed: values are
+        out of range; or all panels are refused, with the reason.
 
     Warns
     -----
     PaintWarning
-        The line has a scale by panels, and ``irradiance`` is another that it was not found with.
+        The line has a scale by panels that was derived with another record than ``irradiance``.
 
     Notes
     -----
     .. math:: \rho = \pi L / E
 
-    with :math:`E` the downwelling irradiance on a level surface as the imager's band at that column would
-    have seen it, linear in time between the two samples around the line. It is a hemispherical-conical
-    reflectance factor, the irradiance-weighted mean over the band's response; no cosine of the sun's
-    zenith angle enters, since the receptor already measures horizontal irradiance. The paper's eq. 6 prints a
-    product of radiance and irradiance, which is not a reflectance.
+    with :math:`E` the downwelling irradiance on a level surface in the imager's band at that column, linear
+    in time between the two samples around the line. It is a hemispherical-conical reflectance factor, the
+    irradiance-weighted mean over the band's response; no cosine of the sun's zenith angle enters, since the
+    receptor already measures horizontal irradiance. The paper's eq. 6 prints a product of radiance and
+    irradiance, which is not a reflectance.
 
     Uncertainties are absolute, so that they hold at and below zero:
 
@@ -202,13 +203,13 @@ def reflectance(
 
     with :math:`k` electrons a count, :math:`\sigma_r` the read noise, 1/12 for whole counts, :math:`u_D` of
     the mean dark, and the ``radiance_gain_u_*``, ``irradiance_u_systematic``, ``wavelength_u`` and
-    ``dark_counts_u_systematic`` of the dataset; what is missing counts as zero. Wavelength acts on radiance,
-    since the irradiance is matched to the wavelengths that are assumed: where the light is flat, it is
-    :math:`\partial\rho / \partial\lambda`, beside an absorption band of the air mostly the slope of
-    the light. With a panel, its own uncertainty takes the place of what all elements share. In a mean each
-    shrinks as far as samples do not share it; see `hyperpaint.radiometry.mean_uncertainty`. Where counts are
-    made linear, :math:`u_r` grows by
-    the slope :math:`\ell'` of that curve, and ``linearity_u`` stands beside the gain's.
+    ``dark_counts_u_systematic`` of the dataset; missing ones count as zero. Wavelength acts on radiance,
+    since the irradiance is matched to the assumed wavelengths: where the light is flat, it is
+    :math:`\partial\rho / \partial\lambda`, beside an absorption band of the air mostly the slope of the
+    light. With a panel, its own uncertainty replaces the components that all elements share. In a mean each
+    component shrinks as far as samples do not share it; see `hyperpaint.radiometry.mean_uncertainty`. Where
+    counts are made linear, :math:`u_r` grows by the slope :math:`\ell'` of that curve, and ``linearity_u`` is
+    added to the gain's uncertainty.
 
     References
     ----------
@@ -237,9 +238,10 @@ def reflectance(
 def panel_closure(
     dataset: xr.Dataset, panel: Panel | Sequence[Panel], irradiance: xr.Dataset | None = None
 ) -> xr.Dataset:
-    r"""Return what panels measure over what the irradiance record lets expect, and what is noticed of them.
+    r"""Return the ratio of measured to expected panel reflectance, and the state of each panel.
 
-    Lazy. The same is stored beside ``reflectance(panel=)``, which refuses panels; here none is.
+    Lazy. The same is stored beside ``reflectance(panel=)``, which refuses doubtful panels; this function
+    refuses none.
 
     Parameters
     ----------
@@ -252,8 +254,8 @@ def panel_closure(
     -------
     Dataset
         ``panel_factor``, ``panel_factor_u`` and ``panel_used`` (panel, band), float32 [1]: the factor, its
-        combined standard uncertainty, and the share of pixels it is of; ``panel_state`` (panel), uint8, what
-        was noticed; ``panel_time`` (panel).
+        combined standard uncertainty, and the share of pixels used; ``panel_state`` (panel), uint8, bits of
+        the faults found; ``panel_time`` (panel).
 
     Raises
     ------
@@ -264,9 +266,9 @@ def panel_closure(
     -----
     .. math:: F = \frac{1}{\rho} \left\langle \frac{\pi L}{E} \right\rangle
 
-    Computing warns of what is noticed: saturated pixels, pixels that are shaded or show something else, a
-    mean that is not good to 1 %, the spectrum of a panel that leans, and a factor beyond twice its
-    uncertainty. How, and thresholds: `hyperpaint.radiometry.panel_judging`.
+    Computing warns of saturated pixels, pixels that are shaded or show something else, a mean with more than
+    1 % standard error, the spectrum of a tilted panel, and a factor beyond twice its uncertainty. Methods and
+    thresholds: `hyperpaint.radiometry.panel_judging`.
 
     Examples
     --------
@@ -290,15 +292,21 @@ def _reflectance(
     keep_bits: int | None = None,
     refuses: bool = True,
 ) -> xr.Dataset:
-    """Do what `reflectance` does; without ``refuses`` panels are judged only."""
+    """Compute `reflectance`; without ``refuses`` panels are judged but never refused."""
     dataset = schema.rename_to_roles(dataset)
-    attitude = _attitude(tilt)
+    if isinstance(tilt, tuple) and len(tilt) == 2:
+        tilt = Tilt(*tilt)
+    if tilt is not None and not isinstance(tilt, Tilt):
+        raise SchemaError(
+            f"tilt={tilt!r}", expected="hyperpaint.Tilt or (angle, azimuth) in degrees", code="type-wrong"
+        )
     _refuse_without(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
         if any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)):
             raise SchemaError(
-                "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
-                "found 'reflectance' only"
+                "irradiance=, tilt=, panel= and keep_bits= need more than 'reflectance'",
+                expected="'counts' or 'radiance'",
+                code="option-conflict",
             )
         names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
         return dataset.assign(schema.require(dataset, names, "reflectance"))
@@ -307,24 +315,25 @@ def _reflectance(
         dataset = replace_record(dataset, irradiance)
     scaling = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
-        raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
+        raise SchemaError(
+            f"keep_bits={keep_bits}", expected="1 to 23 mantissa bits of float32", code="value-out-of-range"
+        )
     cube, inputs = plan_inputs(
-        dataset, stored, scaling, tilt=attitude, keep_bits=keep_bits, uncertainty=uncertainty
+        dataset, stored, scaling, tilt=tilt, keep_bits=keep_bits, uncertainty=uncertainty
     )
     if panels:
         inputs["panel"] = panel_inputs(dataset, panels, reflectance) | {"refuses": refuses}
-    is_own = attitude is None and not panels
-    options = (stored is None, keep_bits, uncertainty) if is_own else None
+    # plans of level surfaces, without panels, are cached
+    options = (stored is None, keep_bits, uncertainty) if tilt is None and not panels else None
     uncertain = inputs["uncertain"]
     cubes, quality, plan = slabs.calibrated(
         slabs.line_chunked(cube),
         lazy_plan(dataset, options, make_plan, **inputs),
         cubes=1 if uncertain is None else 3,
     )
-    texts = "; ".join(map(str, scaling))
-    notes = {"tilt": str(attitude) if attitude else None, "panel": texts or None}
-    # uncertainties of an earlier reflectance are not those of this one
+    notes = {"tilt": str(tilt) if tilt else None, "panel": "; ".join(map(str, scaling)) or None}
     notes |= applied(inputs["cube"])
+    # drop uncertainties of an earlier reflectance
     result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, notes)
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
@@ -340,7 +349,7 @@ def _reflectance(
         result[name] = schema.label(array, name)
     if stored is not None:
         return result
-    # what an earlier reflectance was scaled by does not belong to this one
+    # replace the panels of an earlier reflectance
     result = without_panels(result)
     return result.assign(closure_variables(plan, len(panels), bands, lines)) if panels else result
 
@@ -349,21 +358,14 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
     if not set(names) & set(dataset.variables):
         held = ", ".join(map(str, dataset.data_vars)) or "no variable"
         raise SchemaError(
-            f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(COUNTED[1:])}, "
-            f"or {' or '.join(repr(name) for name in names[1:])}"
+            f"cannot compute {purpose} from {held}",
+            expected=f"'counts' with {', '.join(COUNTED[1:])}, or {' or '.join(map(repr, names[1:]))}",
+            code="variable-missing",
         )
 
 
-def _attitude(tilt: Any) -> Tilt | None:
-    if tilt is None or isinstance(tilt, Tilt):
-        return tilt
-    if not isinstance(tilt, tuple) or len(tilt) != 2:
-        raise SchemaError(f"tilt={tilt!r}, expected hyperpaint.Tilt or (angle, azimuth) in degrees")
-    return Tilt(*tilt)
-
-
 def applied(values: dict[str, Any]) -> dict[str, str | None]:
-    """Return what attributes say was undone of what the detector does to counts; None for nothing."""
+    """Return the attributes that name the applied corrections of the detector; None for a missing one."""
     linearity: Linearity | None = values.get("linearity")
     notes: dict[str, str | None] = {}
     if linearity is not None:
@@ -388,14 +390,14 @@ def _with(
 
 
 def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew: bool) -> xr.DataArray:
-    """Return the flags of a product, with those that others set before.
+    """Return the flags of a product, merged with flags that were set before.
 
-    ``anew``: what is found here from counts takes the place of what was found before.
+    ``anew``: flags derived from counts replace those derived before.
     """
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     attrs: dict[str, Any] = {}
     if before is not None:
-        # what others found, such as glint or shadow, stays
+        # bits of other rooms, such as glint or shadow, stay
         flags = flags | (before & np.uint16(0xFFFF ^ (int(_OWN_BITS[name]) if anew else 0)))
         attrs = {key: text for key, text in before.attrs.items() if key == "flags_from"}
     return schema.label(flags.astype(np.uint16), "quality", **attrs)

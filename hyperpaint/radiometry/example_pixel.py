@@ -1,4 +1,4 @@
-"""The worked example: a pixel of known reflectance, with all that makes it."""
+"""The worked example: one pixel of known reflectance, with its calibration and light."""
 
 from __future__ import annotations
 

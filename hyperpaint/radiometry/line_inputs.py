@@ -1,4 +1,4 @@
-"""From a labelled flight line to what its plan is made of: checked by their labels, read by nobody yet."""
+"""Collect the inputs of a plan from a labelled flight line, checked by their labels; nothing is read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.illumination import Tilt, departure_of_record
 from hyperpaint.light.synchrony import check_irradiance_times
@@ -46,38 +46,37 @@ def plan_inputs(
     keep_bits: int | None = None,
     uncertainty: bool = False,
 ) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return the cube that reflectance of a line starts from, and what `make_plan` takes besides its form.
+    """Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
 
-    ``scaling``: panels that give the scale; ``stored``: that scale, where they were measured before.
+    ``scaling``: panels that give the scale; ``stored``: their scale, where they were measured before.
     """
     if "counts" in dataset.variables:
         refuse_calibration(dataset, needs_scale=not scaling)
     cube, values = cube_inputs(dataset, "reflectance")
-    # the plan adds how well the pixels of panels, and lines between them, are known
-    own_u = max((panel.uncertainty for panel in scaling), default=None)
+    # the plan adds the uncertainty of the panels' means, and of lines between panels
+    panel_u = max((panel.uncertainty for panel in scaling), default=None)
     return cube, {
         "cube": values,
         "light": _light_inputs(dataset, tilt, bool(scaling) and stored is None),
         "tilt": tilt,
         "panel": stored,
         "keep_bits": keep_bits,
-        "uncertain": uncertainty_inputs(dataset, own_u) if uncertainty else None,
+        "uncertain": uncertainty_inputs(dataset, panel_u) if uncertainty else None,
     }
 
 
 def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
-    """Refuse gains that have no absolute scale."""
-    problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
+    """Raise SchemaError for gains without an absolute scale, where one is needed."""
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
-        problems.add(
-            "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it one by "
-            "hyperpaint.calibration.anchor_to_radiance; reflectance can do with panel="
+        raise SchemaError(
+            "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
+            mend="give it one by hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
+            code="scale-unknown",
         )
-    problems.raise_if_any()
 
 
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return the cube to start from and the small variables that calibrate it."""
+    """Return the counts or the radiance of a line, and the small variables that calibrate it."""
     schema.warn_of_lost_calibration(dataset, purpose)
     from_counts = "counts" in dataset.variables
     needed = [*COUNTED] if from_counts else ["radiance"]
@@ -87,7 +86,7 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
     if from_counts:
         optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
-        optional.append("radiance_gain")  # gives the slope of the responsivity
+        optional.append("radiance_gain")  # for the slope of the responsivity
     arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
     cube = arrays.pop("counts" if from_counts else "radiance")
     if not from_counts:
@@ -105,7 +104,7 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
 
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
-    """Return the irradiance and its companions, checked as far as their labels allow."""
+    """Return the irradiance and its companions, checked by their labels."""
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
     names += [name for name in companions if name in dataset.variables]
@@ -117,14 +116,13 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
     if arrays[IRRADIANCE_TIME].chunks is None:
         check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     values = {name: slabs.small(array) for name, array in arrays.items()}
-    values["srf_shape"] = _shape(dataset, "srf_shape")
-    values["irradiance_srf_shape"] = _shape(dataset, "irradiance_srf_shape")
-    values["as_found"] = departure_of_record(dataset.attrs)
+    for attr in ("srf_shape", "irradiance_srf_shape"):
+        values[attr] = str(dataset.attrs.get(attr, "gaussian"))
+        if values[attr] not in schema.SRF_SHAPES:
+            raise SchemaError(
+                f"attribute {attr!r} is {values[attr]!r}",
+                expected=f"one of {', '.join(schema.SRF_SHAPES)}",
+                code="choice-unknown",
+            )
+    values["departure"] = departure_of_record(dataset.attrs)
     return values
-
-
-def _shape(dataset: xr.Dataset, attr: str) -> str:
-    shape = str(dataset.attrs.get(attr, "gaussian"))
-    if shape not in schema.SRF_SHAPES:
-        raise SchemaError(f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}")
-    return shape

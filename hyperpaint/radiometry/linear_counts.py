@@ -1,7 +1,7 @@
-"""Counts that are proportional to light, from counts as they are read: a polynomial or a table.
+"""Linearity of the detector: a polynomial or a table from raw counts to counts proportional to light.
 
-Declared for dark-subtracted counts, c = L(C - D), or for raw ones, c = L(C) - L(D): which of the two a
-detector needs depends on whether amplifier and converter bend the sum, or the wells bend the light alone.
+Declared for dark-subtracted counts, c = L(C - D), or for raw counts, c = L(C) - L(D): it depends on whether
+amplifier and converter bend the sum, or the wells bend the light alone.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from hyperpaint.kernels.arguments import DetectorModel
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
-_TERMS = 4
-"""Terms of a polynomial that the kernel computes [1]; more of them take the way of a table."""
-_NODES = 8192
-"""Places at which the kernel knows a curve [1]: every eighth count of 16 bits, so that between them a bend of
-5 % at full scale is straight to 1e-5 counts."""
-_BELOW_DARK = 1.0 / 16.0
-"""Share of the highest count by which the curve is known below 0 [1]: as far as dark noise reaches."""
+#: Terms of a polynomial that the kernel computes; longer ones become tables.
+MAX_KERNEL_TERMS = 4
+#: Nodes of a table: every eighth count of 16 bits, so that between them a bend of 5 % at full scale is
+#: straight to 1e-5 counts.
+TABLE_NODES = 8192
+#: Range of a table below 0, as a share of the highest count [1]: as far as dark noise reaches.
+BELOW_DARK_SHARE = 1.0 / 16.0
 _NONE_MASKED = np.empty((0, 2), np.int64)
-_HIGHEST_COUNT = 65535.0
-"""End of the curve [count] where the calibration does not say at which count the converter is full."""
+#: End of the curve [count] where the calibration does not give the saturation count.
+DEFAULT_HIGHEST_COUNT = 65535.0
 
 
 @dataclass(frozen=True)
 class Linearity:
-    """A curve from counts to ones proportional to light; see `linearity_of`."""
+    """Curve from counts to counts proportional to light; see `linearity_of`."""
 
     coefficients: tuple[float, ...] = ()  #: a2, a3 ... of c + a2 c^2 + a3 c^3 + ...; none with a table
     #: measured, linear (node,) [count]: the table, straight between nodes and beyond them; None without
@@ -46,12 +46,12 @@ class Linearity:
         return bool(self.coefficients) or self.measured is not None
 
     def described(self, as_table: bool) -> str:
-        """Return what it is, as an attribute says it; ``as_table``: of a table that is not read yet."""
-        what = "table" if as_table else f"polynomial of degree {len(self.coefficients) + 1}"
-        return f"{what} on {RAW if self.on_raw else DARK_SUBTRACTED} counts"
+        """Return its description for an attribute; ``as_table``: a table whose values are not read yet."""
+        form = "table" if as_table else f"polynomial of degree {len(self.coefficients) + 1}"
+        return f"{form} on {RAW if self.on_raw else DARK_SUBTRACTED} counts"
 
     def correction(self, counts: Any) -> Any:
-        """Return what is to be added to counts of any shape to have them proportional to light [count]."""
+        """Return the counts to add to counts of any shape to make them proportional to light [count]."""
         if self.measured is not None and self.linear is not None:
             node, beyond = self.measured, self.linear - self.measured
             place = np.clip(np.searchsorted(node, counts) - 1, 0, node.size - 2)
@@ -72,41 +72,45 @@ class Linearity:
         return above + self.correction(above)
 
     def as_kernel_takes_it(self, highest_count: float) -> DetectorModel:
-        """Return the curve as the kernel takes it: a short polynomial as it is, all else as a fine table."""
-        none = np.empty(0, np.float32)
-        if not self:
-            return DetectorModel(none, none, np.float32(0.0), np.float32(1.0), _NONE_MASKED, np.bool_(False))
-        if 0 < len(self.coefficients) <= _TERMS:
-            short = np.zeros(_TERMS, np.float32)
-            short[: len(self.coefficients)] = self.coefficients
-            return DetectorModel(
-                short, none, np.float32(0.0), np.float32(1.0), _NONE_MASKED, np.bool_(self.on_raw)
-            )
-        end = highest_count if np.isfinite(highest_count) else _HIGHEST_COUNT
-        first = -_BELOW_DARK * end
-        table = np.asarray(self.correction(np.linspace(first, end, _NODES)), np.float32)
-        per_count = np.float32((_NODES - 1) / (end - first))
-        return DetectorModel(none, table, np.float32(first), per_count, _NONE_MASKED, np.bool_(self.on_raw))
+        """Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table."""
+        polynomial = table = np.empty(0, np.float32)
+        first, per_count = 0.0, 1.0
+        if 0 < len(self.coefficients) <= MAX_KERNEL_TERMS:
+            polynomial = np.zeros(MAX_KERNEL_TERMS, np.float32)
+            polynomial[: len(self.coefficients)] = self.coefficients
+        elif self:
+            end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
+            first = -BELOW_DARK_SHARE * end
+            table = np.asarray(self.correction(np.linspace(first, end, TABLE_NODES)), np.float32)
+            per_count = (TABLE_NODES - 1) / (end - first)
+        on_raw = np.bool_(bool(self) and self.on_raw)
+        return DetectorModel(
+            polynomial, table, np.float32(first), np.float32(per_count), _NONE_MASKED, on_raw
+        )
 
     def check(self, problems: Problems, highest_count: float) -> None:
-        """Note a curve that is not finite, or does not rise with the light up to the highest count."""
+        """Add problems of a curve that is not finite, or does not rise up to the highest count."""
         if not self:
             return
         if self.measured is not None and self.linear is not None:
-            both = np.isfinite(self.measured).all() and np.isfinite(self.linear).all()
-            if self.measured.size < 2 or not both or (np.diff(self.measured) <= 0).any():
+            is_finite = np.isfinite(self.measured).all() and np.isfinite(self.linear).all()
+            if self.measured.size < 2 or not is_finite or (np.diff(self.measured) <= 0).any():
                 problems.add(
-                    "the table of linearity needs two or more finite counts that increase, found "
-                    f"{self.measured.size} from {self.measured[:1]} to {self.measured[-1:]}"
+                    f"the table of linearity has {self.measured.size} counts from {self.measured[:1]} to "
+                    f"{self.measured[-1:]}",
+                    expected="two or more finite counts that increase",
+                    code="linearity-invalid",
                 )
                 return
-        end = highest_count if np.isfinite(highest_count) else _HIGHEST_COUNT
+        end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
         counts = np.linspace(0.0, end, 1025)
         linear = counts + self.correction(counts)
         if not np.isfinite(linear).all() or (np.diff(linear) <= 0).any():
             problems.add(
-                f"linearity turns back below {end:g} counts, expected linear counts that rise with the "
-                "counts: fit it over the whole range, or with a lower degree"
+                f"linearity is not monotonic below {end:g} counts",
+                expected="linear counts that rise with the counts",
+                mend="fit it over the whole range, or with a lower degree",
+                code="linearity-not-monotonic",
             )
 
 
@@ -120,7 +124,7 @@ def linearity_of(dataset: xr.Dataset) -> Linearity:
     Raises
     ------
     SchemaError
-        The attribute or the table is none.
+        The attribute or the table is invalid.
     """
     declared = declared_linearity(dataset.attrs)
     if "linear_counts" not in dataset.variables:
@@ -134,15 +138,21 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
     """Return the curve that attributes alone declare; see `linearity_of`."""
     kind = attrs.get("linearity_on", DARK_SUBTRACTED)
     if kind not in (DARK_SUBTRACTED, RAW):
-        raise SchemaError(f"attribute linearity_on is {kind!r}, expected {DARK_SUBTRACTED!r} or {RAW!r}")
+        raise SchemaError(
+            f"attribute linearity_on is {kind!r}",
+            expected=f"{DARK_SUBTRACTED!r} or {RAW!r}",
+            code="choice-unknown",
+        )
     stated = attrs.get("linearity", ())
     coefficients = () if isinstance(stated, str) else polynomial(stated)
     return Linearity(coefficients, on_raw=kind == RAW)
 
 
 def polynomial(coefficients: Sequence[float] | Any) -> tuple[float, ...]:
-    """Return coefficients as a tuple of numbers; all of them zero are the identity."""
+    """Return coefficients as a tuple of numbers; empty, for the identity, where all are zero."""
     numbers = tuple(float(value) for value in np.atleast_1d(np.asarray(coefficients, np.float64)))
     if not np.isfinite(numbers).all():
-        raise SchemaError(f"linearity {numbers} must be finite coefficients a2, a3 ...")
+        raise SchemaError(
+            f"linearity {numbers}", expected="finite coefficients a2, a3 ...", code="linearity-invalid"
+        )
     return numbers if any(numbers) else ()

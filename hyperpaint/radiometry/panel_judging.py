@@ -1,10 +1,11 @@
-r"""What panels measure over what they are expected to, and whether they are what they are taken for.
+"""Ratio of measured to certified panel reflectance, with checks that the region is the declared panel.
 
 The factor of a panel is the mean of its pixels' reflectance, through the irradiance record, over its known
-one. Left out of that mean is what is no sunlit panel; where pixels are saturated, the mean is that of a
-normal distribution cut off at each sample's own limit, after the panel's pattern in the bands without any
-has been taken out. A panel that leans gets more or less direct light, by the same share in all bands, and so
-leaves the spectrum of the direct share in its factor. No labels here: arrays of one panel in, numbers out.
+reflectance. Pixels that do not show a sunlit panel are left out of that mean. Where pixels are saturated, the
+mean is the mean of a normal distribution censored at each sample's own limit, after the panel's pattern in
+unsaturated bands has been divided out. A tilted panel gets more or less direct light, by the same share in
+all bands, which leaves the spectrum of the direct share in its factor. No labels here: arrays of one panel
+in, numbers out.
 """
 
 from __future__ import annotations
@@ -20,51 +21,51 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 
+#: Faults of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
-"""What is noticed of a panel, in the order of the bits of ``panel_state``."""
 _SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
 
 
 @dataclass(frozen=True)
 class PanelRules:
-    """From where on a panel is not what it is taken for.
+    """Thresholds above which a region is not the declared panel.
 
     Attributes
     ----------
     outlier_sd
-        Robust standard deviations from the median of the pixels, in brightness or colour, from which one
+        Robust standard deviations from the median of the pixels, in brightness or colour, above which a pixel
         shows something else [1]. Of 1000 normal pixels none is beyond 6.
     least_departure
         Departure below which a pixel is kept whatever the spread [1]: one in twenty of them moves the mean by
         a thousandth.
     noticed_share
-        Share of pixels that are saturated, or show something else, from which on it is said [1].
+        Share of pixels that are saturated, or show something else, from which it is reported [1].
     most_saturated
-        Share of saturated pixels up to which a band has a mean [1]: beyond a half, what is seen of the
-        distribution does not hold its middle.
+        Share of saturated pixels up to which a band has a mean [1]: beyond a half, the visible part of the
+        distribution does not contain its middle.
     least_used
-        Share of pixels that must be panel [1]: with fewer, the median may be what is not.
+        Share of pixels that must be panel [1]: with fewer, the median may belong to something else.
     most_error
-        Standard error of the mean of the pixels from which on they are uneven [1].
+        Standard error of the mean of the pixels above which they are uneven [1].
     refused_error
-        The same, above which it is refused unless it may be off by as much [1]: half of a panel in a shade of
-        40 % has 0.025.
+        The same, above which the panel is refused unless its declared uncertainty covers it [1]: half of a
+        panel in a shade of 40 % has 0.025.
     least_lean
-        Change of the light by a panel's attitude from which on it is said [1].
+        Change of the light by a panel's attitude from which it is reported [1].
     lean_significance
-        Standard errors of that change that it must have [1].
+        Least change in units of its standard error [1].
     lean_misfit
-        Residuals of the factor, over the spread that the change gives it, up to which attitude explains its
-        shape [1].
+        Residuals of the factor, relative to the spread that the change gives it, up to which attitude
+        explains its shape [1].
     least_contrast
-        Difference of the direct share between bands without which attitude leaves no shape [1].
+        Least difference of the direct share between bands at which attitude leaves a shape [1].
     gain_u, irradiance_u
         Relative standard uncertainties where the line states none [1]: of a lamp calibration a year old, and
         of a calibrated field spectrometer with a cosine receptor.
     coverage
         Standard uncertainties that a factor may be from 1 [1].
     off_bands
-        Share of bands beyond that, from which on it is said [1].
+        Share of bands beyond that, from which it is reported [1].
     repeatability
         Relative standard uncertainty of a panel that is laid out again [1]: half a degree from level changes
         direct light by 0.5 % with the sun at 30 degrees.
@@ -92,7 +93,7 @@ RULES = PanelRules()
 
 
 class PanelContext(NamedTuple):
-    """What a line says that its panels are judged by."""
+    """Properties of the line that all its panels are judged with."""
 
     wavelength: Floats  # (band,) [nm]
     good: NDArray[np.bool_]  # (band,)
@@ -101,26 +102,26 @@ class PanelContext(NamedTuple):
 
 
 class PanelClosure(NamedTuple):
-    """Panels one below the other: (panel, band), but for ``state`` and ``time`` (panel,)."""
+    """Results of several panels, stacked: (panel, band), except ``state`` and ``time`` (panel,)."""
 
     scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
     factor: Floats  # Measured over expected [1]
-    u: Floats  # Its standard uncertainty, all that is known or assumed [1]
-    mean_u: Floats  # That of the panel's mean alone, relative [1]
-    used: Floats  # Share of the pixels that went in [1]
+    u: Floats  # Combined standard uncertainty of the factor [1]
+    mean_u: Floats  # Relative standard uncertainty of the panel's mean alone [1]
+    used: Floats  # Share of pixels used [1]
     state: NDArray[np.uint8]
     time: NDArray[np.datetime64]
     reasons: tuple[str, ...]  # Why a panel is refused; empty where it is not
 
     def at(self, places: NDArray[np.int64]) -> PanelClosure:
-        """Return some of the panels."""
-        scale, factor, u, mean_u, used = (each[places] for each in self[:5])
+        """Return the results of some panels."""
         reasons = tuple(self.reasons[place] for place in places)
+        scale, factor, u, mean_u, used = (values[places] for values in self[:5])
         return PanelClosure(scale, factor, u, mean_u, used, self.state[places], self.time[places], reasons)
 
 
 class _Part(NamedTuple):
-    """One panel's row of a `PanelClosure`, with all that is to be said of it."""
+    """One panel's row of a `PanelClosure`, with its warnings."""
 
     scale: Floats
     factor: Floats
@@ -133,20 +134,22 @@ class _Part(NamedTuple):
 
 
 def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:
-    """Return what panels measure over what they are expected to.
+    """Return the ratio of measured to expected reflectance of panels.
 
-    Each has ``observed`` and ``ceiling`` (line, band, column), the reflectance through irradiance and that
-    from which samples are saturated, or None; ``reflectance`` (band,), ``uncertainty``, ``name``, ``time``
-    and ``direct_share`` (sky, band), by how much of itself its light changes with the direct one under some
+    Each has ``observed`` and ``ceiling`` (line, band, column), the reflectance through irradiance and the
+    reflectance from which samples are saturated, or None; ``reflectance`` (band,), ``uncertainty``, ``name``,
+    ``time`` and ``direct_share`` (sky, band), the relative change of its light with direct light under some
     skies, or None.
 
-    Warns PaintWarning: A panel is not what it is taken for; one warning a panel.
+    Warns PaintWarning: A panel shows a fault; one warning a panel.
     """
     parts = []
     for panel in panels:
         part = _judge(panel, context)
         if part.notes:
-            warnings.warn(f"{panel['name']}: {'; '.join(part.notes)}", PaintWarning, stacklevel=2)
+            warnings.warn(
+                PaintWarning(f"{panel['name']}: {'; '.join(part.notes)}", code="panel-doubtful"), stacklevel=2
+            )
         parts.append(part)
     return PanelClosure(
         np.array([part.scale for part in parts]),
@@ -166,10 +169,12 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
     valid = np.isfinite(observed)
     if not valid.any():
         raise SchemaError(
-            f"{panel['name']}'s region holds no valid pixel; it is saturated, in a gap, or outside the line"
+            f"{panel['name']}'s region holds no valid pixel",
+            mend="outline a part that is neither saturated nor in a gap",
+            code="panel-empty",
         )
     ceiling = panel["ceiling"]
-    if ceiling is None:  # of radiance nothing says what is saturated: the brightest sample does
+    if ceiling is None:  # radiance has no saturation limit: use the brightest sample
         top = np.where(valid, observed, -np.inf).max(axis=(0, 2))
         ceiling = np.broadcast_to(top[None, :, None], observed.shape)
     ceiling = np.asarray(ceiling, np.float64)
@@ -177,6 +182,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
     notes: list[str] = []
     reasons: list[str] = []
     state = 0
+    # pixels that show something else, by brightness and colour in unsaturated bands
     clean = ~saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
     clean &= context.good & (np.nan_to_num(expected) > 0.0)
     brightness, foreign = _pixels(observed, clean)
@@ -188,44 +194,50 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
         )
         if 1.0 - foreign_share < RULES.least_used:
             reasons.append("more than half of its region shows something else")
-        wider = _dilated(foreign)
+        # outliers spill some light over their eight neighbours
+        from scipy.ndimage import binary_dilation
+
+        wider = np.asarray(binary_dilation(foreign, np.ones((3, 3), bool)))
         foreign = wider if 1.0 - wider.mean() >= RULES.least_used else foreign
-    own = ~foreign[:, None, :]
+    # mean of the others, with saturated samples
+    on_panel = ~foreign[:, None, :]
     number, total, error, full = _means(
-        observed, ceiling, saturated, own, brightness if clean.sum() >= 3 else None
+        observed, ceiling, saturated, on_panel, brightness if clean.sum() >= 3 else None
     )
-    lit = own & context.good[:, None]
-    saturated_share = float((saturated & lit).any(axis=1).sum() / max(own[:, 0].sum(), 1))
+    lit = on_panel & context.good[:, None]
+    saturated_share = float((saturated & lit).any(axis=1).sum() / max(on_panel[:, 0].sum(), 1))
     if saturated_share >= RULES.noticed_share:
         state |= _SATURATED
         lost = np.isnan(total) & (full > 0)
-        what = f", and {lost.sum()} bands are refused" if lost.any() else ""
+        loss = f", and {lost.sum()} bands are refused" if lost.any() else ""
         notes.append(
-            f"{100 * saturated_share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{what}"
+            f"{100 * saturated_share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{loss}"
         )
         if lost[context.good].all():
             reasons.append("more than half of its pixels are saturated in every band")
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = expected * number / total
         factor, mean_u = 1.0 / scale, error * number / total
-    usual = mean_u[context.good & np.isfinite(mean_u)]
-    if usual.size and np.median(usual) > RULES.most_error:
+    # uneven pixels
+    errors = mean_u[context.good & np.isfinite(mean_u)]
+    if errors.size and np.median(errors) > RULES.most_error:
         state |= _UNEVEN
-        text = f"its pixels differ so much that their mean is good to {100 * np.median(usual):.1f} %"
+        text = f"its pixels are uneven: their mean has a standard error of {100 * np.median(errors):.1f} %"
         notes.append(text)
-        if np.median(usual) > max(RULES.refused_error, RULES.coverage * panel["uncertainty"]):
-            reasons.append(f"{text}: part of it may be shaded")
+        if np.median(errors) > max(RULES.refused_error, RULES.coverage * panel["uncertainty"]):
+            reasons.append(f"{text}; part of it may be shaded")
+    # a tilt, and a factor far from 1
     u = factor * np.sqrt(context.u**2 + panel["uncertainty"] ** 2 + mean_u**2)
     change, level = _change_by_attitude(factor, panel["direct_share"], context)
     if change:
         state |= _LEANING
         notes.append(
-            f"its factor has the spectrum of a panel that leans, {100 * change:+.1f} % of light by the sun"
+            f"its factor has the spectrum of a tilted panel, {100 * change:+.1f} % of light by the sun"
         )
         closes = not context.has_scale or abs(level - 1.0) <= RULES.coverage * np.nanmedian(u)
         if closes and abs(change) > max(RULES.least_lean, RULES.coverage * panel["uncertainty"]):
             reasons.append(
-                f"it leans, or stands in a shadow or reflections: {100 * change:+.1f} % of light by the sun"
+                f"it is tilted, or in a shadow or reflections: {100 * change:+.1f} % of light by the sun"
             )
     with np.errstate(invalid="ignore"):
         off = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
@@ -233,8 +245,8 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
         state |= _OFF_LEVEL
         low, middle, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
         notes.append(
-            f"it measures {low:.3f} to {high:.3f} (median {middle:.3f}) of what irradiance lets expect, with "
-            f"a combined standard uncertainty of {np.nanmedian(u):.3f}"
+            f"it measures {low:.3f} to {high:.3f} (median {middle:.3f}) of the reflectance expected from "
+            f"irradiance, with a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
     state |= REFUSED if reasons else 0
     used = 1.0 - (foreign[:, None, :] | ~valid).mean(axis=(0, 2))
@@ -242,22 +254,22 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
 
 
 def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the relative brightness of pixels (line, column), and which show something else than the rest.
+    """Return the relative brightness of pixels (line, column), and whether each shows something else.
 
     From the ``clean`` bands, or from all where there are few; NaN and false where a pixel has no such sample.
     """
     cube = np.moveaxis(observed, 1, 2)[..., clean if clean.sum() >= 3 else np.isfinite(observed).any((0, 2))]
-    there = np.isfinite(cube)
-    usual = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
+    valid = np.isfinite(cube)
+    spectrum = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
 
     def level(bands: Any) -> Floats:
-        weight = np.where(there[..., bands], usual[bands], 0.0).sum(axis=-1)
-        light = np.where(there[..., bands], cube[..., bands], 0.0).sum(axis=-1)
+        weight = np.where(valid[..., bands], spectrum[bands], 0.0).sum(axis=-1)
+        light = np.where(valid[..., bands], cube[..., bands], 0.0).sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(light / weight)
 
     brightness = level(slice(None))
-    parts = [part for part in np.array_split(np.arange(usual.size), min(4, usual.size)) if part.size]
+    parts = [part for part in np.array_split(np.arange(spectrum.size), min(4, spectrum.size)) if part.size]
     foreign = _outlying(brightness)
     for part in parts:
         foreign |= _outlying(level(part) / brightness)
@@ -265,51 +277,47 @@ def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray
 
 
 def _outlying(values: Floats) -> NDArray[np.bool_]:
-    """Return which values are further from their median, relative, than the rest lets expect."""
-    there = values[np.isfinite(values)]
-    if there.size < 3:
+    """Return whether values are outliers by their relative distance from the median."""
+    finite = values[np.isfinite(values)]
+    if finite.size < 3:
         return np.zeros(values.shape, bool)
-    middle = np.median(there)
-    # of few values the median deviation may be small by chance
-    spread = 1.4826 * np.median(np.abs(there - middle)) * (1.0 + 5.0 / there.size)
+    middle = np.median(finite)
+    # the median deviation of few values may be small by chance
+    spread = 1.4826 * np.median(np.abs(finite - middle)) * (1.0 + 5.0 / finite.size)
     limit = max(RULES.outlier_sd * spread, RULES.least_departure * abs(middle))
     return np.asarray(np.nan_to_num(np.abs(values - middle)) > limit)
-
-
-def _dilated(foreign: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return pixels and their eight neighbours: what an outlier spills over is less than an outlier."""
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(foreign, np.ones((3, 3), bool)))
 
 
 def _means(
     observed: Floats,
     ceiling: Floats,
     saturated: NDArray[np.bool_],
-    own: NDArray[np.bool_],
+    on_panel: NDArray[np.bool_],
     brightness: Floats | None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return number and sum of a panel's pixels, the mean's error, and the share that is saturated (band,).
+    """Return number and sum of a panel's pixels, the mean's error, and the saturated share (band,).
 
-    ``own`` (line, 1, column): which pixels are the panel's; ``brightness`` (line, column):
-    its pattern, where other bands tell it.
+    ``on_panel`` (line, 1, column): whether pixels belong to the panel; ``brightness`` (line, column): its
+    pattern from unsaturated bands, or None.
     """
-    valid = np.isfinite(observed) & own
+    valid = np.isfinite(observed) & on_panel
     number = valid.sum(axis=(0, 2))
-    counted = number + (saturated & own).sum(axis=(0, 2))
+    counted = number + (saturated & on_panel).sum(axis=(0, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
         full = np.where(counted > 0, 1.0 - number / np.maximum(counted, 1), 0.0)
         total = np.where(valid, observed, 0.0).sum(axis=(0, 2))
         mean = total / number
         squares = (np.where(valid, observed - mean[None, :, None], 0.0) ** 2).sum(axis=(0, 2))
         error = np.sqrt(squares / np.maximum(number - 1, 1) / number)
+    # bands with some saturated samples: mean of a censored normal distribution
     total[full > RULES.most_saturated] = np.nan
     cut = np.flatnonzero((full > 0.0) & (full <= RULES.most_saturated))
     if not cut.size:
         return number, total, error, full
-    pattern = np.ones(observed[:, 0].shape) if brightness is None else brightness / _mean(brightness, own)
-    pixels = own[:, 0, :] & np.isfinite(pattern)
+    pattern = np.ones(observed[:, 0].shape)
+    if brightness is not None:
+        pattern = brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
+    pixels = on_panel[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
     values = np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight
     limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
@@ -319,21 +327,17 @@ def _means(
     return number, total, error, full
 
 
-def _mean(brightness: Floats, own: NDArray[np.bool_]) -> float:
-    return float(np.nanmean(brightness[own[:, 0, :]]))
-
-
 def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of normal samples (pixel, band), some of which are beyond limits.
+    """Return mean and standard deviation of normal samples (pixel, band), some censored at their limits.
 
-    By expectation and maximisation. ``values`` are NaN there, and ``limits`` NaN elsewhere; where both are, a
-    sample is missing.
+    By expectation and maximisation. Censored samples have NaN in ``values`` and a number in ``limits``,
+    others NaN in ``limits``; a sample with NaN in both is missing.
     """
     from scipy.special import log_ndtr
 
     beyond = np.isfinite(limits)
-    there = np.isfinite(values) | beyond
-    seen, number = np.where(np.isfinite(values), values, 0.0), there.sum(axis=0)
+    present = np.isfinite(values) | beyond
+    measured, number = np.where(np.isfinite(values), values, 0.0), present.sum(axis=0)
     mean, spread = np.nanmean(values, axis=0), np.nanstd(values, axis=0)
     least = 1e-6 * np.abs(mean)
     for _ in range(300):
@@ -341,10 +345,10 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
         z = np.where(beyond, (limits - mean) / spread, 0.0)
         # phi(z) / Q(z), without underflow
         hazard = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-z))
-        guess = np.where(beyond, mean + spread * hazard, seen)
+        guess = np.where(beyond, mean + spread * hazard, measured)
         variance = np.where(beyond, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
-        before, mean = mean, np.where(there, guess, 0.0).sum(axis=0) / number
-        square = np.where(there, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number
+        before, mean = mean, np.where(present, guess, 0.0).sum(axis=0) / number
+        square = np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number
         spread = np.sqrt(square)
         if (np.abs(mean - before) <= 1e-7 * np.abs(mean)).all():
             break
@@ -354,7 +358,7 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
 def _change_by_attitude(
     factor: Floats, direct_share: Floats | None, context: PanelContext
 ) -> tuple[float, float]:
-    r"""Return the change of a panel's light that only an attitude gives it, 0 without, and its level [1].
+    """Return the relative change of a panel's light by its attitude, 0 without, and its level [1].
 
     .. math:: F = k (1 + a w)
 
@@ -367,16 +371,18 @@ def _change_by_attitude(
         if places.size < 5 or np.ptp(direct[places]) < RULES.least_contrast:
             continue
         groups = np.array_split(places, min(16, places.size))
-        design, shape = (np.array([np.median(each[group]) for group in groups]) for each in (direct, factor))
+        design, shape = (
+            np.array([np.median(spectrum[group]) for group in groups]) for spectrum in (direct, factor)
+        )
         fit = _Line.through(design, shape)
-        best = fit if best is None or fit.rest < best.rest else best
+        best = fit if best is None or fit.residual < best.residual else best
     if best is None:
         return 0.0, 1.0
     change = best.slope / best.level * best.middle
     is_lean = (
         abs(change) >= RULES.least_lean
         and abs(best.slope) >= RULES.lean_significance * best.slope_u
-        and best.rest <= RULES.lean_misfit * abs(best.slope) * best.spread
+        and best.residual <= RULES.lean_misfit * abs(best.slope) * best.spread
     )
     return (change if is_lean else 0.0), best.level
 
@@ -387,7 +393,7 @@ class _Line(NamedTuple):
     level: float
     slope: float
     slope_u: float
-    rest: float  # Standard deviation of the residuals
+    residual: float  # Standard deviation of the residuals
     middle: float  # Median and standard deviation of the places
     spread: float
 
@@ -396,6 +402,6 @@ class _Line(NamedTuple):
         spread = float(places.std())
         slope = float(np.mean((places - places.mean()) * (values - values.mean()))) / spread**2
         level = float(values.mean() - slope * places.mean())
-        rest = float(np.sqrt(((values - level - slope * places) ** 2).sum() / (places.size - 2)))
-        slope_u = rest / (spread * float(np.sqrt(places.size)))
-        return cls(level, slope, slope_u, rest, float(np.median(places)), spread)
+        residual = float(np.sqrt(((values - level - slope * places) ** 2).sum() / (places.size - 2)))
+        slope_u = residual / (spread * float(np.sqrt(places.size)))
+        return cls(level, slope, slope_u, residual, float(np.median(places)), spread)

@@ -1,4 +1,4 @@
-"""Targets of known reflectance in the scene, and what the chain makes of them without their help."""
+"""Targets of known reflectance in the scene, declared and measured."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from hyperpaint.base.units import convert, takes_quantities
 from . import slabs
 from .panel_judging import PANEL_STATES
 
+#: Variables of the results of panels.
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
-"""Variables that say what panels measure."""
 
+#: Variables that give a line its scale again, in a crop without any panel as well.
 _SCALE = ("panel_factor", "panel_state", "panel_weight", "panel_scale_u")
-"""What of them gives a line its scale again, in a crop without any panel as well."""
 
+#: Uncertainties of a line that limit how far panel factors may be from 1.
 _STATED = ("radiance_gain_u_systematic", "irradiance_u_systematic")
-"""What a line may say of how well its panels are expected to close."""
 
 
 @takes_quantities()
@@ -44,8 +44,8 @@ class Panel:
         Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
         [any unit of length].
     uncertainty
-        Relative standard uncertainty of its reflectance [1]. A panel that seems to lean by more than twice
-        of it is refused.
+        Relative standard uncertainty of its reflectance [1]. A panel whose measured tilt changes its light by
+        more than twice this is refused.
     tilt
         Its attitude where it is not level, as `hyperpaint.Tilt` or (angle, azimuth) [degree].
 
@@ -70,18 +70,24 @@ class Panel:
     def __post_init__(self) -> None:
         if not 0.0 <= self.uncertainty < 1.0:
             raise SchemaError(
-                f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
+                f"the panel's uncertainty is {self.uncertainty}",
+                expected="a fraction of 1, such as 0.02",
+                code="value-out-of-range",
             )
         labelled = hasattr(self.reflectance, "coords")
         if labelled and "wavelength" not in self.reflectance.coords:
-            raise SchemaError("the panel's reflectance has no coordinate 'wavelength' [nm]")
+            raise SchemaError(
+                "the panel's reflectance has no coordinate 'wavelength' [nm]", code="coordinate-missing"
+            )
         if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
             raise SchemaError(
-                f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
+                f"the panel's reflectance is {self.reflectance}",
+                expected="0 to 1, or a DataArray",
+                code="value-out-of-range",
             )
 
     def at(self, wavelength: Any) -> Any:
-        """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
+        """Return the reflectance at wavelengths (band,) [nm]; NaN outside the range of ``reflectance``."""
         if np.ndim(self.reflectance) == 0:
             return np.full(np.shape(wavelength), float(self.reflectance))
         factor = convert(self.reflectance, "1", "reflectance")
@@ -101,40 +107,42 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
             Panel(
                 slice(*row["along_track"]),
                 slice(*row["cross_track"]),
-                _known(row["reflectance"]),
+                _tabulated(row["reflectance"]),
                 row["uncertainty"],
                 None if row["tilt"] is None else tuple(row["tilt"]),
             )
             for row in rows
         )
     except (ValueError, TypeError, KeyError) as error:
-        raise SchemaError(f"attribute 'panels' declares no panels: {error}") from error
+        raise SchemaError(
+            f"attribute 'panels' declares no panels: {error}", code="panels-unreadable"
+        ) from error
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:
-    """Return what gives a line the scale that was found by the panels it declares; None without.
+    """Return the stored scale from the panels that a line declares; None without one.
 
-    Panels are declared by position in the whole line; what was found by them holds in any crop, but not under
-    an irradiance record other than the line's.
+    Panels are declared by position in the whole line; their stored scale holds in any crop, but only with the
+    line's own irradiance record.
 
-    Warns PaintWarning: There is a scale, and it is of another record.
+    Warns PaintWarning: There is a scale, but ``other_light`` replaces its record.
     """
     if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
         return None
     if other_light:
-        text = "the scale by panels is of the line's own irradiance and is left out: name them by panel="
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        text = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
+        warnings.warn(PaintWarning(text, code="panel-scale-foreign"), stacklevel=2)
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}
 
 
 def without_panels(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a line without what panels measured."""
+    """Return a line without the results of panels."""
     return dataset.drop_vars([name for name in dataset.variables if str(name).startswith("panel_")])
 
 
-def _known(reflectance: Any) -> Any:
+def _tabulated(reflectance: Any) -> Any:
     """Return a declared reflectance: a number, or pairs of wavelength [nm] and reflectance."""
     if not isinstance(reflectance, list):
         return reflectance
@@ -145,19 +153,21 @@ def _known(reflectance: Any) -> Any:
 
 
 def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
-    """Return panels, of which there is one at least where any was given."""
+    """Return panels as a tuple; empty only for None."""
     panels = () if panel is None else (panel,) if isinstance(panel, Panel) else tuple(panel)
-    if (panel is not None and not panels) or not all(isinstance(each, Panel) for each in panels):
-        raise SchemaError(f"panel={panel!r:.80}, expected hyperpaint.Panel, or several of them")
+    if (panel is not None and not panels) or not all(isinstance(item, Panel) for item in panels):
+        raise SchemaError(
+            f"panel={panel!r:.80}", expected="hyperpaint.Panel, or several of them", code="type-wrong"
+        )
     return panels
 
 
 def panel_inputs(
     dataset: xr.Dataset, panels: Sequence[Panel], reflectance: Callable[..., xr.Dataset]
 ) -> dict[str, Any]:
-    """Return what is known of panels in the scene, and their reflectance as seen without them.
+    """Return the inputs of panels for a plan, with their reflectance through the irradiance record.
 
-    ``reflectance`` is that of `hyperpaint.radiometry.counts_to_reflectance`.
+    ``reflectance`` is `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
     """
     problems = Problems("the panel cannot be used", SchemaError)
     for panel in panels:
@@ -165,7 +175,9 @@ def panel_inputs(
             chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
             if not len(chosen):
                 problems.add(
-                    f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line"
+                    f"{dim}={getattr(panel, dim)} is outside of this line",
+                    expected=f"positions below {dataset.sizes[dim]}",
+                    code="panel-outside-line",
                 )
     problems.raise_if_any()
     names = [name for name in _STATED if name in dataset.variables]
@@ -178,10 +190,10 @@ def panel_inputs(
 
 
 def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.Dataset]) -> dict[str, Any]:
-    # all columns of its lines: masked ones tell the pedestal
+    # all columns of its lines: masked ones give the pedestal
     region = dataset.isel({ALONG_TRACK: panel.along_track})
     columns = {CROSS_TRACK: panel.cross_track}
-    # whatever scale the gain has, the panel takes it out
+    # the panel cancels the scale of the gain
     region = without_panels(region).assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
     if dataset["wavelength"].chunks is not None:
@@ -204,10 +216,10 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
 
 
 def _highest_counts(region: xr.Dataset) -> xr.DataArray:
-    """Return the counts of a region as they would be a hair below saturation."""
+    """Return the counts of a region, replaced by the highest counts below saturation."""
     counts = region["counts"]
     top = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
-    # what is masked sees no light; NaN saturates never
+    # masked elements receive no light, and a NaN limit never saturates: keep their counts
     fixed = np.isnan(top)
     if "masked" in region.variables:
         fixed = fixed | region["masked"]
@@ -217,7 +229,7 @@ def _highest_counts(region: xr.Dataset) -> xr.DataArray:
 
 
 def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[str, xr.DataArray]:
-    """Return what a plan says of panels, lazily."""
+    """Return the results of a plan's panels as variables, lazily."""
     words = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
     attrs: dict[str, dict[str, Any]] = {"panel_state": {**words, "flag_meanings": " ".join(PANEL_STATES)}}
     variables = {}

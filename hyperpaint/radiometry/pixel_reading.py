@@ -1,4 +1,4 @@
-"""Reflectance of a pixel, a region or a band: only what it needs is read, and nothing is scheduled."""
+"""Reflectance of a pixel, a region or a band: reads only its storage chunks, without a scheduler."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from .spectral_axis import bands_at
 
 Place = int | slice
 
+#: Lines that are read and calibrated at once, from the border of a storage chunk on.
 BLOCK_LINES = 2 * CHUNK_LINES
-"""Lines that are read and calibrated at once, from the border of a storage chunk on."""
 
 _NO_QUALITY = np.empty((0, 0), np.uint16)
 _NO_CUBE = np.empty((0, 0, 0), np.float32)
@@ -43,17 +43,17 @@ def pixels(
     *,
     wavelength: npt.ArrayLike | None = None,
 ) -> xr.Dataset:
-    """Return reflectance of some pixels at once, as `reflectance` computes it: a pixel, a region, a band.
+    """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`.
 
-    Eager: what is chosen is known before anything is calibrated, so that of the cube only the storage chunks
-    that hold it are read, without a scheduler. What else a line is calibrated by is read on the first call
-    and serves the next ones.
+    Eager: the selection is known before anything is calibrated, so that only the storage chunks of the cube
+    that hold it are read, without a scheduler. The calibration and light of a line are read on the first call
+    and serve later ones.
 
     Parameters
     ----------
     dataset
-        A flight line with what `reflectance` needs; where it has neither counts nor radiance, stored
-        reflectance is read.
+        A flight line with the variables that `reflectance` needs; where it has neither counts nor radiance,
+        stored reflectance is read.
     along_track, cross_track
         Positions: a whole number, which drops the dim, or a slice.
     wavelength
@@ -64,7 +64,7 @@ def pixels(
     -------
     Dataset
         ``reflectance`` (along_track, band, cross_track), float32 [1], in memory, with its coordinates, and
-        where all bands are asked for ``quality`` (along_track, cross_track), uint16. The same bits as
+        with all bands also ``quality`` (along_track, cross_track), uint16. The same bits as
         ``reflectance(dataset).isel(...)``.
 
     Raises
@@ -100,7 +100,7 @@ def pixels(
 
 
 def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
-    """Return a position from 0, a slice of step 1 where it is one, or an array of positions."""
+    """Return a position from 0, a slice of step 1 where possible, or an array of positions."""
     size = line.sizes.get(dim, 0)
     if isinstance(place, slice):
         numbers = range(size)[place]
@@ -108,12 +108,16 @@ def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
     if np.ndim(place):
         return np.asarray(place)
     if not -size <= place < size:
-        raise SchemaError(f"{dim} {place} is outside of the {size} of this line")
+        raise SchemaError(
+            f"{dim} {place} is outside of this line",
+            expected=f"{-size} to {size - 1}",
+            code="pixel-outside-line",
+        )
     return int(place) % size
 
 
 def _entry_of(line: xr.Dataset) -> Entry:
-    """Return the plan of a line with its small coordinates; what was not read before is read now."""
+    """Return the plan of a line with its small coordinates, read now where they are not cached."""
     cube = line["counts" if "counts" in line.variables else "radiance"]
     shape = (cube.sizes.get(ALONG_TRACK, 0), cube.sizes.get(BAND, 0), cube.sizes.get(CROSS_TRACK, 0))
     dtype = cube.dtype if cube.dtype == np.uint16 else np.dtype(np.float32)
@@ -144,28 +148,32 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
     plan, sizes = entry.plan, line.sizes
     is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
     is_from_counts = "counts" in line.variables
-    # light of other bands, and elements that see none, are of the whole line
+    # stray light and pedestal need all bands and columns of a line
     read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
-    shown: tuple[Any, Any] = (bands, columns)
+    selected: tuple[Any, Any] = (bands, columns)
     if plan.stray is None and not len(plan.detector.masked):
         read = bands, _range_of(columns)
-        shown = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
+        selected = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
         plan = _part(plan, *read)
-    cube = _cube_of(line)
+    # the cube, which was compared with the plan's
+    if is_from_counts:
+        cube = line.variables["counts"].transpose(*CUBE)
+    else:
+        cube = schema.require(line, ["radiance"], "reflectance")["radiance"].variable
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
     for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):
-        here = _range_of(numbers)
-        counts = np.ascontiguousarray(_read(cube, (here, *read)))
+        rows_read = _range_of(numbers)
+        counts = np.ascontiguousarray(_read(cube, (rows_read, *read)))
         if counts.dtype != np.uint16:
             counts = counts.astype(np.float32, copy=False)
         quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
         out = SlabOutputs(np.empty(counts.shape, np.float32), quality, _NO_CUBE, _NO_CUBE)
-        calibrate_lines(plan, counts, here.start, out)
-        rows = slice(None) if isinstance(lines, slice) else numbers - here.start
-        cubes.append(out.cube[rows][:, shown[0]][:, :, shown[1]])
+        calibrate_lines(plan, counts, rows_read.start, out)
+        rows = slice(None) if isinstance(lines, slice) else numbers - rows_read.start
+        cubes.append(out.cube[rows][:, selected[0]][:, :, selected[1]])
         if is_flagged:
-            flags.append(quality[rows][:, shown[1]])
+            flags.append(quality[rows][:, selected[1]])
     labels = entry.labels.isel(chosen, missing_dims="ignore")
     values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
@@ -182,7 +190,7 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
 
 
 def _range_of(places: Any) -> slice:
-    """Return the slice that holds places, which are one already or an array."""
+    """Return the smallest slice that contains places, which are a slice or an array."""
     if isinstance(places, slice):
         return places
     return slice(int(places.min()), int(places.max()) + 1) if len(places) else slice(0, 0)
@@ -228,20 +236,12 @@ def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
     )
 
 
-def _cube_of(line: xr.Dataset) -> xr.Variable:
-    """Return what a line is calibrated from, which its plan has been held against."""
-    if "counts" in line.variables:
-        return line.variables["counts"].transpose(*CUBE)
-    radiance: xr.Variable = schema.require(line, ["radiance"], "reflectance")["radiance"].variable
-    return radiance
-
-
 def _read(cube: xr.Variable, places: tuple[Any, ...]) -> Array:
-    """Return a part of a cube: of one that dask reads from a file, without dask."""
+    """Return a part of a cube; a dask array that wraps a file is read without dask."""
     if cube.chunks is None:
         return np.asarray(cube[places].values)
     data = cube.data
-    # what `dask.array.from_array` was given
+    # the argument of `dask.array.from_array`
     sources = list(data.dask.layers.get(f"original-{data.name}", {}).values())
     if len(sources) == 1 and len(data.dask.layers) == 2:
         is_whole = getattr(sources[0], "shape", None) == data.shape

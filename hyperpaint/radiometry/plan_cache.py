@@ -1,9 +1,8 @@
-"""Plans of the lines that were looked at last, in this process: the next click reads counts and nothing else.
+"""Cache of the plans of recently used lines in this process, so that a further pixel reads only counts.
 
-A plan is looked up by what it is made of: the line's small variables, its attributes and the options. A
-variable in memory counts by its values, which are compared with a copy; one that is read when it is computed
-counts by identity, since the names that dask gives stay the same when a store is written anew. So nothing
-that was replaced is ever taken for what it was, and no cube is held.
+A plan is looked up by its inputs: the line's small variables, its attributes and the options. A variable in
+memory is compared by value with a copy; a lazy one by identity, since the names that dask gives stay the same
+when a store is written anew. So replaced inputs are never mistaken for the old ones, and no cube is held.
 """
 
 from __future__ import annotations
@@ -26,18 +25,16 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .slabs import Plan
 
-MOST_PLANS = 8
-MOST_BYTES = 64 * 2**20
-"""Of all plans and the copies that they are looked up by."""
-
-MOST_EMBEDDED_BYTES = 8 * 2**20
-"""Of a plan that stands in a graph itself; larger ones are made by its tasks, from less."""
-
-MOST_PENDING = 16
+MAX_PLANS = 8
+#: Largest size of all plans and their origins [byte].
+MAX_BYTES = 64 * 2**20
+#: Largest plan that is embedded in a graph [byte]; larger ones are computed by its tasks from less.
+MAX_EMBEDDED_BYTES = 8 * 2**20
+MAX_PENDING_PLANS = 16
 
 
 class _State:
-    """A variable as it was."""
+    """Snapshot of a variable, to recognise it unchanged."""
 
     def __init__(self, variable: xr.Variable) -> None:
         self.form = _form(variable)
@@ -58,7 +55,14 @@ class _State:
             data = variable._data
             is_same = self.source() is data and self.name == getattr(data, "name", None)
             return is_same and _is_lazy(variable)
-        return not _is_lazy(variable) and _same_values(self.values, np.asarray(variable.values))
+        if _is_lazy(variable):
+            return False
+        values = np.asarray(variable.values)
+        if values.dtype == object:
+            return bool(np.array_equal(self.values, values))
+        # by bytes: NaN equals itself, and the sign of zero counts
+        before, now = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
+        return bool(np.array_equal(before, now))
 
     @property
     def nbytes(self) -> int:
@@ -70,22 +74,14 @@ def _form(variable: xr.Variable) -> tuple[Any, ...]:
 
 
 def _is_lazy(variable: xr.Variable) -> bool:
-    """Tell whether values are read when they are computed, and were not assigned to since."""
+    """Return whether values are read when computed, and were not assigned to since."""
     data = variable._data
     is_read = isinstance(data, da.Array) or not variable._in_memory
     return is_read and not getattr(data, "_copied", False)
 
 
-def _same_values(one: Array, other: Array) -> bool:
-    if one.dtype == object:
-        return bool(np.array_equal(one, other))
-    # NaN is like itself, and the sign of zero counts
-    first, second = (np.ascontiguousarray(each).reshape(-1).view(np.uint8) for each in (one, other))
-    return bool(np.array_equal(first, second))
-
-
 class Origin:
-    """What a plan is made of.
+    """Inputs of a plan.
 
     ``line``: with the dims' names by role; ``options``: compared with ``==``.
     """
@@ -97,7 +93,7 @@ class Origin:
         self.nbytes = sum(state.nbytes for state in self._states.values())
 
     def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
-        """Tell whether a plan of this origin is that of a line."""
+        """Return whether a line with these options gives the same plan."""
         small = _small(line)
         return (
             self._options == (*options, "counts" in line.variables)
@@ -108,7 +104,7 @@ class Origin:
 
 
 def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
-    """Return all variables but those of pixels, and those of lines and bands."""
+    """Return all variables except those of pixels, and those of lines and bands."""
     return {
         name: variable
         for name, variable in line.variables.items()
@@ -118,7 +114,7 @@ def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
 
 @dataclasses.dataclass(eq=False)
 class Entry:
-    """A plan, what it is made of, and what else of the line was read for those who look at it."""
+    """A plan with its origin and the small coordinates of its line."""
 
     origin: Origin
     plan: Plan
@@ -127,7 +123,6 @@ class Entry:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that are held."""
         return self.origin.nbytes + bytes_of(self.plan) + self.labels.nbytes
 
 
@@ -140,7 +135,7 @@ class PlanCache:
         self._pending: dict[str, Origin] = {}
 
     def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
-        """Return the plan of a line; None where there is none."""
+        """Return the plan of a line; None where it is not cached."""
         with self._lock:
             entries = self._entries[::-1]
         for entry in entries:
@@ -153,25 +148,24 @@ class PlanCache:
         """Return the name under which a task will `fulfil` the plan of a line."""
         origin, name = Origin(line, options), uuid.uuid4().hex
         with self._lock:
-            if origin.nbytes <= MOST_BYTES // 2:
+            if origin.nbytes <= MAX_BYTES // 2:
                 self._pending[name] = origin
-            while len(self._pending) > MOST_PENDING:
+            while len(self._pending) > MAX_PENDING_PLANS:
                 del self._pending[next(iter(self._pending))]
         return name
 
     def fulfil(self, name: str, plan: Plan) -> None:
-        """Take a plan that was expected; in another process it was not, and nothing is done."""
+        """Add an expected plan; does nothing in another process, which did not expect it."""
         with self._lock:
             origin = self._pending.pop(name, None)
         if origin is not None:
             self.add(Entry(origin, plan))
 
     def add(self, entry: Entry) -> None:
-        """Take a plan, or say that it was used; those that were used the longest ago make room."""
+        """Add a plan or mark it as used; the least recently used ones are dropped."""
         with self._lock:
-            self._entries = [each for each in self._entries if each is not entry]
-            self._entries.append(entry)
-            while len(self._entries) > MOST_PLANS or sum(e.nbytes for e in self._entries) > MOST_BYTES:
+            self._entries = [*(other for other in self._entries if other is not entry), entry]
+            while len(self._entries) > MAX_PLANS or sum(e.nbytes for e in self._entries) > MAX_BYTES:
                 del self._entries[0]
 
 
@@ -190,29 +184,28 @@ def bytes_of(value: Any) -> int:
 def lazy_plan(
     line: xr.Dataset, options: tuple[Any, ...] | None, planner: Callable[..., Plan], **inputs: Any
 ) -> Callable[..., Delayed]:
-    """Return what makes a lazy plan from a cube's shape, dtype and slabs, named by its content.
+    """Return a function from a cube's shape, dtype and slabs to its lazy plan, named by its content.
 
-    With ``options`` None nothing is looked up; else the plan itself stands in the graph where it is at hand.
+    With ``options`` None no cache is used; else a cached plan is embedded in the graph.
     """
 
     def of_cube(shape: tuple[int, int, int], dtype: str, starts: Array) -> Delayed:
         name = f"make_plan-{dask.base.tokenize(planner, shape, dtype, starts, inputs)}"
         expected = ""
         if options is not None:
-            of_line = (*options, planner, shape, dtype)
-            entry = PLANS.entry(line, of_line)
+            line_options = (*options, planner, shape, dtype)
+            entry = PLANS.entry(line, line_options)
             if entry is None:
-                expected = PLANS.expect(line, of_line)
-            elif bytes_of(entry.plan) <= MOST_EMBEDDED_BYTES:
-                plan = dataclasses.replace(entry.plan, starts=starts)
-                return Delayed(name, {name: plan})
-        take = dask.delayed(_taken, pure=True)
-        return take(expected, planner, shape, dtype, starts, inputs, dask_key_name=name)
+                expected = PLANS.expect(line, line_options)
+            elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
+                return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
+        compute = dask.delayed(_computed, pure=True)
+        return compute(expected, planner, shape, dtype, starts, inputs, dask_key_name=name)
 
     return of_cube
 
 
-def _taken(
+def _computed(
     expected: str, planner: Callable[..., Plan], shape: Any, dtype: str, starts: Array, inputs: Any
 ) -> Plan:
     plan = planner(shape, dtype, starts, **inputs)

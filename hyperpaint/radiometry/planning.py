@@ -1,4 +1,4 @@
-"""From a line's small variables to the `Plan` its slabs share: darks, limits, light.
+"""Compute the `Plan` that all slabs of a line share from its small variables: darks, limits, light.
 
 All of it runs once a line, inside the graph: wrong values are reported when something is computed.
 """
@@ -29,17 +29,17 @@ from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms
 
 NOISE_MARGIN_SD = 5.0
+#: Spread of a dark count [count] where neither the calibration nor the dark gives it.
 DEFAULT_READ_NOISE_COUNTS = 2.0
-"""Spread of a dark count [count] where neither the calibration nor the dark gives it."""
 BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
+#: Relative difference up to which a dark serves a line's exposure.
 SAME_EXPOSURE_SHARE = 0.01
-"""Relative difference up to which a dark serves a line's exposure."""
-TRUSTED_DARK_SPANS = 1.0
-MAX_DARK_SPANS = 10.0
-"""How far beyond the exposures of the darks a line's may lie, in widths of the interval between them: without
-a word, and at all. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at a width
-and 1.7 at four; the noise of two darks' means grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15 times at ten."""
+#: Extrapolation beyond the exposures of the darks, in widths of the interval between them, above which it is
+#: reported, and refused. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at a
+#: width and 1.7 at four; the noise of two darks' means grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15 times
+#: at ten.
+TRUSTED_DARK_SPANS, MAX_DARK_SPANS = 1.0, 10.0
 
 
 def make_plan(
@@ -54,12 +54,12 @@ def make_plan(
     keep_bits: int | None = None,
     uncertain: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Gather what every slab of a cube (along_track, band, cross_track) needs; ``starts``: its first lines.
+    """Compute the plan of a cube (along_track, band, cross_track); ``starts``: first lines of its slabs.
 
     ``cube`` holds the values of ``dark_counts``, ``radiance_gain``, ``exposure_time`` and the other variables
     of the table, by name; without dark counts the cube is radiance, and a gain gives its responsivity only.
     ``light`` holds irradiance and its companions, None for radiance; ``uncertain`` noise and the known
-    uncertainties, None where none are asked for. ``tilt``, ``panel`` and ``keep_bits`` are those of
+    uncertainties, None where none are requested. ``tilt``, ``panel`` and ``keep_bits`` as in
     `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
 
     Raises
@@ -71,13 +71,17 @@ def make_plan(
     from_counts = "dark_counts" in cube
     no_exposure = np.isnan(np.broadcast_to(np.asarray(cube.get("exposure_time", 1.0), np.float64), lines))
     if no_exposure.any() and not no_exposure.all():
-        # lines that `where` emptied; what is fitted to exposures needs a number
-        known = np.asarray(cube["exposure_time"], np.float64)
-        cube = {**cube, "exposure_time": np.where(no_exposure, np.nanmedian(known), known)}
+        # lines that `where` emptied: fits over exposures need a number
+        exposures = np.asarray(cube["exposure_time"], np.float64)
+        cube = {**cube, "exposure_time": np.where(no_exposure, np.nanmedian(exposures), exposures)}
     _check_values(cube, shape)
     good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
     exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
-    dark, dark_index, dark_weight = darks_of_lines(cube, exposure) if from_counts else _no_dark(shape)
+    # dark and gain of every element
+    dark, dark_index = np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64)
+    dark_weight = np.zeros(lines, np.float32)
+    if from_counts:
+        dark, dark_index, dark_weight = darks_of_lines(cube, exposure)
     masked = _masked(cube, dark)
     gain = np.ones((bands, columns), np.float32)
     if from_counts:
@@ -86,8 +90,9 @@ def make_plan(
         gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
     bad = np.isnan(gain)
     seeing = good[:, None] & np.ones_like(bad)
-    seeing[tuple(masked.T)] = False  # what sees no light on purpose is not bad
+    seeing[tuple(masked.T)] = False  # masked elements are not bad
     bad_share = (bad & seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
+    # flags of whole lines, and the light of each
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
     line_flags = np.zeros(lines, np.uint16)
     line_flags[no_exposure] = Quality.NO_DATA
@@ -99,9 +104,10 @@ def make_plan(
     if light is not None and time is not None:
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
         line_flags |= neighbours.flags
-    scale, on_panels = np.ones(bands), _NO_PANELS
+    # scale by panels
+    scale, on_panels = np.ones(bands), _OnPanels()
     if panel is not None:
-        if "factor" in panel:  # of panels that were measured before
+        if "factor" in panel:  # panels that were measured before
             refused = (np.asarray(panel["state"]) & REFUSED) != 0
             scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), refused)
             on_panels = _OnPanels(None, weights, np.asarray(panel["scale_u"], np.float64))
@@ -109,6 +115,16 @@ def make_plan(
             scale, on_panels = _panel_scale(panel, cube, light, good, lines)
         if uncertain is not None and on_panels.u is not None:
             uncertain = {**uncertain, "panel_u": float(np.nanmax(on_panels.u))}
+    # depth below the dark that noise explains, of good elements only
+    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
+    margin = NOISE_MARGIN_SD * np.sqrt(noise**2 + QUANTISATION_VARIANCE_COUNT2)
+    watched = good[:, None] & ~bad & from_counts
+    terms = None
+    if uncertain is not None:
+        darks = np.shape(cube.get("dark_counts", 0.0))
+        weights_of_darks = dark_weights(cube, darks[0] if len(darks) == 3 else 1, exposure)
+        dark_share = float(np.sqrt((weights_of_darks**2).sum(axis=1)).max(initial=0.0))
+        terms = error_terms(uncertain, cube, light, dtype, bad, len(masked), dark_share)
     return Plan(
         dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
         dark_index=dark_index,
@@ -124,7 +140,7 @@ def make_plan(
         misfit=misfit,
         smile=smile,
         saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
-        noise_margin=_noise_margin(cube, good[:, None] & ~bad & from_counts),
+        noise_margin=np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32),
         most_negative=int(NEGATIVE_BAND_SHARE * good.sum()),
         line_flags=line_flags,
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
@@ -132,9 +148,7 @@ def make_plan(
         starts=starts,
         detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube))._replace(masked=masked),
         stray=stray_light_of(cube, exposure, gain, masked) if from_counts else None,
-        error_terms=None
-        if uncertain is None
-        else error_terms(uncertain, cube, light, dtype, bad, len(masked), _dark_share(cube, exposure)),
+        error_terms=terms,
     )
 
 
@@ -143,23 +157,36 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
     for name in ("dark_counts", "radiance_gain"):
         if name in cube and np.shape(cube[name])[-2:] != shape[1:]:
             problems.add(
-                f"{name!r} has shape {np.shape(cube[name])}, expected (band, cross_track) = {shape[1:]}"
+                f"{name!r} has shape {np.shape(cube[name])}",
+                expected=f"(band, cross_track) = {shape[1:]}",
+                code="length-mismatch",
             )
     exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
     wrong = exposure[~(np.isfinite(exposure) & (exposure > 0))]
     if wrong.size:
-        problems.add(f"'exposure_time' must be positive, found {wrong[0]:g} s")
+        problems.add(
+            f"'exposure_time' is {wrong[0]:g} s", expected="a positive number", code="value-out-of-range"
+        )
     elif (exposure > 60).any():
-        problems.add(f"'exposure_time' is {exposure.max():g} s; is it in milliseconds? set its units to 'ms'")
+        problems.add(
+            f"'exposure_time' is {exposure.max():g} s",
+            expected="at most 60 s",
+            mend="set its units to 'ms' if it is in milliseconds",
+            code="exposure-implausible",
+        )
     gain = np.asarray(cube.get("radiance_gain", 1.0))
     if np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0:
-        problems.add("'radiance_gain' must be positive; NaN marks a bad element")
+        problems.add(
+            "'radiance_gain' is not positive", mend="mark bad elements by NaN", code="value-out-of-range"
+        )
     if not np.isfinite(gain).any():
-        problems.add("'radiance_gain' holds no finite value")
+        problems.add("'radiance_gain' holds no finite value", code="not-finite")
     full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
     if (full <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(
-            f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
+            f"'saturation_count' is {np.nanmin(full):g}",
+            expected="the highest count of the converter, such as 4095",
+            code="saturation-implausible",
         )
     _linearity(cube).check(problems, _highest_count(cube))
     check_stray_light(cube, shape[1], exposure, problems)
@@ -167,16 +194,16 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
 
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
-    """Return the curve of a line's counts; a radiance cube has none."""
-    known: Linearity = cube.get("linearity") or Linearity()
+    """Return the linearity curve of a line's counts; the identity for a radiance cube."""
+    curve: Linearity = cube.get("linearity") or Linearity()
     if "linear_counts" in cube:
         measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
-        known = Linearity((), measured, linear, known.on_raw)
-    return known
+        curve = Linearity((), measured, linear, curve.on_raw)
+    return curve
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    """Return band and column of masked elements whose darks are known (n, 2) int64.
+    """Return band and column of masked elements with finite darks (n, 2) int64.
 
     ``masked`` is (column,), (band, 1) or (band, column).
     """
@@ -187,10 +214,10 @@ def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
     places = np.argwhere(np.broadcast_to(covered, shape) & np.isfinite(dark).all(axis=0)).astype(np.int64)
     if not len(places):
         text = (
-            "'masked' is declared, and none of the elements left here is masked: no pedestal is subtracted; "
-            "compute reflectance of the whole line before it is cut"
+            "'masked' is declared, but this part of the line has no masked element: no pedestal is "
+            "subtracted; compute reflectance of the whole line before cutting it"
         )
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(text, code="masked-missing"), stacklevel=2)
     return places
 
 
@@ -199,28 +226,16 @@ def _highest_count(cube: Mapping[str, Any]) -> float:
     return float(full[np.isfinite(full)].max(initial=0.0)) or np.inf
 
 
-def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    lines, bands, columns = shape
-    return np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64), np.zeros(lines, np.float32)
-
-
-def _dark_share(cube: Mapping[str, Any], exposure: Floats) -> float:
-    """Return by what the noise of a dark is more in what is subtracted from a line, of all lines the most."""
-    dark = np.shape(cube.get("dark_counts", 0.0))
-    weights = dark_weights(cube, dark[0] if len(dark) == 3 else 1, exposure)
-    return float(np.sqrt((weights**2).sum(axis=1)).max(initial=0.0))
-
-
 def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Floats:
-    """Return how much of each of ``count`` darks is subtracted from every line (line, dark).
+    """Return the weight of each of ``count`` darks in every line (line, dark).
 
-    ``cube`` holds what says when and how the darks were taken, as of `make_plan`; ``exposure`` (line,) [s].
+    ``cube`` holds times and exposures of the darks, as of `make_plan`; ``exposure`` (line,) [s].
     """
     if count == 1:
         return np.ones((exposure.size, 1))
-    # what is subtracted is linear in the darks: those of one reference at a time say its weight
+    # the subtracted dark is linear in the references: unit references give their weights
     darks = {**cube, "dark_counts": np.eye(count, dtype=np.float32)[:, :, None]}
-    with warnings.catch_warnings():  # which the plan has given
+    with warnings.catch_warnings():  # the plan warns
         warnings.simplefilter("ignore")
         ends, index, weight = darks_of_lines(darks, exposure)
     later = np.minimum(index + 1, len(ends) - 1)
@@ -229,10 +244,11 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
 
 
 def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
-    """Return darks (n, band, column), and between which of them every line lies, at which weight.
+    """Return darks (n, band, column), and for every line its earlier dark and the weight of the later.
 
-    Darks at the line's exposure are interpolated in time. Where no dark is, or lines differ in exposure, bias
-    and rate are fitted to the darks, and lines lie between two of them in exposure; the bias is never scaled.
+    Darks at the line's exposure are interpolated in time. Where there is none, or lines differ in exposure,
+    bias and rate are fitted to the darks, and lines lie between two of them in exposure; the bias is never
+    scaled.
     """
     dark = np.asarray(cube["dark_counts"], np.float32)
     dark = dark[None] if dark.ndim == 2 else dark
@@ -246,21 +262,23 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         dark = dark[usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
-        text = "lines differ in exposure, and 'dark_exposure_time' is missing: one dark is taken for all"
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        text = "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all"
+        warnings.warn(PaintWarning(text, code="dark-exposure-missing"), stacklevel=2)
     index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
     stamps = np.asarray(times).astype("datetime64[ns]")
     if np.isnat(stamps).any():
         raise TimeError(
-            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT); drop these darks"
+            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
+            mend="drop these darks",
+            code="time-missing",
         )
     order = np.argsort(stamps, kind="stable")
     dark, ticks = dark[order], stamps[order].astype(np.int64)
     now = np.asarray(cube["time"]).astype("datetime64[ns]")
     lines = np.where(np.isnat(now), ticks[0], now.astype(np.int64))
-    # before the first and after the last dark that one is held: the best there is, and a dark drifts slowly
+    # the first and the last dark are held beyond their times: a dark drifts slowly
     index = np.clip(np.searchsorted(ticks, lines, side="right") - 1, 0, len(dark) - 2)
     weight = (lines - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
     return dark, index.astype(np.int64), np.clip(weight, 0.0, 1.0).astype(np.float32)
@@ -272,8 +290,9 @@ def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Ar
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
             f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
-            f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms; take a dark at the line's exposure, or "
-            "darks at two exposures, from which bias and rate follow"
+            f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms",
+            mend="take a dark at the line's exposure, or darks at two exposures, for bias and rate",
+            code="dark-exposure-differs",
         )
     _judge_extrapolation(taken, exposure)
     centred = taken - taken.mean()
@@ -288,7 +307,7 @@ def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Ar
 
 
 def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
-    """Warn of lines beyond the exposures of the darks, and refuse those far beyond."""
+    """Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond."""
     below, above = taken.min() - exposure.min(), exposure.max() - taken.max()
     spans = max(below, above) / np.ptp(taken)
     if spans <= TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
@@ -300,9 +319,15 @@ def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
     )
     if spans > MAX_DARK_SPANS:
         raise SchemaError(
-            f"{text}, expected {MAX_DARK_SPANS:g} at the most; take a dark at the line's exposure"
+            f"{text}",
+            expected=f"at most {MAX_DARK_SPANS:g}",
+            mend="take a dark at the line's exposure",
+            code="dark-exposure-differs",
         )
-    warnings.warn(f"{text}: take a dark at the line's exposure", PaintWarning, stacklevel=2)
+    warnings.warn(
+        PaintWarning(f"{text}: take a dark at the line's exposure", code="dark-exposure-differs"),
+        stacklevel=2,
+    )
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
@@ -315,13 +340,6 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
         # an integer reaches a bound exactly when it reaches the bound rounded up
         limit = np.clip(np.ceil(limit), 0, np.iinfo(dtype).max)
     return np.ascontiguousarray(limit.reshape(1, 1) if limit.ndim == 0 else limit, dtype)
-
-
-def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
-    """Return how far below the dark noise may take a sample (band, column) [count]; NaN where unwatched."""
-    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
-    margin = NOISE_MARGIN_SD * np.sqrt(noise**2 + QUANTISATION_VARIANCE_COUNT2)
-    return np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32)
 
 
 def _illuminate(
@@ -341,45 +359,54 @@ def _illuminate(
         cube.get("longitude"),
         None if clock is None else float(clock),
     )
-    # a record of the whole day lights a line of a minute
+    # of the record of a day, the samples around the lines alone
     used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
     before, after = places.reshape(2, -1)
     check_light(cube, spectra[used], channels, stamps[used])
     imager = imager_of(cube, light["srf_shape"])
     matched, misfit = matched_series(
-        spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes,
-        light.get("as_found"),
-    )  # fmt: skip
+        spectra[used],
+        channels,
+        light["irradiance_fwhm"],
+        light["irradiance_srf_shape"],
+        imager,
+        smile.nodes,
+        light.get("departure"),
+    )
     warn_of_lost_bands(spectra[used], channels, matched, imager["wavelength"])
     if tilt is not None:
-        place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))
-        onto = tilt_factors(tilt, {**light, "time": time}, used, imager["wavelength"], place)
-        matched = matched * onto[:, None, :]
+        factors = tilt_factors(tilt, {**light, "time": time}, used, imager["wavelength"], _mean_place(cube))
+        matched = matched * factors[:, None, :]
     light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
-def _mean_place(degrees: Any, name: str) -> float:
-    places = np.asarray(degrees, np.float64)
-    places = places[np.isfinite(places)]
-    if places.size == 0:
-        raise SchemaError(f"tilt= needs the sun's position, but {name!r} is missing on every line")
-    return float(places.mean())
+def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
+    """Return mean latitude and longitude of the lines [degree]."""
+    place = []
+    for name in ("latitude", "longitude"):
+        degrees = np.asarray(cube[name], np.float64)
+        degrees = degrees[np.isfinite(degrees)]
+        if degrees.size == 0:
+            raise SchemaError(
+                f"tilt= needs the sun's position, but {name!r} is missing on every line", code="place-missing"
+            )
+        place.append(float(degrees.mean()))
+    return place[0], place[1]
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
-    """Return sums of each spectrum over intervals of 100 nm; NaN where it misses what nearly all others have.
+    """Return sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
 
     Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their bands,
     not the record.
     """
-    is_there = np.isfinite(spectra).any(axis=1)
-    inside = (channels >= 400.0) & (channels <= 1000.0)
-    inside = inside if inside.any() else np.ones(channels.size, bool)
-    if not is_there.any():
-        return np.full((len(spectra), 1), np.nan)
-    used = inside & (np.isnan(spectra[is_there]).mean(axis=0) <= 0.1)
-    if not used.any():
+    has_values = np.isfinite(spectra).any(axis=1)
+    used = (channels >= 400.0) & (channels <= 1000.0)
+    used = used if used.any() else np.ones(channels.size, bool)
+    if has_values.any():
+        used = used & (np.isnan(spectra[has_values]).mean(axis=0) <= 0.1)
+    if not has_values.any() or not used.any():
         return np.full((len(spectra), 1), np.nan)
     interval = np.floor(np.minimum(channels, 999.0) / 100.0)
     return np.stack(
@@ -388,66 +415,59 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
 
 
 class _OnPanels(NamedTuple):
-    """What a plan holds of panels, beside their scale."""
+    """Results of panels in a plan, beside their scale."""
 
     closure: PanelClosure | None = None
     weights: Floats | None = None
     u: Floats | None = None
 
 
-_NO_PANELS = _OnPanels()
-
-
 def _panel_scale(
-    given: Mapping[str, Any],
+    inputs: Mapping[str, Any],
     cube: Mapping[str, Any],
     light: Mapping[str, Any] | None,
     good: Array,
     lines: int,
 ) -> tuple[Floats, _OnPanels]:
-    """Return the scale by panels, as a `Plan` has it; ``given`` is that of `hyperpaint.radiometry.panels`."""
-    time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    panels = [{**panel, **_at_panel(panel, cube, light, time)} for panel in given["panels"]]
-    closure = judge_panels(tuple(panels), _panel_context(given, cube, light, good))
-    if not given["refuses"]:
-        return np.ones(good.size), _OnPanels(closure, u=np.full(lines, np.nan))
-    places = usable_panels(closure)
-    own = max(float(panels[place]["uncertainty"]) for place in places)
-    if places.size == 1:
-        noise = float(np.nanmedian(closure.mean_u[places[0]]))
-        return closure.scale[places[0]], _OnPanels(closure, u=np.full(lines, np.hypot(own, noise)))
-    scale, weights, u = panel_correction(closure.at(places), time)
-    return scale, _OnPanels(closure, weights, np.hypot(own, u))
-
-
-def _at_panel(
-    panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
-) -> dict[str, Any]:
-    """Return when a panel was seen, and by how much of itself its light changes with the direct one."""
-    stamps = time[slice(*panel["lines"])]
-    stamps = stamps[~np.isnat(stamps)]
-    if not stamps.size:
-        raise TimeError(f"{panel['name']}: its lines have no time")
-    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
-    share = None
-    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
-    if light is not None and is_located:
-        place = (_mean_place(cube["latitude"], "latitude"), _mean_place(cube["longitude"], "longitude"))
-        share = direct_share(
-            {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), place
-        )
-    return {"time": middle, "direct_share": share}
-
-
-def _panel_context(
-    given: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, good: Array
-) -> PanelContext:
+    """Return the scale by panels, as a `Plan` has it; ``inputs`` as of `panels.panel_inputs`."""
+    # uncertainty of gain and irradiance together, stated or usual
     wavelength = np.asarray(cube["wavelength"], np.float64)
-    stated = {name: np.asarray(value, np.float64) for name, value in given["stated"].items()}
+    stated = {name: np.asarray(value, np.float64) for name, value in inputs["stated"].items()}
     gain = stated.get("radiance_gain_u_systematic", np.asarray(PANEL_RULES.gain_u))
     gain = np.nanmean(gain, axis=1) if gain.ndim == 2 else gain
     record = stated.get("irradiance_u_systematic", np.asarray(PANEL_RULES.irradiance_u))
     if record.ndim and light is not None:
         record = at_bands(record, light["irradiance_wavelength"], wavelength)
-    u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
-    return PanelContext(wavelength, good, u, given["has_scale"])
+    line_u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
+    # factor of every panel
+    time = np.asarray(cube["time"]).astype("datetime64[ns]")
+    panels = [{**panel, **_at_panel(panel, cube, light, time)} for panel in inputs["panels"]]
+    closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
+    if not inputs["refuses"]:
+        return np.ones(good.size), _OnPanels(closure, u=np.full(lines, np.nan))
+    # scale of all lines, from one panel or between several
+    places = usable_panels(closure)
+    declared_u = max(float(panels[place]["uncertainty"]) for place in places)
+    if places.size == 1:
+        noise = float(np.nanmedian(closure.mean_u[places[0]]))
+        return closure.scale[places[0]], _OnPanels(closure, u=np.full(lines, np.hypot(declared_u, noise)))
+    scale, weights, u = panel_correction(closure.at(places), time)
+    return scale, _OnPanels(closure, weights, np.hypot(declared_u, u))
+
+
+def _at_panel(
+    panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
+) -> dict[str, Any]:
+    """Return the time of a panel, and the relative change of its light with direct light."""
+    stamps = time[slice(*panel["lines"])]
+    stamps = stamps[~np.isnat(stamps)]
+    if not stamps.size:
+        raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
+    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
+    share = None
+    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
+    if light is not None and is_located:
+        share = direct_share(
+            {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), _mean_place(cube)
+        )
+    return {"time": middle, "direct_share": share}

@@ -1,4 +1,4 @@
-"""Irradiance that cannot be daylight, or lacks channels, before reflectance is made of it."""
+"""Check that irradiance can be daylight and has all channels, before reflectance is computed from it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from hyperpaint.light.sun import solar_position
 
 @dataclass(frozen=True)
 class LightRules:
-    """From where on a record is hardly that of the sky over a flight.
+    """Thresholds beyond which a record does not fit the sky over a flight.
 
     least_share, most_share
-        Median of 400-1000 nm over that of a clear sky at the place and time [1]. A thunderstorm lets 0.02
-        through, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
+        Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
+        transmits 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
     max_zenith
-        Of the sun, up to which the clear sky is asked [degree].
+        Zenith angle of the sun up to which the clear sky is modelled [degree].
     most_low_sun
         Median where the sun is lower [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
     """
@@ -40,9 +40,9 @@ RULES = LightRules()
 
 
 class LightLevel(NamedTuple):
-    """How bright a record is: the brightest sample's median of 400-1000 nm [W m-2 nm-1], NaN of none.
+    """Brightness of a record: the brightest sample's median of 400-1000 nm [W m-2 nm-1], NaN without one.
 
-    zenith: of the sun at its highest [degree]; clear: the median of a clear sky then; NaN where not known.
+    zenith: of the sun at its highest [degree]; clear: the median of a clear sky then; NaN where unknown.
     """
 
     median: float
@@ -51,49 +51,52 @@ class LightLevel(NamedTuple):
 
     @property
     def slip(self) -> str:
-        """Which unit was taken for which, if one explains the level; empty where none does."""
+        """Mistaken unit that explains the level, as "A taken for B"; empty where none does."""
         return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
 
 
 def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
-    """Return how bright the spectra (sample, channel) are that light a line, at its place and time."""
+    """Return the brightness of the spectra (sample, channel) that light a line, at its place and time."""
     zenith = _highest_sun(cube, stamps)
     clear = _clear_median(zenith, channels) if zenith <= RULES.max_zenith else math.nan
     return LightLevel(brightest_median(channels, np.asarray(spectra, np.float64)), zenith, clear)
 
 
 def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> None:
-    """Judge the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
+    """Check the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
 
-    Raises SchemaError: No daylight is so bright or so dim. Warns PaintWarning: It is hardly that of the place
-    and time.
+    Raises SchemaError: No daylight is so bright or so dim. Warns PaintWarning: It does not fit place and
+    time.
     """
-    judged = light_level(cube, spectra, channels, stamps)
-    level, zenith, clear = judged
+    light = light_level(cube, spectra, channels, stamps)
+    level, zenith, clear = light
     if not math.isfinite(level):
         return
-    shown = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
-    slip = f", {judged.slip}" if judged.slip else ""
+    found = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
+    slip = f", {light.slip}" if light.slip else ""
     if not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN:
         raise SchemaError(
-            f"{shown}, expected {LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}; correct its units"
+            found,
+            expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
+            mend="correct its units",
+            code="irradiance-level",
         )
     if math.isfinite(clear):
         doubtful = not RULES.least_share <= level / clear <= RULES.most_share
-        against = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
+        comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
     elif zenith > RULES.max_zenith:
         doubtful = level > RULES.most_low_sun
-        against = f"though the sun is {90 - zenith:.0f} degree above the horizon: is its time local, not UTC?"
+        comparison = f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
     else:
         doubtful = level < DULL_MEDIAN
-        against = f"expected {DULL_MEDIAN:g} at least by day{slip}"
+        comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
     if doubtful:
-        text = f"{shown}, {against}; check its units, its time, and the line's place"
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        text = f"{found}, {comparison}; check its units, its time, and the line's place"
+        warnings.warn(PaintWarning(text, code="irradiance-level"), stacklevel=2)
 
 
 def _highest_sun(cube: Mapping[str, Any], stamps: Array) -> float:
-    """Return the least zenith angle of the sun [degree]; NaN where the place is not known."""
+    """Return the least zenith angle of the sun [degree]; NaN where the place is unknown."""
     places = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
     if not all(np.isfinite(degrees).any() for degrees in places) or not stamps.size:
         return math.nan
@@ -102,13 +105,12 @@ def _highest_sun(cube: Mapping[str, Any], stamps: Array) -> float:
 
 
 def _clear_median(zenith: float, channels: Floats) -> float:
-    """Return the median of a clear sky over 400-1000 nm [W m-2 nm-1]; NaN where no channel is there."""
     nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
     return brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
-    """Warn of bands (band,) whose matched irradiance is undefined since channels of a sample are.
+    """Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are.
 
     spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
     """
@@ -123,7 +125,7 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
         return
     text = (
         f"irradiance is undefined in {missing.sum()} channels, such as {channels[missing][0]:g} nm: "
-        f"{lost.sum()} of {lost.size} bands have no reflectance where it is, "
+        f"{lost.sum()} of {lost.size} bands become NaN at these times, "
         f"{wavelength[lost].min():g} to {wavelength[lost].max():g} nm; interpolate the record over them"
     )
-    warnings.warn(text, PaintWarning, stacklevel=2)
+    warnings.warn(PaintWarning(text, code="irradiance-gaps"), stacklevel=2)

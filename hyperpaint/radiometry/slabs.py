@@ -1,7 +1,7 @@
-"""What one task does with one slab of lines, and the lazy graph of such tasks.
+"""Calibrate one slab of lines in one task, and build the lazy graph of such tasks.
 
-A slab is whole lines with all bands and columns. Everything that is small (calibration, matched irradiance,
-weights of the lines) is gathered once into a `Plan`, a single node of the graph that every task shares; the
+A slab is whole lines with all bands and columns. All small inputs (calibration, matched irradiance,
+weights of the lines) are gathered once into a `Plan`, a single node of the graph that every task shares; the
 task then makes one pass over the slab's counts. Nothing is read while the graph is built.
 """
 
@@ -44,14 +44,14 @@ from .panel_judging import PanelClosure
 from .panel_scale import scale_of_lines
 
 _OF_LINES = ("dark_index", "dark_weight", "line_flags")
+#: Fields of a plan that enter a slab through `Plan.light`.
 _IN_LIGHT = ("rate", "scale", "panel_weights", "series", "lines")
-"""Fields of a plan of which a slab takes what `Plan.light` makes of them."""
 _OF_NO_SLAB = ("closure", "panel_u", "misfit", "starts")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a slab needs beside its counts."""
+    """Inputs of a slab besides its counts."""
 
     dark: Array  #: (n, band, column) float32: darks, one after the other in time
     #: dark_index, dark_weight (line,): the dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at
@@ -94,29 +94,29 @@ class Plan:
 
     @functools.cached_property
     def warning_of_means(self) -> str:
-        """Warn, once a line, of counts that are means; return what is said."""
+        """Warn, once a line, of counts that are means; return the text."""
         text = (
-            "counts are no whole numbers: means of several readings hide whether one was saturated; pixels "
-            "above half of the range are flagged 'saturated'. Average reflectance in place of counts"
+            "counts are no whole numbers: means of several readings may hide a saturated one; pixels "
+            "above half of the range are flagged 'saturated'; average reflectance instead of counts"
         )
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(text, code="counts-averaged"), stacklevel=2)
         return text
 
     def digest(self, start: int, stop: int) -> str:
-        """Return what names all that the kernels take for lines ``start`` to ``stop`` beside their counts."""
+        """Return a digest of the kernels' inputs for lines ``start`` to ``stop``, besides their counts."""
         lines = [getattr(self, name)[start:stop] for name in _OF_LINES]
         smear = None if self.stray is None else self.stray.smear[start:stop]
         return str(tokenize(self._shared, lines, smear, self.light(start, stop)))
 
     @functools.cached_property
     def _shared(self) -> str:
-        """What names all that every slab takes; of a new field that is so until it is excepted here."""
+        """Digest of the inputs of every slab; a new field is included until it is excepted here."""
         names = {field.name for field in fields(self)} - {*_OF_LINES, *_IN_LIGHT, *_OF_NO_SLAB, "stray"}
         stray = None if self.stray is None else self.stray._replace(smear=np.empty(0))
         return str(tokenize([getattr(self, name) for name in sorted(names)], stray))
 
     def light(self, start: int, stop: int) -> Array:
-        """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
+        """Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32."""
         rate = self.rate[start:stop, None, None, None]
         if self.panel_weights is None:
             scale = self.scale[None, :, None, None]
@@ -124,14 +124,14 @@ class Plan:
             scale = scale_of_lines(self.scale, self.panel_weights[start:stop])[:, :, None, None]
         if self.series is None or self.lines is None:
             return np.ascontiguousarray(rate * scale, np.float32)
-        # in place: as many copies of this would cost half of what the kernel does
+        # in place: copies would cost half of the kernel's time
         before = self.series[self.lines.before[start:stop]]
         irradiance = self.series[self.lines.after[start:stop]]
         irradiance -= before
         irradiance *= self.lines.weight[start:stop, None, None, None]
         irradiance += before
         if self.smile.nodes.size > 1:
-            # where there is no light at either end of a cell
+            # NaN without light at either end of a cell
             end = irradiance[..., 0] + irradiance[..., 1] + irradiance[..., 2] + irradiance[..., 3]
             irradiance[(irradiance[..., 0] <= 0) | (end <= 0)] = np.nan
             return (irradiance / (np.pi * rate * scale)).astype(np.float32)
@@ -164,10 +164,8 @@ def _in_slabs(values: Array, lines: int) -> da.Array:
     Its name is new each time: dask names arrays by hashing them, which takes longer than calibrating them.
     """
     name = f"lines-{uuid.uuid4().hex}"
-    slabs = {
-        (name, number, 0, 0): values[start : start + lines]
-        for number, start in enumerate(range(0, max(len(values), 1), lines))
-    }
+    starts = range(0, max(len(values), 1), lines)
+    slabs = {(name, number, 0, 0): values[start : start + lines] for number, start in enumerate(starts)}
     chunks = (tuple(map(len, slabs.values())), *((size,) for size in values.shape[1:]))
     return da.Array(slabs, name, chunks, meta=values[:0])
 
@@ -178,7 +176,7 @@ _NO_CUBE = np.empty((0, 0, 0), np.float32)
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
     """Calibrate contiguous counts (line, band, column), uint16 or float32, from line ``start`` on.
 
-    What of ``out`` is not empty is written; uncertainties need the plan's ``error_terms``.
+    Writes the arrays of ``out`` that are not empty; uncertainties need the plan's ``error_terms``.
     """
     from hyperpaint.kernels.radiometry import calibrate_slab
 
@@ -222,20 +220,20 @@ def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None
     """Flag pixels without counts, and those whose counts, being means, may hide a saturated reading.
 
     Of at least two readings one may have been full where their mean is half way from the dark to the limit.
-    All bands of a pixel are looked at together, since a mean may be a whole number.
+    All bands of a pixel are judged together, since a mean may be a whole number.
     """
     watched = np.isfinite(plan.noise_margin)
     if not watched.any():  # radiance
         return
-    for line, (seen, number) in enumerate(zip(counts, range(here.start, here.stop), strict=False)):
+    for line, (row, number) in enumerate(zip(counts, range(here.start, here.stop), strict=False)):
         if plan.line_flags[number] & Quality.NO_DATA:
             continue
-        missing = (np.isnan(seen) & watched).any(axis=0)
+        missing = (np.isnan(row) & watched).any(axis=0)
         quality[line, missing] |= np.uint16(Quality.NO_DATA)
-        is_mean = ((np.rint(seen) != seen) & np.isfinite(seen) & watched).any(axis=0)
+        is_mean = ((np.rint(row) != row) & np.isfinite(row) & watched).any(axis=0)
         if is_mean.any():
             half_way = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
-            hides = is_mean & ((seen >= half_way) & watched).any(axis=0)
+            hides = is_mean & ((row >= half_way) & watched).any(axis=0)
             quality[line, hides] |= np.uint16(Quality.SATURATED)
             if hides.any():
                 plan.warning_of_means  # noqa: B018
@@ -244,7 +242,7 @@ def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:
     """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16.
 
-    With a plan that knows their `ErrorTerms`, the random and the systematic uncertainty follow, as the first.
+    With the plan's `ErrorTerms`, the random and the systematic uncertainty follow, shaped as the slab.
     """
     certain = plan.error_terms is None
     cube = np.empty(counts.shape, np.float32)
@@ -261,12 +259,12 @@ def light_of_lines(plan: Plan, name: str) -> Array:
 
 
 def of_panels(plan: Plan, name: str) -> Array:
-    """Return a part of what panels measure, ``weight`` (line, panel), or ``scale_u`` (line,).
+    """Return a result of panels by its name, ``weight`` (line, panel), or ``scale_u`` (line,).
 
     In the types of the table of variables.
     """
     if plan.closure is None or plan.panel_u is None:
-        raise SchemaError("no panel was given", expected="panel=")
+        raise SchemaError("reflectance without panels", mend="pass panel=", code="argument-missing")
     if name == "weight":
         array: Array = np.zeros((plan.rate.size, len(plan.closure.reasons)))
         array[:, [not reason for reason in plan.closure.reasons]] = (
@@ -279,7 +277,7 @@ def of_panels(plan: Plan, name: str) -> Array:
 
 
 def plan_of(cube: da.Array) -> Plan:
-    """Return the plan of a cube, or its quality, that `calibrated` made."""
+    """Return the plan of a cube or quality that `calibrated` returned."""
     graph = cube.__dask_graph__()
     pending = [cube.name]
     while pending:
@@ -288,7 +286,9 @@ def plan_of(cube: da.Array) -> Plan:
             plan: Plan = Delayed(key, graph).compute(scheduler="sync")
             return plan
         pending += graph.dependencies[key]
-    raise SchemaError("this array was not calibrated here: it has no plan")
+    raise SchemaError(
+        "this array has no plan", expected="an array that hyperpaint calibrated", code="plan-missing"
+    )
 
 
 def calibrated(
@@ -296,16 +296,16 @@ def calibrated(
 ) -> tuple[tuple[da.Array, ...], da.Array, Any]:
     """Return the calibrated cubes and their quality, lazily, and the plan they share.
 
-    One task a slab makes all; asked for alone, each costs one fused task a slab.
+    One task a slab computes all; alone, each costs one fused task a slab.
 
     Parameters
     ----------
     source : (along_track, band, cross_track)
         Counts or radiance in chunks of whole lines; see `line_chunked`.
     cubes
-        1, or 3 where the plan holds a `ErrorTerms`: the cube, its random and its systematic uncertainty.
+        1, or 3 where the plan holds `ErrorTerms`: the cube, its random and its systematic uncertainty.
     planner
-        Makes the plan, lazily, from the cube's shape, dtype and slabs.
+        Returns the lazy plan for the cube's shape, dtype and slabs.
     """
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):

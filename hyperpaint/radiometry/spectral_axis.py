@@ -1,6 +1,6 @@
-"""Along the spectral axis: bands by wavelength, every column at the nominal wavelengths, smoothing.
+"""Operations along the spectral axis: bands by wavelength, removal of smile, smoothing.
 
-The paper smooths with a box. It is kept, off by default: it moves a red edge much further than a
+The paper smooths with a box. It is available, off by default: it moves a red edge much further than a
 Savitzky-Golay filter of the same width does (see docs/figures.md).
 """
 
@@ -25,7 +25,7 @@ METHODS = ("savitzky-golay", "box")
 
 
 class NominalAxis(NamedTuple):
-    """How spectra of columns are brought to nominal wavelengths."""
+    """Interpolation of columns to nominal wavelengths."""
 
     first: Array  #: (band, column) int64: first of the bands that a band is interpolated from
     weights: Array  #: (band, column, tap): their weights; NaN where a column does not reach the band
@@ -57,14 +57,14 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     551.0
     """
     dataset = schema.rename_to_roles(dataset)
-    some = dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
+    selected = dataset.isel({schema.BAND: bands_at(dataset, wavelength)})
     if "coarse_reflectance" in dataset.variables and schema.has_own_means(dataset):
-        schema.stamp_means(some["coarse_reflectance"], some)  # of the same bands
-    return some
+        schema.stamp_means(selected["coarse_reflectance"], selected)  # of the same bands
+    return selected
 
 
 def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
-    """Return the place of the band nearest to a wavelength [nm], or of those nearest to several.
+    """Return the index of the band nearest to a wavelength [nm], or of the bands nearest to several.
 
     Raises
     ------
@@ -78,13 +78,15 @@ def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
     if (away > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(wanted).all():
         worst = np.atleast_1d(wanted)[np.atleast_1d(away).argmax()]
         raise SchemaError(
-            f"no band at {worst:g} nm; bands reach from {centres.min():g} to {centres.max():g} nm"
+            f"no band at {worst:g} nm",
+            expected=f"{centres.min():g} to {centres.max():g} nm",
+            code="band-missing",
         )
     return nearest.item() if nearest.ndim == 0 else nearest
 
 
 def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
-    """Return spectra at the nominal wavelengths: the smile taken out.
+    """Return spectra interpolated to the nominal wavelengths: the smile is removed.
 
     Lazy: one task a slab of lines; only the wavelengths and their shifts are read.
 
@@ -97,8 +99,8 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``radiance``, ``reflectance`` and what does not depend on wavelength; counts and calibration, which
-        hold for the columns' own wavelengths, are left out, and so is ``wavelength_shift``.
+        ``radiance``, ``reflectance`` and variables without bands; counts and calibration, which hold for the
+        columns' own wavelengths, are left out, and so is ``wavelength_shift``.
 
     Raises
     ------
@@ -127,7 +129,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     if not products:
         raise SchemaError(
-            "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"
+            "the dataset has neither 'radiance' nor 'reflectance'",
+            mend="compute one before to_nominal",
+            code="variable-missing",
         )
     if "wavelength_shift" not in dataset.variables:
         schema.warn_of_lost_calibration(dataset, "the spectrum at nominal wavelengths")
@@ -151,7 +155,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
-    """Return how the columns of a line are brought to nominal wavelengths; reads wavelengths and shifts.
+    """Return the interpolation of a line's columns to nominal wavelengths; reads wavelengths and shifts.
 
     Raises
     ------
@@ -179,28 +183,30 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     """Return the first of four bands and their weights, (band, column[, 4])."""
     bands, columns = wavelength.size, shift.shape[1]
     if bands < 4:
-        raise SchemaError(f"{bands} bands are too few to interpolate between; four are needed")
-    own = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
+        raise SchemaError(f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few")
+    axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
     descending = wavelength[0] > wavelength[-1]
-    axis = own[::-1] if descending else own
+    axis = axis[::-1] if descending else axis
     if not (np.diff(axis, axis=0) > 0).all():
         raise SchemaError(
-            "wavelengths must be in order to interpolate between bands; split the cube at detector joins"
+            "wavelengths are not in order",
+            mend="split the cube at detector joins before interpolating between bands",
+            code="wavelength-unordered",
         )
-    wanted = wavelength[::-1] if descending else wavelength
+    nominal = wavelength[::-1] if descending else wavelength
     first = np.empty((bands, columns), np.int64)
     weights = np.empty((bands, columns, 4))
     for column in range(columns):
         nodes = axis[:, column]
-        start = np.clip(np.searchsorted(nodes, wanted, side="right") - 2, 0, bands - 4)
+        start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, bands - 4)
         taps = nodes[start[:, None] + np.arange(4)]
         for k in range(4):
             others = [j for j in range(4) if j != k]
             weights[:, column, k] = np.prod(
-                (wanted[:, None] - taps[:, others]) / (taps[:, [k]] - taps[:, others]), axis=1
+                (nominal[:, None] - taps[:, others]) / (taps[:, [k]] - taps[:, others]), axis=1
             )
         first[:, column] = start
-        weights[(wanted < nodes[0]) | (wanted > nodes[-1]), column] = np.nan
+        weights[(nominal < nodes[0]) | (nominal > nodes[-1]), column] = np.nan
     if descending:
         first, weights = bands - 4 - first[::-1], weights[::-1, :, ::-1]
     return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
@@ -229,8 +235,8 @@ def smooth(
     Returns
     -------
     Dataset
-        The same with ``reflectance`` replaced, float32 [1], which its attribute ``smoothing`` says; without
-        ``reflectance_u_random``, which is not that of filtered noise.
+        The dataset with ``reflectance`` replaced, float32 [1], and its attribute ``smoothing`` set; without
+        ``reflectance_u_random``, which does not hold for filtered noise.
 
     Raises
     ------
@@ -239,9 +245,8 @@ def smooth(
 
     Notes
     -----
-    A missing band stays missing, and changes only the bands whose window holds it. Bands that are not
-    ``good`` are left as they are, and out of their neighbours' windows. Quality flags are left as they are: a
-    flag set before is still set.
+    A missing band stays missing, and changes only the bands whose window contains it. Bands that are not
+    ``good`` are left unchanged, and out of their neighbours' windows. Quality flags are left unchanged.
 
     References
     ----------
@@ -258,18 +263,30 @@ def smooth(
         dataset = schema.rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)
     if "reflectance" not in dataset.variables:
-        problems.add("'reflectance' is missing; call .paint.reflectance() first")
+        problems.add(
+            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
+        )
     if method not in METHODS:
-        problems.add(f"method {method!r}, expected one of {', '.join(METHODS)}")
+        problems.add(f"method {method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
     if window < 3 or window % 2 == 0:
-        problems.add(f"window {window}, expected an odd number of bands, 3 or more")
+        problems.add(
+            f"window {window}", expected="an odd number of bands, 3 or more", code="value-out-of-range"
+        )
     bands = dataset["reflectance"].sizes.get(schema.BAND) if "reflectance" in dataset else window
     if bands is None:
-        problems.add(f"'reflectance' has dims {dataset['reflectance'].dims}, none of which is 'band'")
+        problems.add(
+            f"'reflectance' has dims {dataset['reflectance'].dims}",
+            expected="a dim 'band'",
+            code="dim-missing",
+        )
     elif window > bands:
-        problems.add(f"window {window} is wider than the {bands} bands")
+        problems.add(f"window {window} is wider than the {bands} bands", code="value-out-of-range")
     if method == "savitzky-golay" and not 0 <= order < window - 1:
-        problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
+        problems.add(
+            f"order {order}",
+            expected=f"0 to {window - 2} for a window of {window}",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
     cube = set(schema.CUBE) == set(array.dims)
@@ -294,21 +311,21 @@ def smooth(
     text = f"box, {window} bands" if method == "box" else f"Savitzky-Golay, {window} bands, order {order}"
     attrs = {**array.attrs, **schema.VARIABLES["reflectance"].attrs, "smoothing": text}
     if "unc_comps" in attrs:
-        # filtered noise is smaller, and no longer independent from band to band
+        # filtered noise is smaller, and correlated from band to band
         attrs["unc_comps"] = [name for name in attrs["unc_comps"] if name != "reflectance_u_random"]
         dataset = dataset.drop_vars("reflectance_u_random", errors="ignore")
     return dataset.assign(reflectance=filtered.assign_attrs(attrs))
 
 
 def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
-    """Return what spectra without gaps are multiplied by in `smooth` (band, band), for its ``options``."""
+    """Return the matrix of `smooth` for spectra without gaps (band, band), for its ``options``."""
     single = xr.DataArray(np.eye(good.size, dtype=np.float32), dims=("of", schema.BAND), attrs={"units": "1"})
     filtered = smooth(xr.Dataset({"reflectance": single, "good": (schema.BAND, good)}), **options)
     return np.asarray(filtered["reflectance"].values.T)
 
 
 class WindowPolynomials(NamedTuple):
-    """The weights by which a polynomial through the window of each band gives its value there."""
+    """Weights of the values in each band's window for its smoothed value."""
 
     first: Array  #: (band,) int64: first band of the window
     weights: Array  #: (band, width) float32

@@ -1,4 +1,4 @@
-"""Light on a tilted surface under the sky that the record says there was, in place of a clear one."""
+"""Light on a tilted surface under the sky that the irradiance record shows, which may not be clear."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -20,18 +21,18 @@ from hyperpaint.light.sun import solar_position
 _CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
 
 
-_AROUND_PANEL = np.timedelta64(120, "s")
-"""How far from a panel samples may be that tell its sky: what changes over a minute is part of it."""
+#: Largest distance in time of samples that give the sky over a panel, changes over a minute included.
+MAX_PANEL_DISTANCE = np.timedelta64(120, "s")
 
 
 def tilt_factors(
     tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, place: tuple[float, float]
 ) -> Floats:
-    """Return irradiance on the surface over that on level ground (sample, band) [1], of the ``used`` samples.
+    """Return irradiance on the surface relative to level ground (sample, band) [1], for the ``used`` samples.
 
-    A diffuse fraction of the tilt is taken as it is. Else that of the lines, where they have one; else the
-    split that `hyperpaint.light.diffuse_from_record` finds, which leaves a clear sky to the tilt's own model.
-    Diffuse light comes from all sides alike but under a clear or hazy sky.
+    A diffuse fraction of the tilt itself is used first. Else the fraction of the lines, where they have one;
+    else the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the tilt's own
+    model. Diffuse light is uniform except under a clear or hazy sky.
 
     light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
         ``sky_state``; place: latitude and longitude [degree].
@@ -40,50 +41,49 @@ def tilt_factors(
     """
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
 
-    def under(sky: Tilt, samples: Array) -> Floats:
+    def factor(sky: Tilt, samples: Array) -> Floats:
         return sky.factor(stamps[used[samples]], *place, wavelength)
 
-    everything = np.arange(used.size)
     if tilt.diffuse_fraction is not None or tilt.angle == 0.0:
-        return under(tilt, everything)
+        return factor(tilt, np.arange(used.size))
     fraction, state = _split(light, stamps, wavelength, place)
     if fraction is None:
-        return under(tilt, everything)
+        return factor(tilt, np.arange(used.size))
     factors = np.empty((used.size, wavelength.size))
     fraction, state = fraction[used], state[used]
     by_model = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
     if (state == _CONTRADICTORY).any():
         text = (
             f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
-            f"{used.size} samples; tilt= takes it for a clear one: if it was not, give "
+            f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
             "Tilt(diffuse_fraction=)"
         )
-        warnings.warn(text, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=2)
     if by_model.any():
-        factors[by_model] = under(tilt, np.flatnonzero(by_model))
+        factors[by_model] = factor(tilt, np.flatnonzero(by_model))
     for at in np.flatnonzero(~by_model):
         sky = "clear" if state[at] == _HAZY else "uniform"
-        factors[at] = under(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
+        factors[at] = factor(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
     return factors
 
 
 def direct_share(
     light: Mapping[str, Any], moment: np.datetime64, wavelength: Floats, place: tuple[float, float]
 ) -> Floats | None:
-    """Return by how much of itself the light on a panel changes with the direct part of it (sky, band) [1].
+    """Return the relative change of a panel's light with its direct part (sky, band) [1].
 
-    1 - f of a diffuse part f that comes from all sides; under a clear sky also where its bright side goes
-    along with the sun. None where nothing tells the split. The arguments are those of `tilt_factors`.
+    1 - f for a diffuse fraction f that is uniform; under a clear sky also with its bright side moving with
+    the sun. None where the split is unknown. The arguments are those of `tilt_factors`.
     """
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
     away = np.abs(stamps - moment)
-    near = np.flatnonzero(away <= max(_AROUND_PANEL, away.min()))
-    some = {**light, "irradiance": np.asarray(light["irradiance"])[near], "irradiance_time": stamps[near]}
+    near = np.flatnonzero(away <= max(MAX_PANEL_DISTANCE, away.min()))
+    nearby = {**light, "irradiance": np.asarray(light["irradiance"])[near], "irradiance_time": stamps[near]}
     if "diffuse_fraction" in light and len(np.atleast_2d(light["diffuse_fraction"])) == stamps.size:
-        some |= {
+        nearby |= {
             name: np.asarray(light[name])[near] for name in ("diffuse_fraction", "sky_state") if name in light
         }
-    fraction, state = _split(some, stamps[near], wavelength, place)
+    fraction, state = _split(nearby, stamps[near], wavelength, place)
     if fraction is None:
         return None
     at = int(away[near].argmin())
@@ -99,11 +99,9 @@ def direct_share(
 def _split(
     light: Mapping[str, Any], stamps: Array, wavelength: Floats, place: tuple[float, float]
 ) -> tuple[Floats | None, Array]:
-    """Return diffuse fraction (sample, band) and number of the state (sample,); None where nothing tells."""
+    """Return diffuse fraction (sample, band) and number of the state (sample,); None where unknown."""
     if "diffuse_fraction" in light:
         return _split_of_lines(light, stamps, wavelength.size)
-    import xarray as xr
-
     channels = xr.Variable(
         IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
     )
@@ -117,7 +115,7 @@ def _split(
         # to a kilometre, so that a crop of the line means the same sky
         at = tuple(round(degrees, 2) for degrees in place)
         split = diffuse_from_record(record.to_dataset(name="irradiance"), *at, wavelength=wavelength)
-    except SchemaError:  # a record of a few bands
+    except SchemaError:  # a record without channels in the compared intervals
         return None, np.zeros(stamps.size, np.int8)
     return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
@@ -131,9 +129,11 @@ def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tupl
         if not lines.size:
             return None, np.zeros(stamps.size, np.int8)
         # a float64 of seconds orders stamps of a flight to a microsecond
-        at, wanted = ((each - time[lines[0]]) / np.timedelta64(1, "s") for each in (time[lines], stamps))
-        rows = lines[np.abs(at[:, None] - wanted).argmin(axis=0)]
-    else:  # of every sample, or one of all
+        at, sampled = (
+            (moments - time[lines[0]]) / np.timedelta64(1, "s") for moments in (time[lines], stamps)
+        )
+        rows = lines[np.abs(at[:, None] - sampled).argmin(axis=0)]
+    else:  # one a sample, or one for all
         rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
     state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
     state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)

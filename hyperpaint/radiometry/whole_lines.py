@@ -1,4 +1,4 @@
-"""The unit of work for any engine: some whole lines in memory, calibrated at once, in this thread."""
+"""Calibrate whole lines in memory at once, in the calling thread: the unit of work for any engine."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ def slab(
 ) -> xr.Dataset:
     """Reflectance and quality of some whole lines: numpy in, numpy out, the bits of ``.paint.reflectance()``.
 
-    For engines other than dask, and for loops of one's own: the function, what goes in and what comes out can
-    be pickled, and no scheduler is asked. Recipes for cubed, Ray, process pools and dask.distributed stand in
+    For engines other than dask, and for loops of your own: the function, its inputs and its outputs can be
+    pickled, and no scheduler is used. Recipes for cubed, Ray, process pools and dask.distributed are in
     docs/howto/engines.md.
 
     Parameters
     ----------
     dataset
-        Whole lines of a flight line, with all that calibrates them: ``line.isel(along_track=slice(0, 32))``.
-        What is read from files when asked for (``chunks=None``) is read here; 32 to 256 lines are a good
-        size.
+        Whole lines of a flight line, with their calibration: ``line.isel(along_track=slice(0, 32))``.
+        Variables that are read from files on demand (``chunks=None``) are read here; 32 to 256 lines are a
+        good size.
     uncertainty, tilt, keep_bits
         As of `hyperpaint.reflectance`.
 
     Returns
     -------
     Dataset
-        The same in memory, with what `hyperpaint.reflectance` adds.
+        The lines in memory, with the variables that `hyperpaint.reflectance` adds.
 
     Raises
     ------
@@ -48,8 +48,8 @@ def slab(
 
     Notes
     -----
-    Lines do not depend on one another, so the bits are those of the whole line. Three options take something
-    from all lines given: ``tilt`` their mean position, ``uncertainty`` the largest share of the dark's noise,
+    Lines do not depend on one another, so the bits are those of the whole line. Three options use all lines
+    passed: ``tilt`` their mean position, ``uncertainty`` the largest share of the dark's noise,
     and darks of several exposures the range of the lines' exposures, where these differ.
 
     Examples
@@ -64,14 +64,14 @@ def slab(
     lazy = [str(name) for name, variable in line.variables.items() if variable.chunks is not None]
     if lazy:
         raise SchemaError(
-            f"{', '.join(lazy[:3])}{' and others' if len(lazy) > 3 else ''}: dask arrays, which slab does "
-            "not compute",
+            f"slab computes no dask arrays: {', '.join(lazy[:3])}{', ...' if len(lazy) > 3 else ''}",
             expected="lines in memory",
             mend="pass line.load(), open with chunks=None, or call .paint.reflectance() on all lines",
+            code="lines-not-loaded",
         )
-    line = line.compute()  # reads what is read when asked for
+    line = line.compute()  # reads variables that are opened with chunks=None
     cubes = {name: line[name] for name in ("counts", "radiance") if name in line.data_vars}
-    # one chunk, without a name that would cost a pass over it
+    # one chunk, without a name, whose hash would cost a pass over it
     whole = {
         name: cube.copy(data=da.from_array(cube.values, chunks=-1, name=False))
         for name, cube in cubes.items()

@@ -298,27 +298,27 @@ def test_what_cannot_tell_is_flagged() -> None:
 def test_what_cannot_be_is_refused() -> None:
     line = line_of(grey())
     cut = line.isel(irradiance_wavelength=slice(0, 90))
-    with pytest.raises(SchemaError, match=r"covers \d+ of the 27 bands.*no lamp"):
+    with pytest.raises(SchemaError, match=r"\d+ of the 27 bands.*irradiance-coverage"):
         hp.alignment.align_to_irradiance(cut, window=OXYGEN)
-    with pytest.raises(SchemaError, match="holds nothing in the window"):
+    with pytest.raises(SchemaError, match="irradiance-coverage"):
         hp.alignment.align_to_irradiance(line.isel(irradiance_wavelength=slice(0, 20)))
-    with pytest.raises(SchemaError, match="at least 11"):
+    with pytest.raises(SchemaError, match=r"at least 11.*bands-too-few"):
         hp.alignment.align_to_irradiance(line, window=(755, 770))
-    with pytest.raises(SchemaError, match="overlap from 790 to 800"):
+    with pytest.raises(SchemaError, match="windows-overlap"):
         hp.alignment.align_to_irradiance(line, window=[(740, 800), (790, 850)])
-    with pytest.raises(SchemaError, match="pairs"):
+    with pytest.raises(SchemaError, match="window-unreadable"):
         hp.alignment.align_to_irradiance(line, window=(740, 800, 900))  # type: ignore[arg-type]
     with pytest.raises(UnitsError, match="window='red'"):
         hp.alignment.align_to_irradiance(line, window="red")  # type: ignore[arg-type]
     for window in (("a", "b"), ((740, 800), (890,)), {}):
         with pytest.raises(SchemaError, match="cannot be used"):
             hp.alignment.align_to_irradiance(line, window=window)  # type: ignore[arg-type]
-    with pytest.raises(SchemaError, match=r"(?s)degree=99.*group=0.*max_shift=-1.*max_uncertainty=0"):
+    with pytest.raises(SchemaError, match=r"(?s)degree=.*group=.*max_shift=.*max_uncert"):
         hp.alignment.align_to_irradiance(line, degree=99, group=0, max_shift=-1.0, max_uncertainty=0.0)
-    with pytest.raises(SchemaError, match=r"(?s)'time' is missing.*'irradiance' is missing"):
+    with pytest.raises(SchemaError, match=r"(?s)'time'.*'irradiance'"):
         hp.alignment.align_to_irradiance(line.drop_vars(["irradiance", "time"]))
     later = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
-    with pytest.raises(SchemaError, match="are the clocks right"):
+    with pytest.raises(SchemaError, match="irradiance-time-gap"):
         hp.alignment.align_to_irradiance(later)
 
 
@@ -340,23 +340,23 @@ def test_one_wild_column_does_not_bend_the_others() -> None:
 def test_applying_what_does_not_belong_is_refused() -> None:
     line = line_of(grey(5))
     found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
-    with pytest.raises(SchemaError, match="other bands or columns"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         hp.alignment.apply_alignment(line.isel(cross_track=slice(3)), found)
-    with pytest.raises(SchemaError, match="no dim 'cross_track'"):
+    with pytest.raises(SchemaError, match="dim-missing"):
         hp.alignment.apply_alignment(line[["wavelength", "fwhm"]], found)
     found["flag"][:4] = 2
-    with pytest.raises(SchemaError, match="1 of 5 columns can tell"):
+    with pytest.raises(SchemaError, match=r"1 of 5.*columns-too-few"):
         hp.alignment.apply_alignment(line, found)
 
 
 def test_applying_what_is_no_alignment_is_refused() -> None:
     line = line_of(grey(5))
-    with pytest.raises(SchemaError, match=r"(?s)'flag' is missing.*'window_centre' is missing.*dim 'band'"):
+    with pytest.raises(SchemaError, match=r"(?s)'flag'.*'window_centre'.*dim 'band'"):
         hp.alignment.apply_alignment(line, xr.Dataset())
     found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
-    with pytest.raises(SchemaError, match="attribute 'window' is missing"):
+    with pytest.raises(SchemaError, match="attribute-missing"):
         hp.alignment.apply_alignment(line, found.drop_attrs())
-    with pytest.raises(SchemaError, match="'fwhm_u' is on no dim, expected cross_track"):
+    with pytest.raises(SchemaError, match=r"'fwhm_u'.*dims-wrong"):
         hp.alignment.apply_alignment(line, found.assign(fwhm_u=found.fwhm_u[0]))
 
 

@@ -30,7 +30,7 @@ def test_etendue_from_both_sides() -> None:
     image = etendue_from_optics(2.5, 7.4e-6, 20e-6)
     assert image == pytest.approx(1.860e-11, rel=2e-4)
     assert etendue_from_pupil(12e-3 / 2.5, 7.4e-6 / 12e-3, 20e-6 / 12e-3) == pytest.approx(image, rel=1e-12)
-    with pytest.raises(SchemaError, match="in metres"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         etendue_from_optics(2.5, 7.4, 20.0)
 
 
@@ -99,14 +99,14 @@ def test_an_anchor_extrapolates_nothing_and_drops_what_is_saturated(sweep: xr.Da
     assert not part.good.values[beyond.values].any()
     frames = frames_of(sweep, 0.05)
     frames["counts"][40, 3] = 1e5
-    with pytest.warns(PaintWarning, match="1 elements are saturated"):
+    with pytest.warns(PaintWarning, match=r"1 elements.*elements-saturated"):
         made = anchor_to_radiance(
             made, frames.assign(saturation_count=4095.0), spectrum([0.05, 0.05], [300.0, 1200.0])
         )
     assert np.isnan(made.radiance_gain.values[40, 3])
-    with pytest.raises(SchemaError, match="no element is covered"):
+    with pytest.raises(SchemaError, match="source-coverage"):
         anchor_to_radiance(made, frames_of(sweep, 0.05), spectrum([1.0, 1.0], [1200.0, 1300.0]))
-    with pytest.raises(SchemaError, match="'exposure_time' is missing"):
+    with pytest.raises(SchemaError, match=r"'exposure_time'.*variable-missing"):
         anchor_to_radiance(made, frames.drop_vars("exposure_time"), spectrum([1.0, 1.0], [300.0, 1200.0]))
     with pytest.raises(UnitsError):
         anchor_to_radiance(made, frames, spectrum([1.0, 1.0], [300.0, 1200.0], "W m-2 nm-1"))
@@ -134,7 +134,7 @@ def test_coefficients_of_a_vendor() -> None:
     from hyperpaint.io.flightline.calibration_store import open_calibration
 
     assert open_calibration(made).srf_shape == "slit"
-    with pytest.raises(SchemaError, match="give exposure_time"):
+    with pytest.raises(SchemaError, match="exposure-missing"):
         calibration_from_coefficients(gain.assign_attrs(units="W m-2 sr-1 nm-1 count-1"), axis, width)
     with pytest.raises(UnitsError):
         calibration_from_coefficients(gain.assign_attrs(units="count"), axis, width)
@@ -158,9 +158,9 @@ def test_dark_is_bias_plus_rate_times_exposure() -> None:
     assert abs(model.dark_drift_count) < 1e-9
     drifting = dark_model([dark(0.01), dark(0.05), dark(0.01, bias=103.0), dark(0.05, bias=103.0)])
     assert drifting.dark_drift_count == pytest.approx(3.0, abs=0.01)
-    with pytest.raises(SchemaError, match="a rate needs two exposures"):
+    with pytest.raises(SchemaError, match="dark-exposures-few"):
         dark_model([dark(0.01), dark(0.01)])
-    with pytest.raises(SchemaError, match="shapes"):
+    with pytest.raises(SchemaError, match=r"shapes .*grid-mismatch"):
         dark_model([dark(0.01), dark(0.02).isel(band=[0])])
 
 
@@ -176,7 +176,7 @@ def test_flat_fields_of_sphere_and_scene() -> None:
     lazy = flat_field(scene.chunk(along_track=50), offset)
     np.testing.assert_allclose(lazy, made)
     assert lazy.chunks is not None
-    with pytest.raises(SchemaError, match="flat-field frames"):
+    with pytest.raises(SchemaError, match="dims-wrong"):
         flat_field(scene.rename(band="b"))
 
 
@@ -197,7 +197,7 @@ def test_linearity_is_the_identity_by_default_and_closes() -> None:
     ]
     assert errors[0] > 5e-3
     assert errors[1] < 1e-3
-    with pytest.raises(SchemaError, match="linearity of degree 3"):
+    with pytest.raises(SchemaError, match="signals-too-few"):
         linearity([1.0], [1.0])
 
 

@@ -56,7 +56,7 @@ def errors(made: xr.Dataset, sweep: xr.Dataset, width: float) -> dict[str, float
 def test_gain_whatever_the_monochromator(width: float, shape: str, light: str) -> None:
     sweep = sweep_of(monochromator_fwhm_nm=width, srf_shape=shape, monochromator_shape=light, **CLEAN)
     if width > 0.7 * FWHM:
-        with pytest.warns(PaintWarning, match="ill-conditioned"):
+        with pytest.warns(PaintWarning, match="slit-too-wide"):
             made = hp.calibrate(sweep)
     else:
         made = hp.calibrate(sweep)
@@ -159,7 +159,7 @@ def test_lazy_sweeps_give_the_same_bits() -> None:
 
 def test_a_beam_is_no_response() -> None:
     sweep = sweep_of(bands=136, columns=24, beam_fwhm_columns=10.0, beam_wander_columns=2.0)
-    with pytest.warns(PaintWarning, match="5 of 24 columns are not lit"):
+    with pytest.warns(PaintWarning, match=r"5 of 24 .*columns-unlit"):
         made = hp.calibrate(sweep)
     lit = np.isfinite(made.radiance_gain.values[68])
     assert lit[6:19].all()
@@ -168,7 +168,7 @@ def test_a_beam_is_no_response() -> None:
     assert np.nanstd(error) < 4e-3
     assert float(np.nanmedian(made.beam_fwhm)) == pytest.approx(10.0, rel=0.03)
     assert float(np.ptp(made.beam_centre.values[5:-5])) == pytest.approx(4.0, abs=0.3)
-    with pytest.warns(PaintWarning, match="taken as equal in all lit columns"):
+    with pytest.warns(PaintWarning, match="flux-profile-missing"):
         hp.calibrate(sweep_of(bands=136, columns=24, beam_fwhm_columns=16.0, beam_recorded=False))
 
 
@@ -237,7 +237,7 @@ def test_progress_is_told() -> None:
 
 def test_dark_at_any_exposure_once_bias_and_rate_are_known() -> None:
     sweep = sweep_of(bands=136, dark_exposure_ms=20.0)
-    with pytest.raises(hp.SchemaError, match="dark at another exposure: steps at 50 ms, dark at 20 ms"):
+    with pytest.raises(hp.SchemaError, match=r"50 ms.*20 ms.*dark-exposure-differs"):
         hp.calibrate(sweep)
     both = _sweep((("bands", 136), ("columns", 5), ("dark_exposure_ms", (20.0, 80.0)), ("nonuniformity", 0)))
     made = hp.calibrate(both)
@@ -248,9 +248,9 @@ def test_dark_at_any_exposure_once_bias_and_rate_are_known() -> None:
 def test_other_line_shapes_can_be_asked_for() -> None:
     sweep = sweep_of(bands=136, **CLEAN)
     # the lines are Gaussian: a slit leaves a residual that all of them share
-    with pytest.warns(PaintWarning, match="off the model 'slit'"):
+    with pytest.warns(PaintWarning, match=r"'slit'.*response-shape-misfit"):
         assert hp.calibrate(sweep, srf_shape="slit").srf_shape == "slit"
-    with pytest.raises(hp.SchemaError, match="expected a Dataset"):
+    with pytest.raises(hp.SchemaError, match="type-wrong"):
         hp.calibrate("sweep.zarr")  # type: ignore[arg-type]
-    with pytest.raises(hp.SchemaError, match="srf_shape 'box'"):
+    with pytest.raises(hp.SchemaError, match="choice-unknown"):
         hp.calibrate(sweep, srf_shape="box")

@@ -71,7 +71,7 @@ def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them(share: float
 
 @pytest.mark.parametrize("pedestal", [-3.0, 2.0, 5.0])
 def test_a_pedestal_is_the_dark_that_is_off(pedestal: float) -> None:
-    with pytest.warns(PaintWarning, match="the dark is off by as much"):
+    with pytest.warns(PaintWarning, match="dark-offset"):
         calibration = hp.calibrate(simulate_sweep(**CAMERA, pedestal=pedestal))
     assert calibration.dark_offset_count == pytest.approx(pedestal, abs=0.02)
 
@@ -85,7 +85,7 @@ def test_smile_is_found_behind_any_optics() -> None:
 
 
 def test_masked_columns_have_no_gain() -> None:
-    with pytest.warns(PaintWarning, match="4 of 12 columns are not lit"):
+    with pytest.warns(PaintWarning, match=r"4 of 12 .*columns-unlit"):
         calibration = hp.calibrate(simulate_sweep(**CAMERA, masked_columns=2))
     is_blind = np.isnan(calibration.radiance_gain.values).all(axis=0)
     np.testing.assert_array_equal(is_blind, np.isin(np.arange(12), [0, 1, 10, 11]))

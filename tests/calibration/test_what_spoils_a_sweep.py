@@ -49,7 +49,7 @@ def spread_of_z(made: xr.Dataset, sweep: xr.Dataset) -> float:
 def test_a_dark_that_is_off_moves_no_gain_and_is_told(drift: float) -> None:
     sweep = sweep_of(**CLEAN)
     off = with_values(sweep, "dark_counts", sweep.dark_counts.values + drift)
-    with pytest.warns(PaintWarning, match="the dark is off by as much"):
+    with pytest.warns(PaintWarning, match="dark-offset"):
         made = hp.calibrate(off)
     assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-3
     assert made.dark_offset_count == pytest.approx(-drift, abs=0.05)
@@ -77,7 +77,7 @@ def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
 @pytest.mark.parametrize("exposures", [(10.0, 10.02), (10.0, 11.0)])
 def test_a_dark_rate_is_not_carried_far(exposures: tuple[float, float]) -> None:
     sweep = sweep_of(bands=136, dark_exposure_ms=exposures, step_exposure_ms=50.0)
-    with pytest.raises(SchemaError, match="dark at another exposure: steps at 50 ms"):
+    with pytest.raises(SchemaError, match=r"50 ms.*dark-exposure-differs"):
         hp.calibrate(sweep)
 
 
@@ -124,7 +124,7 @@ def test_elements_that_differ_are_uncertain_by_as_much(nonuniformity: float) -> 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.01])
 def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
     sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
-    with pytest.warns(PaintWarning, match="neither counts_variance nor electrons_per_count"):
+    with pytest.warns(PaintWarning, match="noise-missing"):
         made = hp.calibrate(sweep.drop_vars("counts_variance"))
     assert 0.75 < spread_of_z(made, sweep) < 1.25
     assert "electrons_per_count" not in made
@@ -137,7 +137,7 @@ def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
 @pytest.mark.slow
 def test_a_beam_that_is_not_told_is_seen() -> None:
     wandering = {"columns": 24, "beam_fwhm_columns": 60.0, "beam_wander_columns": 6.0}
-    with pytest.warns(PaintWarning, match="the beam's own profile would pass for response"):
+    with pytest.warns(PaintWarning, match="flux-profile-missing"):
         hp.calibrate(sweep_of(beam_recorded=False, **wandering))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -152,7 +152,7 @@ def test_what_passes_as_an_even_beam_depends_on_the_flux() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hp.calibrate(sweep)
-    with pytest.warns(PaintWarning, match="lines fall by 2"):
+    with pytest.warns(PaintWarning, match=r"fall by 2.*flux-profile-missing"):
         hp.calibrate(sweep, flux_uncertainty=0.02)
 
 
@@ -160,20 +160,20 @@ def test_columns_without_light() -> None:
     sweep = sweep_of(columns=24, beam_fwhm_columns=8.0, smile_nm=1.5)
     flux = sweep.flux.values.copy()
     flux[flux < 0.01 * flux.max(axis=1, keepdims=True)] = 0.0
-    with pytest.warns(PaintWarning, match="11 of 24 columns are not lit"):
+    with pytest.warns(PaintWarning, match=r"11 of 24 .*columns-unlit"):
         made = hp.calibrate(with_values(sweep, "flux", flux))
     first, last = made.lit_columns
     assert (first, last) == (6, 18)
     assert np.isnan(made.radiance_gain.values[:, :first]).all()
     flat = xr.ones_like(sweep.true_radiance_gain).assign_attrs(units="1")
-    with pytest.warns(PaintWarning, match="not lit"):
+    with pytest.warns(PaintWarning, match="columns-unlit"):
         levelled = hp.calibrate(sweep, flat_field=flat)
     assert np.isnan(levelled.radiance_gain.values[:, last + 1 :]).all()
     anchored = anchor_to_radiance(made, frames_of(sweep), even_radiance())
     assert np.isnan(anchored.radiance_gain.values[:, :first]).all()
     assert np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all()
     flux[3, 12] = 0.0
-    with pytest.raises(SchemaError, match=r"430 nm \(1 of 13 lit columns\)"):
+    with pytest.raises(SchemaError, match=r"430 nm \(1 of 13.*flux-missing"):
         hp.calibrate(with_values(sweep, "flux", flux))
     flux[3] = 0.0
     with pytest.raises(SchemaError, match=r"'flux' is 0 at 1 of 61 steps"):
@@ -185,7 +185,7 @@ def test_columns_without_light() -> None:
 
 def test_clipped_lines_without_a_saturation_count() -> None:
     sweep = sweep_of(beam_power_w=6e-6)
-    with pytest.warns(PaintWarning, match="the highest counts repeat one value, 4095"):
+    with pytest.warns(PaintWarning, match=r"4095.*saturation-missing"):
         hp.calibrate(sweep.drop_vars("saturation_count"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -197,14 +197,14 @@ def test_clipped_lines_without_a_saturation_count() -> None:
 def test_a_read_noise_that_is_none(value: float) -> None:
     noise = {"electrons_per_count": ((), 20.0, {"units": "electron count-1"}),
              "read_noise": ((), value, {"units": "count"})}  # fmt: skip
-    with pytest.raises(SchemaError, match="'read_noise' is"):
+    with pytest.raises(SchemaError, match=r"'read_noise'.*value-out-of-range"):
         hp.calibrate(sweep_of().drop_vars("counts_variance").assign(noise))
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
 def test_bands_too_far_apart_are_named_as_such(shape: str) -> None:
     sweep = sweep_of(bands=40, monochromator_fwhm_nm=0.5, srf_shape=shape, **CLEAN)
-    with pytest.raises(SchemaError, match="bands that lie further apart than a line is wide"):
+    with pytest.raises(SchemaError, match="lamp-lines-few"):
         hp.calibrate(sweep)
 
 
@@ -286,7 +286,7 @@ def test_an_anchor_takes_all_with_it(relative: tuple[xr.Dataset, xr.Dataset], sc
 
 def test_an_anchor_wants_a_dark_of_its_exposure(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
     sweep, shape = relative
-    with pytest.raises(SchemaError, match="dark at another exposure: frames at 5 ms, dark at 50 ms"):
+    with pytest.raises(SchemaError, match=r"5 ms.*50 ms.*dark-exposure-differs"):
         anchor_to_radiance(shape, frames_of(sweep, dark_ms=50.0, rate=400.0), even_radiance())
     rate = xr.full_like(shape.radiance_gain, 400.0).assign_attrs(units="count s-1")
     made = anchor_to_radiance(
@@ -297,11 +297,11 @@ def test_an_anchor_wants_a_dark_of_its_exposure(relative: tuple[xr.Dataset, xr.D
 
 @pytest.mark.filterwarnings("ignore:the panel at lines:hyperpaint.base.errors.PaintWarning")  # no panel
 def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
-    with pytest.raises(SchemaError, match="needs an absolute scale"):
+    with pytest.raises(SchemaError, match="scale-unknown"):
         quantum_efficiency(relative[1], 20.0)
     line = simulate_line(lines=8, bands=20, columns=6).assign_attrs(absolute_scale="unknown")
     for product in (line.paint.radiance, line.paint.reflectance):
-        with pytest.raises(SchemaError, match="no absolute scale"):
+        with pytest.raises(SchemaError, match="scale-unknown"):
             product()
     panel = hp.Panel(slice(0, 4), slice(0, 3), 0.4)
     scaled = line.paint.reflectance(panel=panel).reflectance.values

@@ -123,7 +123,7 @@ def test_the_table_has_the_suns_power() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(SchemaError, match="300 to 2500"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         ClearSky().irradiance(np.array([250.0, 400.0]))
-    with pytest.raises(SchemaError, match="below 90"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         ClearSky(91.0)

@@ -148,16 +148,16 @@ def test_samples_without_data_and_a_sun_below_the_horizon() -> None:
 
 def test_refusals() -> None:
     light, time = np.ones(NM.size), moments(40.0)
-    with pytest.raises(SchemaError, match="expected the place"):
+    with pytest.raises(SchemaError, match=r"latitude .*value-out-of-range"):
         diffuse_from_record(record(light, time), np.nan, 0.0)
-    with pytest.raises(SchemaError, match="calibration_uncertainty"):
+    with pytest.raises(SchemaError, match=r"calibration_uncertainty=.*value-out-of-range"):
         split(light, time, calibration_uncertainty=0.0)
     far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
-    with pytest.raises(SchemaError, match="no channel in the intervals"):
+    with pytest.raises(SchemaError, match="irradiance-coverage"):
         diffuse_from_record(far, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("order", "match"), [([1, 0, 2], "run backwards"), ([0, 1, 1], "duplicate stamps")])
+@pytest.mark.parametrize(("order", "match"), [([1, 0, 2], "time-unordered"), ([0, 1, 1], "time-duplicate")])
 def test_stamps_that_do_not_increase_are_refused(order: list[int], match: str) -> None:
     """Sorted wrongly, a clear sky would read as broken clouds."""
     light, time = np.ones(NM.size), moments(40.0)

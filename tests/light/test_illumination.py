@@ -66,24 +66,24 @@ def test_missing_samples_touch_their_bands_only() -> None:
 
 def test_warnings_a_user_can_act_on() -> None:
     light = record(np.ones((1, 141), "f4"))
-    with pytest.warns(PaintWarning, match="2 bands are sharper"):
+    with pytest.warns(PaintWarning, match="2 bands .*bands-too-sharp"):
         match_irradiance(light, [540.0, 550.0], [1.5, 1.5])
-    with pytest.warns(PaintWarning, match="1 bands .* lie outside the irradiance record"):
+    with pytest.warns(PaintWarning, match="1 bands .*bands-outside-irradiance"):
         made = match_irradiance(light, [300.0, 550.0], [6.0, 6.0])
     assert np.isnan(made.values[0, 0]).tolist() == [True, False]
 
 
 def test_match_refuses() -> None:
     light = record(np.ones((1, 141), "f4"))
-    with pytest.raises(SchemaError, match="dims"):
+    with pytest.raises(SchemaError, match="dims-wrong"):
         match_irradiance(light.isel(irradiance_time=0), [550.0], [6.0])
-    with pytest.raises(SchemaError, match="no coordinate"):
+    with pytest.raises(SchemaError, match="coordinate-missing"):
         match_irradiance(light.drop_vars("irradiance_wavelength"), [550.0], [6.0])
     with pytest.raises(UnitsError, match="irradiance"):
         match_irradiance(light.assign_attrs(units="W m-2 sr-1 nm-1"), [550.0], [6.0])
-    with pytest.raises(SchemaError, match="fwhm"):
+    with pytest.raises(SchemaError, match="fwhm-invalid"):
         match_irradiance(light, [550.0], [-6.0])
-    with pytest.raises(SchemaError, match="line shape"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         match_irradiance(light, [550.0], [6.0], srf_shape="round")
 
 
@@ -131,7 +131,7 @@ def test_no_smile_is_one_node() -> None:
         series = np.arange(6.0).reshape(2, 1, 3)
         np.testing.assert_array_equal(smile.cubics(series)[..., 0, 0], series[:, 0])
     for bad in (np.full(4, np.nan), np.full(4, 500.0)):
-        with pytest.raises(SchemaError, match="wavelength_shift"):
+        with pytest.raises(SchemaError, match="wavelength-shift-range"):
             smile_cells(bad, 4)
 
 
@@ -177,7 +177,7 @@ def test_diffuse_light_is_that_of_the_side_it_faces() -> None:
     # a split that was measured may be of any sky: none is assumed
     assert factors[None, 180.0] == factors["uniform", 180.0]
     assert Tilt(8.0, 0.0).sky == "clear"
-    with pytest.raises(SchemaError, match="expected 'clear' or 'uniform'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         Tilt(8.0, 0.0, sky="blue")
     # at night, the sky is that of a sun at the horizon
     dark = np.array(["2020-12-21T05:00"], "datetime64[ns]")

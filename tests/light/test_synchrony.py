@@ -63,7 +63,7 @@ def test_spectra_without_a_value_are_passed_over() -> None:
     assert light.before.tolist() == [0, 0]
     assert light.after.tolist() == [2, 2]
     np.testing.assert_array_equal(light.weight, [0.25, 0.5])
-    with pytest.raises(TimeError, match="no valid spectrum"):
+    with pytest.raises(TimeError, match="irradiance-empty"):
         line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
 
 

@@ -96,7 +96,7 @@ def test_a_record_of_zeros_is_no_daylight(collect: Path) -> None:
     line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
     (finding,) = judge_irradiance("raw_0", line.assign(irradiance=line["irradiance"] * np.nan))
     assert finding.kind.name == "irradiance-level"
-    assert "spectra has a value: all are zero, or undefined" in finding.found
+    assert "zero or undefined" in finding.found
 
 
 def test_a_record_that_stands_still_matters_to_reflectance_only(
@@ -142,7 +142,7 @@ def test_angles_that_nothing_measured_are_no_gap(lost: tuple[str, ...], alarm: b
 
 
 def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="accept='all', expected a list of some of counts-over-range"):
+    with pytest.raises(SchemaError, match="accept='all'"):
         process(collect, tmp_path / "lot.zarr", accept=["all"])
 
 
@@ -166,5 +166,5 @@ def test_a_flag_on_many_pixels_is_said(collect: Path, tmp_path: Path) -> None:
         return columns
 
     _change(collect.parent / "flight/raw_0", clipped)
-    with pytest.warns(PaintWarning, match="flightlines/raw_0: many pixels are flagged: 33 % saturated;"):
+    with pytest.warns(PaintWarning, match="33 % saturated"):
         process(collect, tmp_path / "lot.zarr", reflectance="none")

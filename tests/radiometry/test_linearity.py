@@ -148,9 +148,9 @@ def test_noise_grows_with_the_slope() -> None:
 @pytest.mark.parametrize(
     ("attrs", "problem"),
     [
-        ({"linearity": [-1e-3]}, "turns back"),
-        ({"linearity": [1e-6], "linearity_on": "wells"}, "expected 'dark-subtracted' or 'raw'"),
-        ({"linearity": [float("nan")]}, "finite coefficients"),
+        ({"linearity": [-1e-3]}, "linearity-not-monotonic"),
+        ({"linearity": [1e-6], "linearity_on": "wells"}, "choice-unknown"),
+        ({"linearity": [float("nan")]}, "linearity-invalid"),
     ],
 )
 def test_impossible_curves_are_refused(attrs: dict[str, Any], problem: str) -> None:

@@ -71,7 +71,7 @@ def test_a_band_that_is_mostly_saturated_is_refused() -> None:
     assert 0 < lost.sum() < lost.size / 2
     assert f"and {lost.sum()} bands are refused" in said
     line = flown_over(laid, seed=SEED, saturated=0.95)
-    with pytest.warns(PaintWarning, match="bands are refused"):
+    with pytest.warns(PaintWarning, match=r"bands .*panel-doubtful"):
         scaled = hp.reflectance(line, panel=laid.panel).reflectance.values
     assert np.isnan(scaled[:, lost]).all()
 
@@ -89,9 +89,9 @@ def test_a_panel_of_which_half_is_in_shade_is_refused() -> None:
     """Which half is the panel, nothing tells."""
     _, names, said = closure_of(Laid(shaded=0.5))
     assert "refused" in names
-    assert "its pixels differ so much" in said
+    assert "uneven" in said
     line = flown_over(Laid(shaded=0.5), seed=SEED)
-    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="the panel is refused"):
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="panel-refused"):
         hp.reflectance(line, panel=Laid(shaded=0.5).panel).compute()
 
 
@@ -103,7 +103,7 @@ def test_a_panel_that_leans_is_refused(sun_zenith: float, towards: float) -> Non
     assert names == {"leaning", "refused"}
     assert np.isfinite(closure.panel_factor).all()  # judged, whatever is refused
     line = flown_over(laid, seed=SEED, sun_zenith=sun_zenith)
-    with pytest.warns(PaintWarning, match="leans"), pytest.raises(SchemaError, match="the panel is refused"):
+    with pytest.warns(PaintWarning, match="tilted"), pytest.raises(SchemaError, match="panel-refused"):
         hp.reflectance(line, panel=laid.panel).compute()
 
 
@@ -120,7 +120,7 @@ def test_a_panel_may_be_said_to_be_off() -> None:
     laid = Laid(lean=(5.0, 178.0))
     line = flown_over(laid, seed=SEED)
     panel = hp.Panel(laid.along, laid.across, laid.reflectance, uncertainty=0.03)
-    with pytest.warns(PaintWarning, match="leans"):
+    with pytest.warns(PaintWarning, match="tilted"):
         scaled = hp.reflectance(line, panel=panel).compute()
     assert int(scaled.panel_state[0]) == 1 << PANEL_STATES.index("leaning")
 
@@ -128,7 +128,7 @@ def test_a_panel_may_be_said_to_be_off() -> None:
 def test_a_panel_that_does_not_close_is_applied_and_said() -> None:
     laid = Laid(level=0.85)
     line = flown_over(laid, seed=SEED)
-    with pytest.warns(PaintWarning, match=r"\(median 0\.850\) of what irradiance lets expect"):
+    with pytest.warns(PaintWarning, match=r"median 0\.850.*panel-doubtful"):
         scaled = hp.reflectance(line, panel=laid.panel).compute()
     own = hp.reflectance(line).reflectance.values
     expected = own / scaled.panel_factor.values[0][:, None]
@@ -141,7 +141,7 @@ def test_stated_uncertainties_judge_a_panel() -> None:
     line = flown_over(Laid(level=0.97), seed=SEED)
     for name, u in (("radiance_gain_u_systematic", 0.01), ("irradiance_u_systematic", 0.005)):
         line[name] = ((), np.float32(u), {"units": "1"})
-    with pytest.warns(PaintWarning, match="combined standard uncertainty of 0.011"):
+    with pytest.warns(PaintWarning, match=r"uncertainty of 0\.011"):
         panel_closure(line, Laid().panel).compute()
 
 
@@ -150,7 +150,7 @@ def test_pixels_that_differ_are_said_and_count_in_the_uncertainty() -> None:
     line = flown_over(laid, seed=SEED)
     line["read_noise"] = ((), np.float32(2.0), {"units": "count"})
     line["electrons_per_count"] = ((), np.float32(5.0), {"units": "electron count-1"})
-    with pytest.warns(PaintWarning, match="its pixels differ so much"):
+    with pytest.warns(PaintWarning, match=r"uneven.*panel-doubtful"):
         scaled = hp.reflectance(line, panel=laid.panel, uncertainty=True).compute()
     assert 0.01 < float(scaled.panel_scale_u[0]) < 0.05
     relative = scaled.reflectance_u_systematic / scaled.reflectance
@@ -176,7 +176,7 @@ def test_another_reflectance_forgets_the_panel() -> None:
 def test_what_is_no_panel_is_refused() -> None:
     line = flight(flat=True).line
     for wrong in ([], "white", [0.5]):
-        with pytest.raises(SchemaError, match=r"expected hyperpaint\.Panel"):
+        with pytest.raises(SchemaError, match="type-wrong"):
             hp.reflectance(line, panel=wrong)
 
 

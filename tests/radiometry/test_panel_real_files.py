@@ -1,4 +1,4 @@
-"""Real counts of a camera, its light sensor and a known panel: closure is far off, and is said to be."""
+"""Real counts of a camera, its light sensor and a known panel: closure is far off, and is caught to be."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ PANEL = hp.Panel(slice(None), slice(None), CERTIFIED)
 
 def test_closure_that_is_far_off_is_said(line: xr.Dataset) -> None:
     """27 % too dark in the blue and 12 % too bright in the near infrared."""
-    with pytest.warns(PaintWarning, match="of what irradiance lets expect") as said:
+    with pytest.warns(PaintWarning, match="panel-doubtful") as caught:
         closure = panel_closure(line, PANEL).compute()
     factor = closure.panel_factor.values[0]
     seen = factor * PANEL.at(line.wavelength.values)
@@ -115,12 +115,12 @@ def test_closure_that_is_far_off_is_said(line: xr.Dataset) -> None:
     state = int(closure.panel_state[0])
     assert state & 1 << PANEL_STATES.index("off_level")
     assert not state & 1 << PANEL_STATES.index("refused")
-    assert "measures 0.73" in str(said[0].message)
-    assert "to 1.12" in str(said[0].message)
+    assert "measures 0.73" in str(caught[0].message)
+    assert "to 1.12" in str(caught[0].message)
 
 
 def test_the_panel_is_right_where_the_sensor_is_not(line: xr.Dataset) -> None:
-    with pytest.warns(PaintWarning, match="of what irradiance lets expect"):
+    with pytest.warns(PaintWarning, match=r"median .*panel-doubtful"):
         scaled = hp.reflectance(line, panel=PANEL).compute()
     seen = np.median(scaled.reflectance.values, axis=(0, 2))
     np.testing.assert_allclose(seen, PANEL.at(line.wavelength.values), rtol=0.012)  # median over mean

@@ -117,7 +117,7 @@ def test_a_cosmic_ray_in_the_mask_does_no_harm() -> None:
 
 def test_a_crop_without_masked_columns_is_noticed() -> None:
     line = declared(simulate_line(**CAMERA)).isel(cross_track=slice(6, 12))
-    with pytest.warns(PaintWarning, match="none of the elements left here is masked"):
+    with pytest.warns(PaintWarning, match="masked-missing"):
         line.paint.radiance().compute()
 
 

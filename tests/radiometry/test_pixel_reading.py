@@ -160,9 +160,9 @@ def test_stored_reflectance_is_read_where_there_is_nothing_else() -> None:
 
 
 def test_places_outside_are_refused() -> None:
-    with pytest.raises(SchemaError, match="along_track 70 is outside of the 70"):
+    with pytest.raises(SchemaError, match=r"along_track 70 .*pixel-outside-line"):
         pixels(smiling(), 70, 0)
-    with pytest.raises(SchemaError, match="no band at 3000 nm"):
+    with pytest.raises(SchemaError, match=r"3000 nm.*band-missing"):
         pixels(smiling(), 0, 0, wavelength=3000.0)
 
 
@@ -270,10 +270,10 @@ def test_a_store_that_is_written_anew_counts(tmp_path: Path) -> None:
 def test_few_plans_are_held_and_no_cube(cache: plan_cache.PlanCache) -> None:
     line = lazily(smiling())
     cube = weakref.ref(line.counts.data)
-    for number in range(plan_cache.MOST_PLANS + 3):
+    for number in range(plan_cache.MAX_PLANS + 3):
         pixels(line.assign_attrs(title=str(number)), 0, 0)
-    assert len(cache._entries) == plan_cache.MOST_PLANS
-    assert sum(entry.nbytes for entry in cache._entries) < plan_cache.MOST_BYTES
+    assert len(cache._entries) == plan_cache.MAX_PLANS
+    assert sum(entry.nbytes for entry in cache._entries) < plan_cache.MAX_BYTES
     del line
     gc.collect()
     assert cube() is None
@@ -282,7 +282,7 @@ def test_few_plans_are_held_and_no_cube(cache: plan_cache.PlanCache) -> None:
 def test_a_plan_that_is_too_large_is_not_held(
     cache: plan_cache.PlanCache, monkeypatch: pytest.MonkeyPatch, plans: list[Any]
 ) -> None:
-    monkeypatch.setattr(plan_cache, "MOST_BYTES", 10_000)
+    monkeypatch.setattr(plan_cache, "MAX_BYTES", 10_000)
     line = lazily(smiling())
     expected = line.paint.reflectance().reflectance[5, :, 5].values
     for _ in range(2):

@@ -34,7 +34,7 @@ def test_daylight_passes_without_a_word(factor: float, position: bool) -> None:
 def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) -> None:
     """Rationale: a millionth of the sun gave a reflectance of 203, and no flag."""
     lazily = reflectance(_line(factor))
-    with pytest.raises(SchemaError, match=rf"expected 0.0003 to 3 of daylight.*{unit}"):
+    with pytest.raises(SchemaError, match=rf"{unit}.*irradiance-level"):
         lazily.reflectance.compute()
 
 
@@ -43,18 +43,18 @@ def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) 
 )
 def test_what_a_clear_sky_contradicts_is_warned_of(factor: float, unit: str) -> None:
     lazily = reflectance(_line(factor))
-    with pytest.warns(PaintWarning, match=rf"times that of a clear sky.*{unit}.*check its units"):
+    with pytest.warns(PaintWarning, match=rf"{unit}.*irradiance-level"):
         lazily.reflectance.compute()
 
 
 def test_without_a_place_only_what_is_no_day_is_warned_of() -> None:
-    with pytest.warns(PaintWarning, match="expected 0.02 at least by day"):
+    with pytest.warns(PaintWarning, match=r"0\.02 .*irradiance-level"):
         reflectance(_line(1e-2, position=False)).reflectance.compute()
 
 
 def test_light_of_noon_by_night_is_of_a_local_clock() -> None:
     lazily = reflectance(_line(hours=12))
-    with pytest.warns(PaintWarning, match="above the horizon: is its time local, not UTC"):
+    with pytest.warns(PaintWarning, match=r"local time.*irradiance-level"):
         lazily.reflectance.compute()
 
 
@@ -64,9 +64,7 @@ def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs() -> None:
     record = line.irradiance.values.copy()
     record[:, 150] = np.nan
     lazily = reflectance(line.assign(irradiance=line.irradiance.copy(data=record)))
-    with pytest.warns(
-        PaintWarning, match=r"1 channels, such as 550 nm: 2 of 12 bands .* 536.364 to 554.545 nm"
-    ):
+    with pytest.warns(PaintWarning, match=r"1 channels.* 550 nm: 2 of 12.*irradiance-gaps"):
         lost = np.isnan(lazily.reflectance.values).all(axis=(0, 2))
     assert np.flatnonzero(lost).tolist() == [2, 3]
 

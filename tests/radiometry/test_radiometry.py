@@ -94,7 +94,7 @@ def test_exposure_may_change_from_line_to_line() -> None:
     line = made.line.assign(saturation_count=made.line.saturation_count * 3)
     line["counts"] = made.line.counts.copy(data=counts.astype(np.float32))
     line["exposure_time"] = ("along_track", 5e-3 * factor, {"units": "s"})
-    with pytest.warns(PaintWarning, match="one dark is taken for all"):
+    with pytest.warns(PaintWarning, match="dark-exposure-missing"):
         np.testing.assert_allclose(values(line), made.reflectance, rtol=2e-5)
 
 
@@ -203,7 +203,7 @@ def test_a_dark_at_another_exposure_is_refused() -> None:
     line = flight().line
     line["dark_exposure_time"] = ((), 20.0, {"units": "ms"})
     lazily = reflectance(line)
-    with pytest.raises(SchemaError, match=r"dark was taken at 20 ms, the line at 5 ms"):
+    with pytest.raises(SchemaError, match=r"20 ms.* 5 ms.*dark-exposure-differs"):
         lazily.reflectance.compute()
     line["dark_exposure_time"] = ((), 5.0, {"units": "ms"})
     reflectance(line).reflectance.compute()
@@ -233,13 +233,11 @@ def test_darks_at_exposures_around_or_near_the_line_serve_in_silence(
 
 def test_darks_beyond_their_exposures_are_warned_of_and_far_beyond_refused() -> None:
     """Rationale: darks of 1 and 2 ms served 20 ms in silence, at 26 times the noise of their means."""
-    with pytest.warns(PaintWarning, match=r"darks at 1 to 2 ms are extrapolated to 5 ms, 3.0 times"):
+    with pytest.warns(PaintWarning, match=r"5 ms, 3\.0 .*dark-exposure-differs"):
         radiance(_line_with_darks_at(1.0, 2.0)).radiance.compute()
-    with pytest.warns(PaintWarning, match=r"darks at 20 to 30 ms are extrapolated to 5 ms, 1.5 times"):
+    with pytest.warns(PaintWarning, match=r"5 ms, 1\.5 .*dark-exposure-differs"):
         radiance(_line_with_darks_at(20.0, 30.0)).radiance.compute()
-    with pytest.raises(
-        SchemaError, match=r"1 to 1.25 ms are extrapolated to 5 ms, 15.0 times .* at the most"
-    ):
+    with pytest.raises(SchemaError, match=r"5 ms, 15\.0 .*dark-exposure-differs"):
         radiance(_line_with_darks_at(1.0, 1.25)).radiance.compute()
 
 
@@ -296,14 +294,14 @@ def test_a_panel_in_the_scene_sets_the_scale() -> None:
     with pytest.warns(PaintWarning, match=r"measures 0\.880 to 1\.467"):
         got = values(off, panel=Panel(slice(3, 8), slice(1, 4), known))
     np.testing.assert_allclose(got, np.broadcast_to(np.linspace(0.3, 0.5, 12)[:, None], got.shape), rtol=1e-5)
-    with pytest.raises(SchemaError, match="holds none"):
+    with pytest.raises(SchemaError, match="panel-outside-line"):
         reflectance(off, panel=Panel(slice(100, 120), slice(0, 2), 0.4))
 
 
 def test_a_panel_without_light_is_refused() -> None:
     line = flight().line
     line["counts"].values[3:8, :, 1:4] = 40950
-    with pytest.raises(SchemaError, match="no valid pixel"):
+    with pytest.raises(SchemaError, match="panel-empty"):
         values(line, panel=Panel(slice(3, 8), slice(1, 4), 0.4))
 
 
@@ -332,7 +330,7 @@ def test_without_light_there_is_no_reflectance(smile: np.ndarray | None) -> None
 
 def test_bands_outside_the_record_are_missing_with_a_warning() -> None:
     line = flight().line.isel(irradiance_wavelength=slice(120, None))  # from 520 nm on
-    with pytest.warns(PaintWarning, match="outside the irradiance record"):
+    with pytest.warns(PaintWarning, match="bands-outside-irradiance"):
         got = values(line)
     assert np.isnan(got[:, 0]).all()
     assert np.isfinite(got[:, 3:]).all()
@@ -355,12 +353,12 @@ def test_all_problems_at_once() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "word"),
     [
-        ("exposure_time", -0.005, "positive"),
-        ("exposure_time", 0.0, "positive"),
-        ("exposure_time", np.nan, "positive"),
-        ("exposure_time", 500.0, "milliseconds"),
-        ("radiance_gain", np.full((12, 6), -1e-6, "f4"), "positive"),
-        ("radiance_gain", np.full((12, 6), np.nan, "f4"), "no finite value"),
+        ("exposure_time", -0.005, "value-out-of-range"),
+        ("exposure_time", 0.0, "value-out-of-range"),
+        ("exposure_time", np.nan, "value-out-of-range"),
+        ("exposure_time", 500.0, "exposure-implausible"),
+        ("radiance_gain", np.full((12, 6), -1e-6, "f4"), "value-out-of-range"),
+        ("radiance_gain", np.full((12, 6), np.nan, "f4"), "not-finite"),
     ],
 )
 def test_values_that_cannot_be(name: str, value: Any, word: str) -> None:
@@ -416,14 +414,14 @@ def test_arguments_that_cannot_be_heeded_are_refused() -> None:
     line = flight(position=True).line
     only = reflectance(line).drop_vars("counts")
     for options in ({"tilt": (3.0, 90.0)}, {"keep_bits": 12}, {"irradiance": line[["irradiance"]]}):
-        with pytest.raises(SchemaError, match="found 'reflectance' only"):
+        with pytest.raises(SchemaError, match="option-conflict"):
             reflectance(only, **options)
     for tilt in ([5.0, 180.0], (5.0,), 5.0):
-        with pytest.raises(SchemaError, match=r"expected hyperpaint\.Tilt"):
+        with pytest.raises(SchemaError, match="type-wrong"):
             reflectance(line, tilt=tilt)  # type: ignore[arg-type]
     with pytest.raises(SchemaError, match=r"angle 120.*\n.*azimuth nan"):
         reflectance(line, tilt=(120.0, float("nan")))
-    with pytest.raises(SchemaError, match="expected 'counts' with dark_counts"):
+    with pytest.raises(SchemaError, match=r"'counts' with dark_counts.*variable-missing"):
         reflectance(line.drop_vars("counts"))
 
 
@@ -441,7 +439,7 @@ def test_lines_of_two_exposures_have_their_own_darks() -> None:
     line["dark_counts"] = (("dark_time", "band", "cross_track"), darks, {"units": "count"})
     line["dark_exposure_time"] = ("dark_time", [5e-3, 10e-3], {"units": "s"})
     np.testing.assert_allclose(values(line), made.reflectance, rtol=5e-5)
-    with pytest.raises(SchemaError, match="take a dark at the line's exposure"):
+    with pytest.raises(SchemaError, match="dark-exposure-differs"):
         values(line.isel(dark_time=[0]))
 
 
@@ -465,7 +463,7 @@ def test_panel_units_are_converted() -> None:
     np.testing.assert_allclose(values(line, panel=Panel(*region, grey)), 0.4, rtol=1e-5)
     with pytest.raises(UnitsError, match="no units"):
         values(line, panel=Panel(*region, grey.drop_attrs()))
-    with pytest.raises(SchemaError, match="expected 0 to 1"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         Panel(*region, 50.0)
 
 
@@ -478,5 +476,5 @@ def test_choosing_bands_first_changes_nothing_for_a_slit() -> None:
     few = [3, 17, 18, 30]
     # what is left is the slope of the responsivity, which four bands cannot tell
     np.testing.assert_allclose(values(known.isel(band=few)), whole[:, few], rtol=2e-3)
-    with pytest.raises(SchemaError, match="give 'band_spacing'"):
+    with pytest.raises(SchemaError, match="band-spacing-missing"):
         values(line.isel(band=few))

@@ -42,12 +42,13 @@ def test_shuffled_lines_come_out_in_their_places() -> None:
 
 def test_records_that_run_backwards_or_stand_still_are_refused() -> None:
     line = flight().line
-    for order, word in (([0, 1, 1, 2, 3, 4, 5, 6], "duplicate"), ([0, 2, 1, 3, 4, 5, 6], "backwards")):
-        with pytest.raises(TimeError, match=word):
+    orders = {"time-duplicate": [0, 1, 1, 2, 3, 4, 5, 6], "time-unordered": [0, 2, 1, 3, 4, 5, 6]}
+    for code, order in orders.items():
+        with pytest.raises(TimeError, match=code):
             reflectance(line.isel(irradiance_time=order))
     stamps = line.irradiance_time.values.copy()
     stamps[3] = np.datetime64("NaT", "ns")
-    with pytest.raises(TimeError, match="NaT"):
+    with pytest.raises(TimeError, match="time-missing"):
         reflectance(line.assign_coords(irradiance_time=("irradiance_time", stamps)))
 
 
@@ -56,7 +57,7 @@ def test_a_lazy_record_is_refused_when_it_is_read() -> None:
     lazily = line.assign_coords(
         irradiance_time=("irradiance_time", da.from_array(line.irradiance_time.values))
     )
-    with pytest.raises(TimeError, match="backwards"):
+    with pytest.raises(TimeError, match="time-unordered"):
         reflectance(lazily).reflectance.compute()
 
 
@@ -100,7 +101,7 @@ def test_another_record_brings_its_own_gap_and_width() -> None:
     assert not (reflectance(line, other).quality & Quality.IRRADIANCE_GAP).any()
     with pytest.raises(SchemaError, match="irradiance_fwhm"):
         reflectance(line, other.drop_vars("irradiance_fwhm"))
-    with pytest.raises(SchemaError, match="is DataArray, expected a Dataset"):
+    with pytest.raises(SchemaError, match=r"DataArray.*type-wrong"):
         reflectance(line, other.irradiance)  # type: ignore[arg-type]
 
 

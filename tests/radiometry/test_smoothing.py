@@ -91,11 +91,10 @@ def test_a_red_edge_as_published() -> None:
 def test_everything_that_is_wrong_is_listed() -> None:
     with pytest.raises(SchemaError) as caught:
         smooth(xr.Dataset(), "median", 4)
-    message = str(caught.value)
-    assert all(word in message for word in ("reflectance", "median", "window 4"))
-    with pytest.raises(SchemaError, match="wider than the 15 bands"):
+    assert caught.value.codes == ("variable-missing", "choice-unknown", "value-out-of-range")
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         smooth(cube(), "box", 17)
-    with pytest.raises(SchemaError, match="order"):
+    with pytest.raises(SchemaError, match=r"order .*value-out-of-range"):
         smooth(cube(), "savitzky-golay", 5, order=4)
 
 

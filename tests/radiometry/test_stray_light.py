@@ -161,9 +161,9 @@ def test_few_terms_stand_for_all() -> None:
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"band_shift_time": ((), 0.1, SECONDS)}, "band_shift_time"),
-        ({"stray_light_u": ((), np.float32(2.0), {"units": "1"})}, "fraction of 1"),
-        ({"stray_light": (("band", "source_band"), -np.eye(BANDS), {"units": "1"})}, "cannot be inverted"),
+        ({"band_shift_time": ((), 0.1, SECONDS)}, "smear-implausible"),
+        ({"stray_light_u": ((), np.float32(2.0), {"units": "1"})}, "value-out-of-range"),
+        ({"stray_light": (("band", "source_band"), -np.eye(BANDS), {"units": "1"})}, "stray-matrix-singular"),
     ],
 )
 def test_what_cannot_be_is_refused(line: xr.Dataset, change: dict[str, Any], problem: str) -> None:
@@ -205,10 +205,10 @@ def test_smear_of_a_sweep_is_none_of_its_wings() -> None:
 
 def test_some_bands_are_not_all(line: xr.Dataset) -> None:
     shifted = line.assign(band_shift_time=((), 1e-5, SECONDS | {"bands": BANDS})).isel(band=slice(4, 9))
-    with pytest.raises(SchemaError, match="is that of 24 bands, and 5 are here"):
+    with pytest.raises(SchemaError, match=r"24 bands.* 5.*bands-selected"):
         shifted.paint.reflectance().reflectance.compute()
     seen = with_knowledge(line, wings(BANDS), 0.0).isel(band=slice(4, 9))
-    with pytest.raises(SchemaError, match="choose bands of the reflectance"):
+    with pytest.raises(SchemaError, match="bands-selected"):
         seen.paint.reflectance().reflectance.compute()
     assert seen.drop_vars("stray_light").paint.reflectance().reflectance.compute().sizes["band"] == 5
 

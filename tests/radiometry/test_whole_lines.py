@@ -69,11 +69,9 @@ def test_lines_that_are_read_when_asked_for(tmp_path: Path) -> None:
 
 def test_dask_arrays_are_refused() -> None:
     line = _line()
-    with pytest.raises(
-        SchemaError, match=r"counts: dask arrays.*expected lines in memory; pass line.load\(\)"
-    ):
+    with pytest.raises(SchemaError, match="lines-not-loaded"):
         hp.slab(line.assign(counts=line.counts.chunk(along_track=8)))
-    with pytest.raises(SchemaError, match="and others"):
+    with pytest.raises(SchemaError, match=r", \.\.\..*lines-not-loaded"):
         hp.slab(line.chunk())
 
 

@@ -1,8 +1,8 @@
-"""How sure counts, reflectance and means over it are.
+"""Uncertainty of counts, of reflectance, and of means over it.
 
-`photon_transfer` says how noisy the camera is, `propagation` what follows for every reflectance,
-`error_sources` which samples share which error, `mean_errors` and `averages` what is left of each in a mean
-over pixels; the loops are in `hyperpaint.kernels.radiometry`.
+`photon_transfer` estimates the camera's noise, `propagation` the uncertainty of every reflectance,
+`error_sources` the samples that share each error, `mean_errors` and `averages` the uncertainty of a mean over
+pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 
 from __future__ import annotations

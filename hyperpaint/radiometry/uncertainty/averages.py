@@ -1,4 +1,4 @@
-"""Means over pixels and how sure they are: what is random averages out, what is common does not."""
+"""Means over pixels and their uncertainty: random errors average out, common errors do not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .propagation import NONE_KNOWN, UNCERTAINTIES
 
 @takes_quantities()
 def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
-    r"""Mean reflectance over pixels, and how sure it is.
+    r"""Mean reflectance over pixels, and its uncertainty.
 
     Eager: reads the region.
 
@@ -28,20 +28,20 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     ----------
     region
         ``reflectance``, ``reflectance_u_random`` and ``reflectance_u_systematic``, as
-        ``.paint.reflectance(uncertainty=True)`` adds them, cut to the pixels of interest; NaN where one is
-        not.
+        ``.paint.reflectance(uncertainty=True)`` adds them, cut to the pixels of interest; NaN in pixels to
+        leave out.
     dims
-        What is averaged; by default along_track and cross_track. They must be next to each other in space, in
-        order: the distance of pixels counts.
+        Dims to average over; by default along_track and cross_track. Their pixels must be next to each other
+        in space, in order: the distance of pixels counts.
 
     Returns
     -------
     Dataset
         On the other dims (mostly band): ``mean`` [1], ``n`` pixels, ``n_eff`` of them independent,
-        ``u_random`` and ``u_systematic`` [1], float64 and int64. The attribute ``components`` of both says
-        what entered. ``u_systematic`` is NaN where that is "none known", which is not to say that there is no
-        such error. Where sources of error are told apart, ``reflectance_errors`` (error_source, band) and
-        ``error_correlation`` (lag, band) as well, see `hyperpaint.paints.covariance`.
+        ``u_random`` and ``u_systematic`` [1], float64 and int64. The attribute ``components`` of both names
+        the known components. ``u_systematic`` is NaN where that is "none known", which does not mean that
+        there is no such error. Where sources of error can be separated, ``reflectance_errors`` (error_source,
+        band) and ``error_correlation`` (lag, band) as well, see `hyperpaint.paints.covariance`.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
 
     Notes
     -----
-    Of a region of a line that still has its calibration, each source of error is taken for what it is. With
+    For a region of a line that still has its calibration, each source of error is propagated by itself. With
     :math:`m` reflectance per count, :math:`x` columns, :math:`l` lines, :math:`s` samples of irradiance, and
     :math:`w_{ls}` their weights,
 
@@ -58,19 +58,19 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
               + \sum_x u_{g,x}^2 \Big(\sum_l \rho_{lx}\Big)^2
               + u_E^2 \sum_s \Big(\sum_{lx} w_{ls} \rho_{lx}\Big)^2
 
-    band by band: noise is fresh in every sample, the mean dark's and the gain's own error that of an element,
-    the noise of irradiance that of a sample of it. Several darks enter by their weights; rounding is common
-    to a column where noise is less than half a count. :math:`u_s` is the root of the sum of squares of what
-    all bands share: gain, irradiance, dark, wavelength, linearity or a panel, and the pedestal of each line.
-    Elsewhere
+    band by band: noise is independent in every sample, the errors of mean dark and gain are common to an
+    element, the noise of irradiance to a sample of it. Several darks enter by their weights; rounding is
+    common to a column where noise is less than half a count. :math:`u_s` is the root of the sum of squares of
+    the errors that all bands share: gain, irradiance, dark, wavelength, linearity or a panel, and the
+    pedestal of each line. Elsewhere
 
     .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
               n_{eff} = n^2 \Big/ \sum_{ij} c_{ij}
 
     with :math:`c_{ij}` the autocorrelation of the pixels at their distance, summed from the centre outwards
     until it is not above zero. A surface's texture counts as correlated noise in it: the region should be
-    homogeneous, since a gradient over it leaves few independent pixels. What is here is how sure the mean of
-    *these* pixels is, not how far another part of the surface may differ.
+    homogeneous, since a gradient over it leaves few independent pixels. The result is the uncertainty of the
+    mean of *these* pixels, not the difference to another part of the surface.
 
     Examples
     --------
@@ -89,24 +89,33 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     names = ("reflectance", *UNCERTAINTIES)
     problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
     for name in (name for name in names if name not in region.variables):
-        problems.add(f"{name!r} is missing; make it with .paint.reflectance(uncertainty=True)")
+        problems.add(
+            f"{name!r} is missing",
+            mend="add it by .paint.reflectance(uncertainty=True)",
+            code="variable-missing",
+        )
     for dim in over:
         if dim not in region.dims:
-            problems.add(f"{dim!r} is no dim of the region, which has {', '.join(map(str, region.dims))}")
+            problems.add(
+                f"the region has no dim {dim!r}",
+                expected=f"some of {', '.join(map(str, region.dims))}",
+                code="dim-missing",
+            )
     problems.raise_if_any()
     rest = [dim for dim in region["reflectance"].dims if dim not in over]
     cubes = [region[name].transpose(*rest, *over).values.astype(np.float64) for name in names]
     shape = cubes[0].shape[: len(rest)]
     value, random, systematic = (cube.reshape(-1, *cube.shape[len(rest) :]) for cube in cubes)
     pixels = tuple(range(1, value.ndim))
-    there = np.isfinite(value)
-    n = there.sum(axis=pixels)
+    valid = np.isfinite(value)
+    n = valid.sum(axis=pixels)
     divisor = np.where(n > 0, n, np.nan)
     mean, square, common = (
-        np.where(there, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
+        np.where(valid, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
     )
     errors = _errors_of(region, over, cubes)
-    if _nothing_known(region[names[2]], systematic):
+    # NaN where no component is known; arithmetic of xarray may drop the attribute, then all values are zero
+    if region[names[2]].attrs.get("components") == NONE_KNOWN or not np.nan_to_num(systematic).any():
         common = np.full_like(common, np.nan)
     effective = np.array([effective_number(plane) for plane in value])
     estimates = {
@@ -130,7 +139,12 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     if errors is not None:
         result["u_random"].attrs["components"], result["u_systematic"].attrs["components"] = errors.components
         return result.assign(
-            {name: _labelled(name, array) for name, array in error_variables([errors]).items()}
+            {
+                name: array.isel({schema.SIGNATURE: 0}, drop=True)
+                if schema.SIGNATURE in array.dims
+                else array
+                for name, array in error_variables([errors]).items()
+            }
         )
     for name, source in zip(("u_random", "u_systematic"), names[1:], strict=True):
         if "components" in region[source].attrs:
@@ -139,7 +153,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
 
 
 def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
-    """Return the errors of the mean, source by source; None where they are not told apart."""
+    """Return the errors of the mean, source by source; None where they cannot be separated."""
     if set(over) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
         return None
     line = line_errors(region)
@@ -154,26 +168,13 @@ def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats])
     return sums.errors()
 
 
-def _labelled(name: str, array: xr.DataArray) -> xr.DataArray:
-    row = schema.LIBRARY_VARIABLES[name]
-    return array.isel({schema.SIGNATURE: 0}, drop=True) if schema.SIGNATURE in row.dims else array
-
-
-def _nothing_known(array: xr.DataArray, values: Floats) -> bool:
-    """Return whether no component of the uncertainty is known; its cube is then zero throughout.
-
-    Arithmetic of xarray may have dropped the attribute, so that the zeros are asked as well.
-    """
-    return array.attrs.get("components") == NONE_KNOWN or not np.nan_to_num(values).any()
-
-
 def effective_number(plane: Floats) -> float:
-    """Return how many independent values are as good as these, which lie on a grid; NaN are left out."""
-    there = np.isfinite(plane)
-    n = int(there.sum())
+    """Return the number of independent values that are equivalent to values on a grid; NaN are left out."""
+    valid = np.isfinite(plane)
+    n = int(valid.sum())
     if n < 3:
         return float(n)
-    departure = np.where(there, plane - plane[there].mean(), 0.0)
+    departure = np.where(valid, plane - plane[valid].mean(), 0.0)
     if not departure.any():
         return float(n)
     size, axes = [2 * length for length in plane.shape], range(plane.ndim)
@@ -182,16 +183,17 @@ def effective_number(plane: Floats) -> float:
         power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
         return np.asarray(np.fft.irfftn(power, size, axes))
 
-    pairs, products = np.rint(correlate(there.astype(np.float64))), correlate(departure)
+    # number and product of pairs by their distance in rings
+    pairs, products = np.rint(correlate(valid.astype(np.float64))), correlate(departure)
     places = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
     ring = np.zeros(size, np.int64)
     for axis, place in enumerate(places):
         ring = np.maximum(ring, place.reshape([-1 if a == axis else 1 for a in range(plane.ndim)]))
     count = np.bincount(ring.ravel(), pairs.ravel())
     total = np.bincount(ring.ravel(), products.ravel()) / (products.flat[0] / n)
-    # a mean that was subtracted leaves -1/n in every pair
+    # subtracting the mean leaves -1/n in every pair
     correlation = (total + count / n) / np.maximum(count, 1.0)
-    # every pair is counted from either end
+    # every pair is counted from both ends
     correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
     correlated[0] = True
     reach = int(np.argmin(correlated)) if not correlated.all() else correlated.size

@@ -1,4 +1,4 @@
-"""What is known of the errors of a flight line, source by source, and which samples share each of them.
+"""Known errors of a flight line, source by source, and the samples that share each of them.
 
 Small tables, whatever the number of lines of a cube: `mean_errors` sums them over the pixels of a region.
 """
@@ -31,11 +31,11 @@ from .propagation import (
     WHOLE_COUNTS,
     element_rows,
     masked_elements,
-)  # fmt: skip
+)
 
 
 class Form(NamedTuple):
-    """Which samples share an error, dim by dim, in the words of FIDUCEO and obsarray."""
+    """Samples that share an error, dim by dim, in the words of FIDUCEO and obsarray."""
 
     along_track: str
     band: str
@@ -45,6 +45,7 @@ class Form(NamedTuple):
         return ", ".join(f"{dim} {form}" for dim, form in zip(self._fields, self, strict=True))
 
 
+#: Sources of error of a sample. Smile and smoothing correlate the random errors of neighbouring bands.
 FORMS = {
     "noise": Form("random", "random", "random"),
     "mean dark": Form("systematic", "random", "random"),
@@ -59,8 +60,8 @@ FORMS = {
     "wavelength": Form("systematic", "systematic", "systematic"),
     "stray light": Form("systematic", "systematic", "systematic"),
 }
-"""Sources of error of a sample. Smile and smoothing make neighbouring bands share what is random."""
 
+#: Variables of each source.
 COMPONENTS = {
     "noise": NOISE,
     "mean dark": ("dark_counts_u_random",),
@@ -75,13 +76,12 @@ COMPONENTS = {
     "wavelength": ("wavelength_u",),
     "stray light": ("stray_light_u",),
 }
-"""Variables that each source follows from."""
 
 _COMMON = {
     "gain": "radiance_gain_u_systematic",
     "linearity": "linearity_u",
 }
-_MOST_HARMONICS = 20
+MAX_HARMONICS = 20
 
 
 class LightErrors(NamedTuple):
@@ -104,40 +104,40 @@ class LineErrors:
     whole: bool  #: Whether counts are whole numbers
     read_noise: Floats  #: [count]
     dark: Floats  #: Uncertainty of each mean dark [count]
-    dark_weights: Floats  #: (line, dark): how much of each dark is subtracted from a line
+    dark_weights: Floats  #: (line, dark): weight of each dark in a line
     gain_of_elements: Floats  #: Relative [1]
-    common: Mapping[str, Floats]  #: What all samples share, relative [1], by source
-    dark_offset: Floats  #: What all elements share [count]
+    common: Mapping[str, Floats]  #: Errors that all samples share, relative [1], by source
+    dark_offset: Floats  #: Error of the dark that all elements share [count]
     pedestal_variance: float  #: Of the pedestal of a line [count2]
     wavelength_u: Floats  #: (band,) [nm]
     wavelength: Floats  #: (band,) [nm]
     light: LightErrors | None  #: None where neither its noise nor errors of wavelength are known
-    #: (band, band): what is not known of the light that each band gets from each, counts per count; None
-    #: without
+    #: (band, band): uncertainty of the light that each band gets from each, counts per count; None without
     stray_light: Floats | None
 
 
 def line_errors(line: xr.Dataset) -> LineErrors | None:
-    """Return the errors of a line whose reflectance has uncertainties; None where they are not told apart.
+    """Return the errors of a line whose reflectance has uncertainties; None where they cannot be separated.
 
-    Reads the small variables. They are told apart where the line still holds what its uncertainties were
-    computed from: reflectance from a store or a map without its calibration has their sum alone.
+    Reads the small variables. They can be separated where the line still holds the variables that its
+    uncertainties were computed from: reflectance from a store or a map without its calibration has their sum
+    alone.
     """
     if not {"reflectance", *UNCERTAINTIES} <= set(line.variables):
         return None
-    said = [line[name].attrs for name in UNCERTAINTIES]
-    random, systematic = (str(attrs.get("components", "")).split(", ") for attrs in said)
-    entered = [name for name in systematic if name in SYSTEMATIC]
-    needed = [*NOISE, *entered, "dark_counts", "exposure_time", *(["time"] if len(entered) else [])]
-    is_ours = tuple(random) == NOISE and WHOLE_COUNTS in said[0]
+    attrs = [line[name].attrs for name in UNCERTAINTIES]
+    random, systematic = (str(texts.get("components", "")).split(", ") for texts in attrs)
+    components = [name for name in systematic if name in SYSTEMATIC]
+    needed = [*NOISE, *components, "dark_counts", "exposure_time", *(["time"] if components else [])]
+    is_ours = tuple(random) == NOISE and WHOLE_COUNTS in attrs[0]
     if not is_ours or not set(needed) <= set(line.variables):
         return None
     try:
-        found = schema.require(line, needed, "errors of a region")
-        values = dict(zip(found, dask.compute(*(array.values for array in found.values())), strict=True))
+        arrays = schema.require(line, needed, "errors of a region")
+        values = dict(zip(arrays, dask.compute(*(array.values for array in arrays.values())), strict=True))
         return _line_errors(line, values)
     except (SchemaError, ValueError):
-        # bands or a record that were cut since, and fit their matrices no more
+        # bands or a record that were cut since do not fit their matrices
         return None
 
 
@@ -184,7 +184,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 
 def _dark_weights(line: xr.Dataset) -> Floats:
-    """Return how much of each dark reference is subtracted from every line (line, dark)."""
+    """Return the weight of each dark reference in every line (line, dark)."""
     from hyperpaint.radiometry.planning import dark_weights
 
     names = ("time", "dark_time", "dark_exposure_time")
@@ -216,9 +216,9 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     arrays = {name: array.values for name, array in schema.require(line, names, "noise of light").items()}
     arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
     spectra = arrays["irradiance"]
-    known = np.isfinite(spectra)
-    whole = known[:, known.mean(axis=0) > USUAL_SHARE].all(axis=1)
-    levels = np.where(whole, np.where(known, spectra, 0.0).sum(axis=1), np.nan)
+    finite = np.isfinite(spectra)
+    whole = finite[:, finite.mean(axis=0) > USUAL_SHARE].all(axis=1)
+    levels = np.where(whole, np.where(finite, spectra, 0.0).sum(axis=1), np.nan)
     around = line_light(
         line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
@@ -228,12 +228,12 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
 
 
 def rounding_variance(variance: Array) -> Floats:
-    r"""Return the variance of what rounding adds to a mean of many counts of one level [count2].
+    r"""Return the variance that rounding adds to a mean of many counts of one level [count2].
 
-    ``variance`` is that of the counts before rounding [count2]. The mean of rounded counts is off by
+    ``variance``: of the counts before rounding [count2]. The mean of rounded counts is off by
     :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
     Quantization Noise, 2008); here is the mean square over all levels x: 1/12 without noise, nothing from
     half a count of noise on.
     """
-    squares = (np.arange(1, _MOST_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
+    squares = (np.arange(1, MAX_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
     return np.asarray((np.exp(-4.0 * np.pi**2 * squares * variance) / (2.0 * np.pi**2 * squares)).sum(axis=0))

@@ -1,7 +1,7 @@
-"""From the errors of a line to those of the mean over a region of it, and how bands share them.
+"""Propagate the errors of a line to the mean over a region, and their correlation between bands.
 
-What is random averages out over the samples that differ in it; what they share stays. The sums that this
-needs are of columns and of lines: bounded, whatever the number of pixels.
+Random errors average out over the samples that do not share them; shared errors stay. The sums are of columns
+and of lines: bounded, whatever the number of pixels.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from hyperpaint.radiometry.spectral_axis import NominalAxis
 from .error_sources import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
-LEAST_CORRELATION = 0.01
-"""Correlation of two bands below which none is stored [1]."""
-MOST_LAGS = 48
-"""Bands after a band whose correlation with it is stored at most."""
+#: Least correlation of two bands that is stored [1].
+MIN_CORRELATION = 0.01
+#: Largest distance of two bands whose correlation is stored [band].
+MAX_LAGS = 48
 
 
 class MeanErrors(NamedTuple):
     """Errors of a mean spectrum."""
 
-    sources: tuple[str, ...]  #: Those of `FORMS` that are known
-    #: (source, band) float64: standard uncertainty by each; of what bands share, with its sign
+    sources: tuple[str, ...]  #: Known sources of `FORMS`
+    #: (source, band) float64: standard uncertainty by each; with its sign where all bands share the error
     sizes: Floats
-    u_random: Floats  #: (band,) float64: uncertainty by what bands do not share as one
-    #: (lag, band) float32: correlation of that with the same of a band so many after; NaN where there is none
+    u_random: Floats  #: (band,) float64: uncertainty by errors that bands do not share
+    #: (lag, band) float32: correlation of that error with a band's so many after; NaN where there is none
     correlation: Array
 
     @property
     def components(self) -> tuple[str, str]:
-        """Names of the variables that the random and the systematic uncertainty follow from."""
+        """Names of the variables of the random and of the systematic uncertainty."""
         names: list[list[str]] = [[], []]
         for source, is_shared in zip(self.sources, self.systematic, strict=True):
             names[int(is_shared)] += COMPONENTS[source]
@@ -46,33 +46,33 @@ class MeanErrors(NamedTuple):
 
     @property
     def systematic(self) -> Array:
-        """Which sources are one error of all bands (source,)."""
+        """Whether each source is one error of all bands (source,)."""
         return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
 
     @property
     def u_systematic(self) -> Floats:
-        """Uncertainty by what is one error of all bands (band,); NaN where none is known."""
+        """Uncertainty by errors that all bands share (band,); NaN where none is known."""
         if not self.systematic.any():
             return np.full(self.sizes.shape[1], np.nan)
         return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
 
 
 def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
-    """Return the errors of several means of the same bands as a library holds them; {} where none has any."""
-    present = [each for each in errors if each is not None]
+    """Return the errors of several means of the same bands as library variables; {} where none has any."""
+    present = [mean for mean in errors if mean is not None]
     if not present:
         return {}
-    sources = [name for name in FORMS if any(name in each.sources for each in present)]
+    sources = [name for name in FORMS if any(name in mean.sources for mean in present)]
     bands = present[0].sizes.shape[1]
     sizes = np.full((len(errors), len(sources), bands), np.nan)
-    lags = np.zeros((len(errors), max(len(each.correlation) for each in present), bands), np.float32)
-    for number, each in enumerate(errors):
-        if each is None:
+    lags = np.zeros((len(errors), max(len(mean.correlation) for mean in present), bands), np.float32)
+    for number, mean in enumerate(errors):
+        if mean is None:
             lags[number] = np.nan
             continue
         sizes[number] = 0.0
-        sizes[number, [sources.index(name) for name in each.sources]] = each.sizes
-        lags[number, : len(each.correlation)] = each.correlation
+        sizes[number, [sources.index(name) for name in mean.sources]] = mean.sizes
+        lags[number, : len(mean.correlation)] = mean.correlation
     values = {
         "error_source": np.array(sources, object),
         "error_form": np.array([str(FORMS[name]) for name in sources], object),
@@ -89,10 +89,10 @@ def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArr
 
 
 class RegionSums:
-    """Sums over a region's pixels from which the errors of its mean follow."""
+    """Sums over a region's pixels, from which the errors of its mean follow."""
 
     def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
-        """Begin with none; ``along`` and ``across`` (pixel,) are the pixels' lines and columns."""
+        """Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns."""
         self._line = line
         self._rows, self._row = np.unique(along, return_inverse=True)
         self._columns, self._column = np.unique(across, return_inverse=True)
@@ -108,11 +108,11 @@ class RegionSums:
         self._samples = np.zeros((int(self._lit_by.max(initial=-1)) + 1, bands))
 
     def add(self, band: int, reflectance: Array, u_random: Array) -> None:
-        """Add a band of all pixels (pixel,): reflectance as it was measured, and its noise."""
+        """Add a band of all pixels (pixel,): measured reflectance, and its noise."""
         line, column = self._line, self._column
-        there = np.isfinite(reflectance) & np.isfinite(u_random)
-        value = np.where(there, reflectance, 0.0).astype(np.float64)
-        variance = np.where(there, u_random, 0.0).astype(np.float64) ** 2
+        valid = np.isfinite(reflectance) & np.isfinite(u_random)
+        value = np.where(valid, reflectance, 0.0).astype(np.float64)
+        variance = np.where(valid, u_random, 0.0).astype(np.float64) ** 2
         per_electron, floor = (
             table[band, self._columns][column] for table in (line.per_electron, line.noise_floor)
         )
@@ -124,7 +124,7 @@ class RegionSums:
         def of_columns(values: Floats) -> Floats:
             return np.asarray(np.bincount(column, values, self._columns.size), np.float64)
 
-        self._count[band] = of_columns(there.astype(np.float64))
+        self._count[band] = of_columns(valid.astype(np.float64))
         self._noise[band] = of_columns(variance)
         self._level[band] = of_columns(value)
         for dark, share in enumerate(line.dark_weights[self._rows].T):
@@ -132,15 +132,15 @@ class RegionSums:
         if line.pedestal_variance:
             self._lines[band] = (np.bincount(self._row, per_count) ** 2).sum()
         if len(self._samples) and line.light is not None:
-            of_lines = np.bincount(self._row, value, self._rows.size)
+            sums = np.bincount(self._row, value, self._rows.size)
             weight = line.light.weight[self._rows]
             for lit_by, share in zip(self._lit_by, (1.0 - weight, weight), strict=True):
-                np.add.at(self._samples[:, band], lit_by, share * of_lines)
+                np.add.at(self._samples[:, band], lit_by, share * sums)
 
     def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
-        """Return the errors of the mean, brought to nominal wavelengths and smoothed as its pixels were.
+        """Return the errors of the mean, interpolated to nominal wavelengths and smoothed as its pixels were.
 
-        ``smoothing`` (band, band) is what spectra are multiplied by; NaN of bands without a value.
+        ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         """
         line, columns = self._line, self._columns
         bands = len(self._count)
@@ -192,17 +192,17 @@ class RegionSums:
         if not self._line.whole:
             return np.zeros_like(per_count)
         line, columns = self._line, self._columns
-        own = line.read_noise[:, columns] ** 2
+        read = line.read_noise[:, columns] ** 2
         with np.errstate(invalid="ignore", divide="ignore"):
             counts = np.nan_to_num(np.maximum(self._level, 0.0) / per_count)
         shot = counts * line.per_electron[:, columns]
         return per_count**2 * (
-            rounding_variance(own) * (line.dark[:, columns] > 0) + rounding_variance(own + shot)
+            rounding_variance(read) * (line.dark[:, columns] > 0) + rounding_variance(read + shot)
         )
 
 
 def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
-    """Return what sums spectra of columns, (band, column) in one row, at nominal wavelengths (band,)."""
+    """Return the matrix from spectra of columns, (band, column) in a row, to nominal wavelengths (band,)."""
     place = np.arange(bands * columns.size).reshape(bands, columns.size)
     band = np.broadcast_to(np.arange(bands)[:, None], place.shape)
     if axis is None:
@@ -215,19 +215,19 @@ def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_ar
 
 
 def _correlated(covariance: Floats) -> tuple[Floats, Array]:
-    """Return standard deviations (band,) and correlations (lag, band) up to the last that is notable."""
-    own = np.sqrt(np.diagonal(covariance))
-    bands = own.size
-    lags = np.full((min(MOST_LAGS, bands), bands), np.nan, np.float32)
+    """Return standard deviations (band,) and correlations (lag, band) up to the last notable lag."""
+    sd = np.sqrt(np.diagonal(covariance))
+    bands = sd.size
+    lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
         for lag in range(len(lags)):
-            lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (own[: bands - lag] * own[lag:])
-    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > LEAST_CORRELATION).any(axis=1))
-    return own, lags[: notable.max(initial=0) + 1]
+            lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (sd[: bands - lag] * sd[lag:])
+    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
+    return sd, lags[: notable.max(initial=0) + 1]
 
 
 def _moved(line: LineErrors, level: Floats) -> Floats:
-    """Return by how much a mean changes with an error of the wavelength scale (band,)."""
+    """Return the change of a mean with an error of the wavelength scale (band,)."""
     assert line.light is not None
     light = line.light.level
     steps = band_steps(line.wavelength)

@@ -1,11 +1,12 @@
-r"""How noisy a camera is, from its own counts: photon transfer.
+"""Estimate the noise of a camera from its own counts: photon transfer.
 
 A count of signal S above the dark varies by
 
     var(C) = S / k + sigma_r^2 + 1/12    [count2]
 
 with k electrons a count, sigma_r the read noise and 1/12 for whole counts. Variances against signals, of
-repeated frames or of a flight's homogeneous blocks, lie on a line whose slope and height are the camera's.
+repeated frames or of a flight's homogeneous blocks, lie on a straight line whose slope and intercept are
+properties of the camera.
 """
 
 from __future__ import annotations
@@ -28,29 +29,37 @@ from hyperpaint.base.schema import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     STEP,
-)  # fmt: skip
+)
 
 from .irradiance_noise import noise_of_record
 
+#: Lines of a block, within which a column should show one surface.
 BLOCK_LINES = 8
-"""Lines of a block, within which a column is asked to see one surface."""
-MOST_SAMPLES = 3_000_000
-"""Samples that are read of a flight; more would add nothing."""
-_CLEAR = 12.0  # times the spread of a dark count; the mean of a block is then known to 3 %
-_EVEN = 0.15  # change of brightness that is texture; beyond is an edge or a glint
-_FEWEST = 200
+#: Most samples that are read of a flight; more would add nothing.
+MAX_SAMPLES = 3_000_000
+#: Least signal in spreads of a dark count [1]; the mean of a block is then known to 3 %.
+MIN_SIGNAL_SD = 12.0
+#: Largest change of brightness that is texture [1]; beyond is an edge or a glint.
+MAX_TEXTURE = 0.15
+MIN_VARIANCES = 200
 _BINS = 24
+#: Groups of blocks of the jackknife.
 _PARTS = 16
-_KEPT = 0.999
-_BLOCK_SIGMAS = 4.0
-_WORST_UNCERTAINTY = 0.1
-_MISFIT = 0.1
-_LEAST_RECORD_NOISE = 1e-5  # relative: what float32 rounds is less
+#: Share of the variances that is used, without the highest [1].
+USED_SHARE = 0.999
+#: Standard deviations by which a block may vary more than noise [1].
+MAX_BLOCK_SD = 4.0
+#: Largest relative uncertainty of electrons per count [1].
+MAX_RELATIVE_U = 0.1
+#: Largest relative departure of variances from the straight line [1].
+MAX_MISFIT = 0.1
+#: Relative noise of a record above the rounding of float32 [1].
+MIN_RECORD_NOISE = 1e-5
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Variances, and what slope and height of the photon transfer are multiplied by in each."""
+    """Variances with their regressors: the factors of slope and intercept of the photon transfer."""
 
     #: variance, by_signal, by_floor (block, band): mean square, and its regressors: the expected value is
     #: by_signal / k + by_floor x floor; NaN left out
@@ -75,18 +84,18 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
         * a flight line: ``counts`` (along_track, band, cross_track), ``dark_counts`` (band, cross_track),
           and, if there, ``saturation_count`` and ``radiance_gain``, whose NaN mark bad elements.
     repeated
-        The lines are frames of one scene that stands still under constant light; by default they are those of
-        a flight, whose scene and light change.
+        The lines are frames of one static scene under constant light; by default they are lines of a flight,
+        whose scene and light change.
 
     Returns
     -------
     Dataset
         ``electrons_per_count`` [electron count-1] and ``read_noise`` [count], scalar float32, for
         ``line.assign(...)``; with standard uncertainties ``electrons_per_count_u`` and ``read_noise_u``, and
-        the binned ``transfer_variance`` over ``transfer_signal`` [count2, count] to look at. Attribute
-        ``noise_source`` says what was used. Of a flight line with a record of irradiance that has noise also
-        ``irradiance_u_random`` (irradiance_wavelength) [1]: how far single samples depart from the line
-        between their neighbours in time, as neighbouring channels do not.
+        the binned ``transfer_variance`` over ``transfer_signal`` [count2, count] to inspect. Attribute
+        ``noise_source`` names the data used. For a flight line with a record of irradiance that has noise
+        also ``irradiance_u_random`` (irradiance_wavelength) [1]: departures of single samples from the
+        straight line between their neighbours in time, less those of neighbouring channels.
 
     Raises
     ------
@@ -97,7 +106,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     Warns
     -----
     PaintWarning
-        Variances do not lie on a line: the scene is not homogeneous, or the light flickers.
+        Variances do not lie on a straight line: the scene is not homogeneous, or the light flickers.
 
     Notes
     -----
@@ -108,11 +117,11 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     .. math:: e_b = r_b - \frac{\bar S_b}{2}
               \left(\frac{r_{b-1}}{\bar S_{b-1}} + \frac{r_{b+1}}{\bar S_{b+1}}\right),
 
-    which takes out all brightness changes that are smooth over three bands, those of the light with them. Its
+    which removes all brightness changes that are smooth over three bands, including those of the light. Its
     variance is still linear in :math:`1/k` and :math:`\sigma_r^2`. Left out are bands too dark for their
     signal to be known, blocks whose brightness changes by more than 15 % (an edge, a glint) or whose bands
-    vary more than noise does, and the highest one in a thousand of all values, with the bias that this makes
-    corrected. Uncertainties are those of the jackknife over groups of blocks.
+    vary more than noise does, and the highest one in a thousand of all values, with the resulting bias
+    corrected. Uncertainties are from the jackknife over groups of blocks.
 
     References
     ----------
@@ -135,7 +144,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
         record = schema.require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
         noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
-        if noise is not None and noise.max() > _LEAST_RECORD_NOISE:
+        if noise is not None and noise.max() > MIN_RECORD_NOISE:
             array = xr.DataArray(noise.astype(np.float32), dims=IRRADIANCE_WAVELENGTH)
             estimate["irradiance_u_random"] = schema.label(array, "irradiance_u_random")
     return estimate
@@ -154,9 +163,13 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
     variance = arrays["counts_variance"].transpose(*dims).values.astype(np.float64)
     frames = arrays["frame_count"].values.astype(np.float64)
     if (frames < 2).any():
-        raise SchemaError("'frame_count' must be 2 or more: one frame has no variance")
+        raise SchemaError(
+            f"'frame_count' is {frames.min():g}",
+            expected="2 or more frames, for a variance",
+            code="frames-too-few",
+        )
     if "saturation_count" in arrays:
-        # clipping lowers the variance before the mean reaches the end
+        # clipping lowers the variance before the mean reaches saturation
         room = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
         variance[counts.values + room >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
     bands = signal.shape[1]
@@ -188,26 +201,23 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, s
     whole = np.issubdtype(counts.dtype, np.integer)
     shaped = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
     points = _repeated_points(shaped) if repeated else _block_points(shaped)
-    what = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
-    return (
-        points,
-        QUANTISATION_VARIANCE_COUNT2 if whole else 0.0,
-        f"{len(starts)} x {BLOCK_LINES} lines: {what}",
-    )
+    source = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
+    quantisation = QUANTISATION_VARIANCE_COUNT2 if whole else 0.0
+    return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
 
 def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return first lines of blocks that are spread over the line."""
+    """Return first lines of blocks, evenly distributed over the line."""
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
     if lines < BLOCK_LINES:
-        problems.add(f"{lines} lines, expected {BLOCK_LINES} or more")
+        problems.add(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few")
     if bands < 3:
-        problems.add(f"{bands} bands, expected 3 or more, next to each other")
+        problems.add(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few")
     problems.raise_if_any()
-    there = lines // BLOCK_LINES
-    wanted = min(there, max(4, MOST_SAMPLES // (BLOCK_LINES * bands * columns)))
-    return np.unique(np.linspace(0, there - 1, wanted).astype(np.int64)) * BLOCK_LINES
+    blocks = lines // BLOCK_LINES
+    sampled = min(blocks, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
+    return np.unique(np.linspace(0, blocks - 1, sampled).astype(np.int64)) * BLOCK_LINES
 
 
 def _by_band(array: Array) -> Array:
@@ -224,19 +234,19 @@ def _repeated_points(cube: Array) -> _Points:
 
 
 def _block_points(cube: Array) -> _Points:
-    """Return variances (block x column, band) of bands against their neighbours.
+    """Return variances (block x column, band) of bands relative to their neighbours.
 
-    ``cube`` is (block, line, band, column). Where noise makes the signal itself uncertain, nothing can be
-    compared relative to it.
+    ``cube`` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
     """
     mean = cube.mean(axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
         total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
         brightness = total / total.mean(axis=1, keepdims=True)
-        even = np.abs(brightness - 1.0).max(axis=1) < _EVEN
+        even = np.abs(brightness - 1.0).max(axis=1) < MAX_TEXTURE
     mean[~(even[:, None] & (mean > 0))] = np.nan
-    mean[mean < _CLEAR * _dark_noise(cube, mean)] = np.nan
+    mean[mean < MIN_SIGNAL_SD * _dark_noise(cube, mean)] = np.nan
+    # contrast of a band with its neighbours, relative to their signals
     relative = (cube - mean[:, None]) / mean[:, None]
     middle = mean[:, 1:-1]
     contrast = relative[:, :, 1:-1] - 0.5 * (relative[:, :, :-2] + relative[:, :, 2:])
@@ -245,7 +255,7 @@ def _block_points(cube: Array) -> _Points:
     ratio = [(middle / other).astype(np.float64) for other in (mean[:, :-2], mean[:, 2:])]
     near = np.ones(middle.shape, bool)
     for r in ratio:
-        # a weak neighbour would bring in more noise of its own than there is in the band
+        # the noise of a weak neighbour would exceed the noise of the band
         near &= (r > 0.5) & (r < 2.0)
     by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
     by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
@@ -255,7 +265,7 @@ def _block_points(cube: Array) -> _Points:
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:
-    """Return the spread of a count in the darkest tenth of what was seen [count]."""
+    """Return the spread of a count in the darkest tenth of the samples [count]."""
     valid = np.isfinite(mean)
     if not valid.any():
         return 0.0
@@ -268,28 +278,30 @@ def _dark_noise(cube: Array, mean: Array) -> float:
 
 @dataclass(frozen=True)
 class _Transfer:
-    """Slope and height of the line, with their covariance, and what it was fitted to."""
+    """Slope and intercept of the photon transfer, their covariance, and the points of the fit."""
 
     slope: float
     height: float
     covariance: Floats
     used: npt.NDArray[np.bool_]
-    low: float
-    high: float
 
 
 def _fit(points: _Points) -> _Transfer:
-    """Return the line through variances that are those of noise alone."""
+    """Return the straight line through the variances that contain noise alone."""
     from scipy.stats import chi2
 
     valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
-    if valid.sum() < _FEWEST:
-        raise SchemaError(f"noise cannot be estimated: {valid.sum()} variances, expected {_FEWEST} or more")
+    if valid.sum() < MIN_VARIANCES:
+        raise SchemaError(
+            f"noise cannot be estimated from {valid.sum()} variances",
+            expected=f"{MIN_VARIANCES} or more",
+            code="noise-not-estimable",
+        )
     freedom = np.broadcast_to(points.freedom, valid.shape)
     slope, height = _first_guess(points, valid, freedom)
-    edge = chi2.ppf(_KEPT, points.freedom) / points.freedom
-    # the mean of what lies below the edge is a little below the mean of all
-    loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / _KEPT
+    edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
+    # the mean of the values below the edge is a little below the mean of all
+    loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
     # neighbours in band share two thirds of their contrast
     spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(valid.sum(axis=1), 1)))
     used = valid
@@ -299,24 +311,32 @@ def _fit(points: _Points) -> _Transfer:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        even = typical < 1.0 + _BLOCK_SIGMAS * spread
+        even = typical < 1.0 + MAX_BLOCK_SD * spread
         used = valid & even[:, None] & (ratio < edge)
-        if used.sum() < _FEWEST:
+        if used.sum() < MIN_VARIANCES:
             raise SchemaError(
-                "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
+                "noise cannot be estimated, since no block is homogeneous",
+                mend="pass repeated frames, or a lab sweep",
+                code="noise-not-estimable",
             )
         before = slope
         slope, height, covariance = _solve(points, used, model * loss, points.variance / loss)
         if abs(slope - before) < 1e-4 * abs(slope):
             break
-    low, high = (float(v) for v in np.percentile(points.by_signal[used] / points.by_floor[used], [1, 99]))
-    transfer = _Transfer(slope, height, covariance, used, low, high)
-    _refuse_unless_sure(transfer)
-    return transfer
+    low, high = np.percentile(points.by_signal[used] / points.by_floor[used], [1, 99])
+    error = np.sqrt(covariance[0, 0])
+    if not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U):
+        raise SchemaError(
+            f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
+            f"{slope:.3g} +- {error:.2g} counts of variance a count",
+            mend="take a line with dark and bright surfaces, or repeated frames of several levels",
+            code="electrons-uncertain",
+        )
+    return _Transfer(slope, height, covariance, used)
 
 
 def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
-    """Return slope and height of the lower envelope of binned medians."""
+    """Return slope and intercept of the lower envelope of binned medians."""
     from scipy.stats import chi2
 
     signal = points.by_signal[valid] / points.by_floor[valid]
@@ -340,7 +360,7 @@ def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats)
 def _solve(
     points: _Points, used: npt.NDArray[np.bool_], model: Floats, variance: Floats
 ) -> tuple[float, float, Floats]:
-    """Return slope and height by weighted least squares, and their covariance by the jackknife."""
+    """Return slope and intercept by weighted least squares, and their covariance by the jackknife."""
     weight = np.where(used, 1.0 / model**2, 0.0)
     value = np.where(used, variance, 0.0)
     a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
@@ -368,32 +388,20 @@ def _solve(
     return float(whole[0]), float(whole[1]), covariance
 
 
-def _refuse_unless_sure(transfer: _Transfer) -> None:
-    relative = np.sqrt(transfer.covariance[0, 0]) / max(transfer.slope, 1e-300)
-    if transfer.slope > 0 and relative < _WORST_UNCERTAINTY:
-        return
-    error = np.sqrt(transfer.covariance[0, 0])
-    raise SchemaError(
-        f"electrons per count are uncertain: signals of {transfer.low:.0f} to {transfer.high:.0f} counts "
-        f"give a slope of {transfer.slope:.3g} +- {error:.2g} counts of variance a count; "
-        "take a line with dark and bright surfaces, or repeated frames of several levels"
-    )
-
-
 def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
-    """Return the estimate with its uncertainties and the curve it rests on."""
+    """Return the estimate with its uncertainties and the binned photon transfer."""
     signal, variance, expected = _curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))
-    if misfit > _MISFIT + 4.0 * chance:
+    if misfit > MAX_MISFIT + 4.0 * chance:
         text = (
-            f"variances depart from the line by up to {misfit:.0%}: the scene is not homogeneous within "
-            "blocks, or the light flickers; look at 'transfer_variance'"
+            f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
+            "within blocks, or the light flickers; look at 'transfer_variance'"
         )
-        warnings.warn(text, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
     excess = transfer.height - quantisation
     noise = float(np.sqrt(max(excess, 0.0)))
-    # at zero noise its square alone has an uncertainty
+    # at zero noise only its square has an uncertainty
     noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
     limit = float(transfer.covariance[1, 1]) ** 0.25
     values = {
@@ -421,7 +429,7 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
 
 
 def _curve(transfer: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
-    """Return mean signals, variances and variances of the line, in bins of as many points each."""
+    """Return mean signals, variances and fitted variances, in bins with equal numbers of points."""
     a, b, v = (array[transfer.used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))

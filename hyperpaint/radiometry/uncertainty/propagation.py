@@ -1,7 +1,7 @@
-"""From what is known of the instrument's errors to the uncertainty of every reflectance.
+"""Propagate the known errors of the instrument to the uncertainty of every reflectance.
 
-Errors are of two kinds. Random ones are made afresh in every sample. Systematic ones are shared: by a flight,
-or by the lines of a column, as the noise of the mean dark and of a calibration is, whatever it came from.
+Errors are of two kinds. Random ones are independent in every sample. Systematic ones are shared: by a flight,
+or by the lines of a column, as the noise of the mean dark and of a calibration.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ SYSTEMATIC = (
     "dark_counts_u_systematic",
     "linearity_u",
 )
+#: Attributes of uncertainties: their inputs that no variable of the line holds.
 WHOLE_COUNTS, MASKED, PANEL_U = "whole_counts", "masked_elements", "panel_u"
-"""Attributes of uncertainties: what they follow from that no variable of the line says."""
 
 UNCERTAINTIES = ("reflectance_u_random", "reflectance_u_systematic")
+#: Attribute ``components`` of an uncertainty without any known component, which is zero.
 NONE_KNOWN = "none known"
-"""Attribute ``components`` of an uncertainty that nothing known enters: it is zero for want of knowledge."""
 _ABSOLUTE = (
     "electrons_per_count",
     "read_noise",
@@ -50,21 +50,22 @@ _ABSOLUTE = (
 
 
 def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, Any]:
-    """Return what is known of a line's noise and systematic errors, by name; ``panel`` is a panel's [1].
+    """Return the known noise and systematic errors of a line, by name; ``panel``: uncertainty of a panel [1].
 
     Raises
     ------
     SchemaError, UnitsError
-        What noise follows from is missing, or has other dims or units; all problems are listed.
+        Variables of the noise are missing, or have other dims or units; all problems are listed.
     """
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
     if "counts" not in dataset.variables:
-        problems.add("'counts' is missing: noise follows from counts, not from radiance alone")
+        problems.add("'counts' is missing, and radiance alone has no noise model", code="variable-missing")
     for name in NOISE:
         if name not in dataset.variables:
             problems.add(
-                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}; it comes with a "
-                "calibration, or from line.assign(hp.radiometry.estimate_noise(line))"
+                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}",
+                mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
+                code="variable-missing",
             )
     problems.raise_if_any()
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables]
@@ -76,9 +77,9 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
 def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict[str, Any]) -> xr.Dataset:
     """Return the dataset with both uncertainties, in obsarray's terms.
 
-    obsarray knows errors that are independent and errors that are common along a dim. What an element's gain
-    and dark have of their own is common to all lines only; taken as common to all samples it is never
-    underrated. `hyperpaint.radiometry.mean_uncertainty` takes each for what it is.
+    obsarray knows errors that are independent and errors that are common along a dim. The errors of an
+    element's own gain and dark are common to all lines only; treated as common to all samples they are never
+    underestimated. `hyperpaint.radiometry.mean_uncertainty` treats each exactly.
     """
     systematic = [name for name in SYSTEMATIC if name in uncertain]
     if "panel_u" in uncertain:
@@ -114,7 +115,7 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
 
 
 def masked_elements(line: xr.Dataset) -> int:
-    """Return how many elements of a line see no light."""
+    """Return the number of elements of a line that receive no light."""
     masked = line["masked"]
     rest = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
     return int(masked.values.sum()) * math.prod(rest)
@@ -129,12 +130,12 @@ def error_terms(
     masked: int = 0,
     dark_share: float = 1.0,
 ) -> ErrorTerms:
-    """Return what the uncertainty of every sample follows from; what is not known is zero.
+    """Return the terms of the uncertainty of every sample; unknown ones are zero.
 
-    ``uncertain`` is that of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
+    ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
     by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
     mean is the pedestal of a line, and so has a noise that all of the line shares; ``dark_share`` is the
-    root sum of squares of the weights with which a line's darks are subtracted, the largest of all lines.
+    largest root sum of squares of the weights with which a line's darks are subtracted.
 
     Raises
     ------
@@ -148,16 +149,19 @@ def error_terms(
 
     whole = np.issubdtype(np.dtype(dtype), np.integer)
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
-    own_dark = (dark_share * of("dark_counts_u_random")) ** 2
-    dark_variance = of("dark_counts_u_systematic") ** 2 + own_dark
+    element_dark = (dark_share * of("dark_counts_u_random")) ** 2
+    dark_variance = of("dark_counts_u_systematic") ** 2 + element_dark
     if masked:
-        dark_variance = dark_variance + float(np.nanmean(floor + own_dark)) / masked
+        dark_variance = dark_variance + float(np.nanmean(floor + element_dark)) / masked
     squares = [of("radiance_gain_u_random") ** 2, of("linearity_u") ** 2]
     if "panel_u" in uncertain:
-        # scaled to a panel, reflectance has the panel's uncertainty in place of what all elements share
+        # the panel's uncertainty replaces those of gain and irradiance that all elements share
         squares.append(of("panel_u") ** 2)
     else:
-        squares += [of("radiance_gain_u_systematic") ** 2, _irradiance_u(uncertain, cube, light) ** 2]
+        irradiance_u = np.asarray(uncertain.get("irradiance_u_systematic", 0.0), np.float64)
+        if irradiance_u.ndim and light is not None:
+            irradiance_u = at_bands(irradiance_u, light["irradiance_wavelength"], cube["wavelength"])[:, None]
+        squares += [of("radiance_gain_u_systematic") ** 2, irradiance_u.reshape(-1, 1) ** 2]
     if "irradiance_u_random" in uncertain and light is not None:
         matched = matched_noise({**cube, **light, "irradiance_u_random": uncertain["irradiance_u_random"]})
         squares.append(INTERPOLATED * np.diag(matched.covariance)[:, None])
@@ -182,21 +186,11 @@ def element_rows(values: Any, shape: tuple[int, ...]) -> Floats:
     return np.broadcast_to(array, shape if array.ndim else (1, shape[1]))
 
 
-def _irradiance_u(
-    uncertain: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None
-) -> Floats:
-    """Return the relative uncertainty of the irradiance of every band (1 or band, 1)."""
-    relative = np.asarray(uncertain.get("irradiance_u_systematic", 0.0), np.float64)
-    if relative.ndim == 0 or light is None:
-        return relative.reshape(1, 1)
-    return at_bands(relative, light["irradiance_wavelength"], cube["wavelength"])[:, None]
-
-
 def band_steps(wavelength: Floats) -> Floats:
-    """Return weights of the rise to the band above, and of that from the band below (band, 4) [nm-1].
+    """Return weights of the differences to the band above and from the band below (band, 4) [nm-1].
 
-    With both neighbours they give the slope between these, with one that to it. A neighbour across a join of
-    two detectors, where wavelengths turn back, stand still or leap, is none.
+    With both neighbours they give the slope between these, with one neighbour the slope to it. A neighbour
+    across a join of two detectors, where wavelengths turn back, stand still or jump, does not count.
     """
     step = np.diff(wavelength)
     usual = np.median(step) if step.size else 1.0
@@ -211,21 +205,25 @@ def band_steps(wavelength: Floats) -> Floats:
 
 
 def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
-    """Refuse what no uncertainty can be; NaN is not known, and gives NaN."""
     problems = Problems("uncertainties cannot be computed", SchemaError)
     for name, value in uncertain.items():
         array = np.asarray(value, np.float64)
         used = array[~bad] if array.shape == bad.shape else array
         used = used[~np.isnan(used)]
         if used.size == 0:
-            problems.add(f"{name!r} holds no value")
+            problems.add(f"{name!r} holds no value", code="not-finite")
             continue
         positive = name == "electrons_per_count"
         if not np.isfinite(used).all() or used.min() < 0 or (positive and used.min() == 0):
-            wanted = "positive" if positive else "0 or more"
-            problems.add(f"{name!r} must be finite and {wanted}, found {used.min():g} to {used.max():g}")
+            problems.add(
+                f"{name!r} is {used.min():g} to {used.max():g}",
+                expected=f"finite and {'positive' if positive else '0 or more'}",
+                code="value-out-of-range",
+            )
         elif name not in _ABSOLUTE and used.max() > 1.0:
             problems.add(
-                f"{name!r} is {used.max():g}; it is relative, expected a fraction of 1, such as 0.02"
+                f"{name!r} is {used.max():g}",
+                expected="a fraction of 1, such as 0.02",
+                code="value-out-of-range",
             )
     problems.raise_if_any()

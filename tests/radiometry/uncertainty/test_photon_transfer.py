@@ -12,7 +12,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.radiometry.uncertainty.photon_transfer import MOST_SAMPLES, estimate_noise
+from hyperpaint.radiometry.uncertainty.photon_transfer import MAX_SAMPLES, estimate_noise
 from hyperpaint.simulation import simulate_line
 
 
@@ -60,7 +60,7 @@ def test_counts_without_quantisation_and_without_read_noise() -> None:
 
 def test_what_it_returns_goes_into_reflectance() -> None:
     line = simulate_line(lines=32, bands=48, columns=60).drop_vars(["electrons_per_count", "read_noise"])
-    with pytest.raises(SchemaError, match=r"line\.assign\(hp\.radiometry\.estimate_noise\(line\)\)"):
+    with pytest.raises(SchemaError, match="variable-missing"):
         line.paint.reflectance(uncertainty=True)
     found = hp.radiometry.estimate_noise(line)
     for name, units in (("electrons_per_count", "electron count-1"), ("read_noise", "count")):
@@ -100,7 +100,7 @@ def test_frames_of_a_sweep() -> None:
     assert abs(z_of(found, "read_noise", 1.2)) < 4
     np.testing.assert_allclose(float(found.electrons_per_count), 15.0, rtol=0.03)
     np.testing.assert_allclose(float(found.read_noise), 1.2, rtol=0.05)
-    with pytest.raises(SchemaError, match="frame_count"):
+    with pytest.raises(SchemaError, match="frames-too-few"):
         estimate_noise(sweep_of(cube).assign(frame_count=((), 1, {"units": "1"})))
 
 
@@ -137,11 +137,11 @@ def test_signals_of_one_level_are_refused() -> None:
         }
     )
     for repeated in (False, True):
-        with pytest.raises(SchemaError, match=r"signals of \d+ to \d+ counts"):
+        with pytest.raises(SchemaError, match=r"signals of \d+ to \d+ .*electrons-uncertain"):
             estimate_noise(line, repeated=repeated)
-    with pytest.raises(SchemaError, match="expected 8 or more"):
+    with pytest.raises(SchemaError, match="lines-too-few"):
         estimate_noise(line.isel(along_track=slice(0, 5)))
-    with pytest.raises(SchemaError, match="3 or more"):
+    with pytest.raises(SchemaError, match="bands-too-few"):
         estimate_noise(line.isel(band=slice(0, 2)))
     with pytest.raises(SchemaError, match="dark_counts"):
         estimate_noise(line.drop_vars("dark_counts"))
@@ -186,5 +186,5 @@ def test_a_long_line_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     begin = clock.perf_counter()
     found = estimate_noise(line)
     assert clock.perf_counter() - begin < 20
-    assert 4 <= len(set(read)) <= MOST_SAMPLES // (8 * 48 * 60)
+    assert 4 <= len(set(read)) <= MAX_SAMPLES // (8 * 48 * 60)
     assert abs(float(found.electrons_per_count) / 20.0 - 1.0) < 0.15
