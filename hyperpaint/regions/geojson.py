@@ -21,15 +21,15 @@ from hyperpaint.io.files.publishing import publish_file
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
-MOST_BYTES = 16 * 2**20
+MAX_FILE_BYTES = 16 * 2**20
 """Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB."""
 
-MOST_REGIONS = 10_000
+MAX_REGIONS = 10_000
 
 #: Lists and mappings in it, and separators: each costs memory many times its own size.
-_MOST_CONTAINERS = 500_000
-_MOST_SEPARATORS = 1_500_000
-_MOST_TOLD = 20
+MAX_CONTAINERS = 500_000
+MAX_SEPARATORS = 1_500_000
+MAX_LISTED_FEATURES = 20
 
 
 def read_regions(path: str | os.PathLike[str]) -> Regions:
@@ -63,13 +63,17 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     """
     place = Path(path)
     if "\0" in str(place):
-        raise FormatError(f"{place!s:.200}: no path has a NUL in it; check the path")
-    if place.suffix.lower() in VECTOR_FILES:
-        return _collection(features_of(place, MOST_REGIONS), str(place))
-    raw = read_limited(place, MOST_BYTES, "GeoJSON")
-    if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
         raise FormatError(
-            f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
+            f"the path {place!s:.200} holds a NUL character", mend="check the path", code="path-invalid"
+        )
+    if place.suffix.lower() in VECTOR_FILES:
+        return _collection(features_of(place, MAX_REGIONS), str(place))
+    raw = read_limited(place, MAX_FILE_BYTES, "GeoJSON")
+    if raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS:
+        raise FormatError(
+            f"{place}: more values than {MAX_REGIONS} regions have",
+            expected="GeoJSON of regions",
+            code="file-too-large",
         )
     try:
         text = raw.decode("utf-8-sig")
@@ -77,7 +81,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
-            f"{place}: no GeoJSON ({reason:.200}); expected a FeatureCollection of polygons in UTF-8"
+            f"{place}: not GeoJSON ({reason:.200})",
+            expected="a FeatureCollection of polygons in UTF-8",
+            code="text-unreadable",
         ) from error
     return _collection(document, str(place))
 
@@ -168,8 +174,9 @@ def regions_from(source: Any) -> Regions:
         if all(isinstance(each, Region) for each in members):
             return Regions(members)
     raise SchemaError(
-        f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
-        "or its content"
+        f"regions are {type(source).__name__}",
+        expected="hyperpaint.Regions, the path of a GeoJSON file, or its content",
+        code="type-wrong",
     )
 
 
@@ -198,7 +205,11 @@ def _collection(document: Any, subject: str) -> Regions:
     given = document.get("coordinates") if isinstance(document, Mapping) else None
     coordinates = ("sensor" if crs is None else "map") if given is None else given
     if coordinates not in COORDINATES:
-        problems.add(f"coordinates {str(coordinates)[:80]!r}, expected one of {', '.join(COORDINATES)}")
+        problems.add(
+            f"coordinates {str(coordinates)[:80]!r}",
+            expected=f"one of {', '.join(COORDINATES)}",
+            code="choice-unknown",
+        )
     problems.raise_if_any()
     regions, wrong = [], 0
     for number, feature in enumerate(features):
@@ -206,15 +217,15 @@ def _collection(document: Any, subject: str) -> Regions:
             regions.append(_region(feature))
         except PaintError as error:
             wrong += 1
-            if wrong <= _MOST_TOLD:
-                problems.add(f"feature {number}: {error}")
-    if wrong > _MOST_TOLD:
-        problems.add(f"and {wrong - _MOST_TOLD} features more")
+            if wrong <= MAX_LISTED_FEATURES:
+                problems.add_error(f"feature {number}", error)
+    if wrong > MAX_LISTED_FEATURES:
+        problems.add(f"{wrong - MAX_LISTED_FEATURES} more features are invalid", code="features-invalid")
     problems.raise_if_any()
     try:
         return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
-        raise FormatError(f"{subject}: {error}") from error
+        raise FormatError(subject, problems=[error.problem]) from error
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
@@ -225,10 +236,15 @@ def _features(document: Any, problems: Problems) -> list[Any]:
     features = document.get("features") if kind == "FeatureCollection" else None
     if not isinstance(features, list | tuple):
         description = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
-        problems.add(f"{description}, expected a FeatureCollection with a list of features")
+        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
         return []
-    if len(features) > MOST_REGIONS:
-        problems.add(f"{len(features)} features, expected at most {MOST_REGIONS}; split the file")
+    if len(features) > MAX_REGIONS:
+        problems.add(
+            f"{len(features)} features",
+            expected=f"at most {MAX_REGIONS}",
+            mend="split the file",
+            code="regions-too-many",
+        )
         return []
     return list(features)
 
@@ -242,19 +258,23 @@ def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
         return None
     if isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable():
         return crs
-    problems.add("the crs has no name; expected text such as 'EPSG:32618', or an object with properties.name")
+    problems.add(
+        "the crs has no name",
+        expected="text such as 'EPSG:32618', or an object with properties.name",
+        code="crs-missing",
+    )
     return None
 
 
 def _region(feature: Any) -> Region:
     """Return a feature as a region; `SchemaError` where it is none."""
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
-        raise SchemaError(f"{type(feature).__name__}, expected a Feature")
+        raise SchemaError(type(feature).__name__, expected="a Feature", code="type-wrong")
     properties = feature.get("properties")
     properties = dict(properties) if isinstance(properties, Mapping) else {}
     name, flightline = properties.pop("name", None), properties.pop("flightline", None)
     if name is None:
-        raise SchemaError("it has no property 'name', which names the paint")
+        raise SchemaError("no property 'name', which names the paint", code="region-name-missing")
     polygon, *holes = _rings(feature.get("geometry"), name)
     return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
 
@@ -267,13 +287,16 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
     if kind == "MultiPolygon" and isinstance(rings, list | tuple):
         if len(rings) != 1:
             raise SchemaError(
-                f"{subject} with {len(rings)} polygons; expected one, give each a name of its own"
+                f"{subject} with {len(rings)} polygons",
+                expected="one",
+                mend="make each a region with its own name",
+                code="geometry-wrong",
             )
         kind, rings = "Polygon", rings[0]
     if kind != "Polygon":
-        raise SchemaError(f"{subject}, expected a Polygon")
+        raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
     if not isinstance(rings, list | tuple) or not rings:
-        raise SchemaError(f"{subject} without a list of rings")
+        raise SchemaError(f"{subject} without a list of rings", code="geometry-wrong")
     return [_positions(ring, subject) for ring in rings]
 
 
@@ -285,7 +308,9 @@ def _positions(ring: Any, subject: str) -> Any:
             or len(position) < 2
             or not all(map(_is_number, position[:2]))
         ):
-            raise SchemaError(f"{subject} with a corner {position!r:.60}, expected [x, y]")
+            raise SchemaError(
+                f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
+            )
         # heights are of no use here
         corners.append((float(position[0]), float(position[1])))
     return np.array(corners, np.float64).reshape(-1, 2)

@@ -18,15 +18,15 @@ from hyperpaint.base.errors import Problems, SchemaError
 COORDINATES = ("sensor", "map")
 """What x and y of regions are: column and line of the cube, or a place on the ground."""
 
-MOST_VERTICES = 10_000
+MAX_VERTICES = 10_000
 """Corners of one ring."""
 
-LARGEST = 1e9
+MAX_COORDINATE = 1e9
 """Coordinate that no pixel and no place has."""
 
-_LONGEST_NAME = 200
-_MOST_SHOWN = 60
-_MOST_LISTED = 10
+MAX_NAME_CHARS = 200
+MAX_DRAWN_REGIONS = 60
+MAX_LISTED_REGIONS = 10
 _COLOUR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -70,8 +70,22 @@ class Region:
         problems = Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError)
         for label in ("name", "flightline"):
             value = getattr(self, label)
-            if wrong := _name_problem(value, may_be_empty=label == "flightline"):
-                problems.add(f"{label} {str(value)[:80]!r} {wrong}")
+            subject = f"{label} {str(value)[:80]!r}"
+            if not isinstance(value, str):
+                problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
+            elif not value and label == "name":
+                problems.add("the name is empty", expected="text", code="region-name-missing")
+            elif len(value) > MAX_NAME_CHARS:
+                problems.add(
+                    f"{subject} has {len(value)} characters",
+                    expected=f"at most {MAX_NAME_CHARS}",
+                    code="name-too-long",
+                )
+            elif not value.isprintable() or value.strip() != value:
+                problems.add(
+                    f"{subject} has blanks at an end, or characters that cannot be printed",
+                    code="name-unprintable",
+                )
         rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
         properties = _plain(self.properties, problems)
         problems.raise_if_any()
@@ -146,22 +160,37 @@ class Regions(Sequence[Region]):
         seen: set[str] = set()
         for name in (region.name for region in self.regions):
             if name in seen:
-                problems.add(f"the name {name!r} occurs twice; it names the paint, give each its own")
+                problems.add(
+                    f"the name {name!r} occurs twice",
+                    mend="give each region its own name",
+                    code="region-name-duplicate",
+                )
             seen.add(name)
         if self.coordinates not in COORDINATES:
-            problems.add(f"coordinates {self.coordinates!r}, expected one of {', '.join(COORDINATES)}")
+            problems.add(
+                f"coordinates {self.coordinates!r}",
+                expected=f"one of {', '.join(COORDINATES)}",
+                code="choice-unknown",
+            )
         crs: object = self.crs
         if crs is not None and not isinstance(crs, str):
-            problems.add(f"a crs that is {type(crs).__name__}, expected text such as 'EPSG:32618'")
+            problems.add(
+                f"the crs is {type(crs).__name__}", expected="text such as 'EPSG:32618'", code="type-wrong"
+            )
         elif crs is not None and self.coordinates == "sensor":
-            problems.add(f"a crs ({crs[:80]!r}) is of map coordinates, these are of the sensor")
+            problems.add(
+                f"sensor coordinates have the crs {crs[:80]!r}",
+                expected="none",
+                mend='pass coordinates="map" or no crs',
+                code="option-conflict",
+            )
         problems.raise_if_any()
 
     def __repr__(self) -> str:
         kind = self.crs or self.coordinates
-        shown = [f"  {region!r}" for region in self.regions[:_MOST_LISTED]]
-        if len(self) > _MOST_LISTED:
-            shown.append(f"  ... and {len(self) - _MOST_LISTED} more")
+        shown = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
+        if len(self) > MAX_LISTED_REGIONS:
+            shown.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
         return "\n".join([f"<Regions: {len(self)} ({str(kind)[:40]})>", *shown])
 
     def __len__(self) -> int:
@@ -200,8 +229,8 @@ class Regions(Sequence[Region]):
     def _repr_html_(self) -> str:
         """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
         kind = self.crs or self.coordinates
-        more = f", of which {_MOST_SHOWN} are shown" if len(self) > _MOST_SHOWN else ""
-        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:_MOST_SHOWN])
+        more = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
+        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
         title = f"{len(self)} regions ({kind}){more}"
         return (
             f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
@@ -242,33 +271,33 @@ def _number(value: float) -> int | float:
     return whole if whole == value else float(value)
 
 
-def _name_problem(value: object, *, may_be_empty: bool) -> str | None:
-    if not isinstance(value, str):
-        return f"is {type(value).__name__}, expected text"
-    if not value and not may_be_empty:
-        return "is empty, expected text"
-    if len(value) > _LONGEST_NAME:
-        return f"has {len(value)} characters, expected at most {_LONGEST_NAME}"
-    if not value.isprintable() or value.strip() != value:
-        return "has blanks at an end, or characters that cannot be printed"
-    return None
-
-
 def _ring(ring: Any, index: int, problems: Problems) -> Floats:
-    called = "polygon" if index == 0 else f"hole {index}"
+    ring_name = "polygon" if index == 0 else f"hole {index}"
     try:
         corners = np.array(ring, np.float64)
     except (TypeError, ValueError):
         corners = np.empty((0,))
     if corners.ndim != 2 or corners.shape[1] != 2:
-        problems.add(f"the {called} has shape {corners.shape}, expected (vertex, 2): x and y of its corners")
+        problems.add(
+            f"the {ring_name} has shape {corners.shape}",
+            expected="(vertex, 2): x and y of its corners",
+            code="dims-wrong",
+        )
         return corners
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
         corners = corners[:-1]
-    if not 3 <= len(corners) <= MOST_VERTICES:
-        problems.add(f"the {called} has {len(corners)} corners, expected 3 to {MOST_VERTICES}")
-    if not (np.abs(corners) <= LARGEST).all():
-        problems.add(f"the {called} has corners that are not numbers from {-LARGEST:g} to {LARGEST:g}")
+    if not 3 <= len(corners) <= MAX_VERTICES:
+        problems.add(
+            f"the {ring_name} has {len(corners)} corners",
+            expected=f"3 to {MAX_VERTICES}",
+            code="corner-count",
+        )
+    if not (np.abs(corners) <= MAX_COORDINATE).all():
+        problems.add(
+            f"the {ring_name} has missing or too large coordinates",
+            expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
+            code="corner-wrong",
+        )
     corners = corners + 0.0  # no negative zero
     corners.flags.writeable = False
     return corners
@@ -277,18 +306,26 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
 def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
     """Return properties as JSON holds them, copied."""
     if not isinstance(properties, Mapping):
-        problems.add(f"properties are {type(properties).__name__}, expected a mapping")
+        problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
         return {}
     if reserved := {"name", "flightline"} & set(properties):
-        problems.add(f"properties hold {', '.join(sorted(reserved))}, which the region has itself")
+        problems.add(
+            f"properties hold {', '.join(sorted(reserved))}",
+            mend="pass them as arguments of Region",
+            code="property-reserved",
+        )
     if odd := [key for key in properties if not isinstance(key, str)]:
-        problems.add(f"properties have names that are not text: {odd[:3]!r:.80}")
+        problems.add(f"properties have the names {odd[:3]!r:.80}", expected="text", code="type-wrong")
         return {}
     try:
         text = json.dumps(dict(properties), allow_nan=False, ensure_ascii=False)
         text.encode()
     except (TypeError, ValueError, RecursionError) as error:
-        problems.add(f"properties are not text, finite numbers, lists or mappings of them ({error!s:.80})")
+        problems.add(
+            f"properties cannot be written as JSON ({error!s:.80})",
+            expected="text, finite numbers, lists or mappings of them",
+            code="property-not-json",
+        )
         return {}
     copied: dict[str, Any] = json.loads(text)
     return copied

@@ -147,8 +147,10 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
             problems.add(
-                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
-                "dims= names it"
+                f"dims {', '.join(map(str, line.dims))}",
+                expected=f"the dim {dim!r}",
+                mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
+                code="dim-missing",
             )
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
@@ -192,6 +194,7 @@ def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
                 f"region {region.name!r} in coordinates of the sensor {named}",
                 expected=f"one of {', '.join(names)}",
                 mend="give it the property flightline, or draw it in coordinates of the map",
+                code="flightline-unknown",
             )
     problems.raise_if_any()
     return [names[region.flightline.replace(" ", "_")] for region in regions]
@@ -211,11 +214,11 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
         return line
     if not isinstance(named.attrs.get("ground"), int | float):
         raise SchemaError(
-            "the regions are of a map, and the flight line has poses but no height of the ground to find "
-            "its pixels there",
-            mend="give the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
+            "the flight line has no height of the ground to locate regions in map coordinates",
+            mend="pass the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
             "ground [m] of the line",
             option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
+            code="ground-height-missing",
         )
     return locate(named)
 
@@ -285,7 +288,9 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
     try:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:
-        raise SchemaError(f"the pixels of region {region.name!r} cannot be found: {error}") from error
+        raise SchemaError(
+            f"the pixels of region {region.name!r} cannot be found", problems=[error.problem]
+        ) from error
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:
@@ -323,8 +328,9 @@ def _moved(regions: Regions, crs: str) -> Regions:
         corners = between_maps(np.asarray(ring, np.float64), source, target)
         if not np.isfinite(corners).all():
             raise SchemaError(
-                f"a corner at {ring[0][0]:g}, {ring[0][1]:g} is no place of {regions.crs!r:.60}",
-                mend="name the crs that the regions are in",
+                f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
+                mend="name the crs of the regions",
+                code="corner-outside-crs",
             )
         return corners
 
@@ -343,9 +349,11 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
         raise SchemaError(
-            "regions of a map need the place of every pixel: variables east and north, or longitude and "
-            "latitude (along_track, cross_track), or x and y of a map; draw the regions in sensor "
-            "coordinates, or locate the line first"
+            "the line has no place of its pixels on the map",
+            expected="east and north, or longitude and latitude (along_track, cross_track), or x and y of "
+            "a map",
+            mend="draw the regions in sensor coordinates, or locate the line first",
+            code="pixel-places-missing",
         )
     wanted = None if crs is None else _normal(crs)
     fitting = [pair for pair, pair_crs in there.items() if wanted is None or pair_crs in (None, wanted)]
@@ -359,7 +367,9 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
         held = ", ".join(f"{x} and {y} ({pair_crs or 'unknown'})" for (x, y), pair_crs in there.items())
         stated = "name no crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
-            f"the regions {stated}, the line has {held}; write the regions in one of these, and name it"
+            f"the regions {stated}, the line has {held}",
+            mend="write the regions in one of these, and name its crs",
+            code="crs-missing" if crs is None else "crs-mismatch",
         )
     x, y = fitting[0]
     return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None

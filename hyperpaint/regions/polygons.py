@@ -28,7 +28,7 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
-_MOST_EDGES = 100
+MAX_EDGES_PER_PIXEL = 100
 """Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag."""
 _FREE = 10_000_000
 """Comparisons of an edge with a point that any polygon may take."""
@@ -73,11 +73,12 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
 
 
 def _check_effort(comparisons: int, points: int) -> None:
-    if comparisons > _FREE + _MOST_EDGES * points:
+    if comparisons > _FREE + MAX_EDGES_PER_PIXEL * points:
         raise SchemaError(
-            f"{comparisons / points:.0f} of its edges pass every one of {points} pixels",
-            expected=f"at most {_MOST_EDGES}",
-            mend="split it, or give it fewer corners",
+            f"{comparisons / points:.0f} edges pass each of {points} pixels on average",
+            expected=f"at most {MAX_EDGES_PER_PIXEL}",
+            mend="split the polygon, or give it fewer corners",
+            code="polygon-too-complex",
         )
 
 

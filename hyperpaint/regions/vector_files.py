@@ -28,12 +28,15 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     magic = VECTOR_FILES[path.suffix.lower()]
     with open_input(path, "regions", _MOST_BYTES) as file:
         if file.read(len(magic)) != magic:
-            raise FormatError(f"{path}: no {path.suffix[1:]} file of some regions; check what the file is")
+            raise FormatError(
+                f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
+            )
     installed = [name for name in ("pyogrio", "fiona") if importlib.util.find_spec(name)]
     if not installed:
         raise MissingExtraError(
-            f"{path.suffix} files need pyogrio or fiona, and neither is installed",
-            mend="pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            f"{path.suffix} files need pyogrio or fiona",
+            mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            code="dependency-missing",
         )
     read = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
     try:
@@ -41,10 +44,12 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     except (FormatError, MissingExtraError):
         raise
     except Exception as error:  # either has errors of its own for every driver
-        raise FormatError(f"{path}: {installed[0]} cannot read it: {error!s:.200}") from error
+        raise FormatError(
+            f"{path}: {installed[0]} cannot read it: {error!s:.200}", code="file-unreadable"
+        ) from error
     if not crs:
         raise FormatError(
-            f"{path}: no crs, so that nothing tells where its regions lie; set that of the layer"
+            f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
         )
     return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
 
@@ -56,7 +61,9 @@ def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]
         import shapely
     except ImportError as error:
         raise MissingExtraError(
-            "polygons that pyogrio reads need shapely, which is not installed", mend="pip install shapely"
+            "polygons read by pyogrio need shapely",
+            mend="install it with: python -m pip install shapely",
+            code="dependency-missing",
         ) from error
     layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
     meta, _, shapes, columns = pyogrio.raw.read(path, layer=_only(path, layers), max_features=most + 1)
@@ -92,7 +99,12 @@ def _only(path: Path, layers: list[str]) -> str:
     layers = [name for name in layers if name != "layer_styles"]
     if len(layers) != 1:
         held = ", ".join(map(repr, layers)) or "none"
-        raise FormatError(f"{path}: layers {held}, expected one; save the one with the regions alone")
+        raise FormatError(
+            f"{path}: layers {held}",
+            expected="one",
+            mend="save the layer with the regions alone",
+            code="layer-ambiguous",
+        )
     return layers[0]
 
 

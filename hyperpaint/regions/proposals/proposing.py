@@ -306,11 +306,11 @@ def _check(limits: Limits, most: int | None) -> None:
     for name in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
         value = getattr(limits, name)
         if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}, expected a number from 0 on")
+            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
     if limits.min_pixels < 1:
-        problems.add(f"min_pixels={limits.min_pixels!r}, expected 1 or more")
+        problems.add(f"min_pixels={limits.min_pixels!r}", expected="1 or more", code="value-out-of-range")
     if most is not None and most < 1:
-        problems.add(f"most={most!r}, expected 1 or more, or None for all")
+        problems.add(f"most={most!r}", expected="1 or more, or None for all", code="value-out-of-range")
     problems.raise_if_any()
 
 
