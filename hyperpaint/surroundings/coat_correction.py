@@ -131,20 +131,25 @@ def _check(line: xr.Dataset, **numbers: tuple[float, float, float]) -> None:
     problems = Problems("the coat's share cannot be corrected", SchemaError)
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
     for name, (value, least, most) in numbers.items():
         if not least <= value <= most:
-            problems.add(f"{name}={value!r}, expected {least:g} to {most:g}")
+            problems.add(f"{name}={value!r}", expected=f"{least:g} to {most:g}", code="value-out-of-range")
     if "reflectance" in line.variables:
         attrs = line["reflectance"].attrs
         if COAT_CORRECTED in attrs:
-            problems.add(f"it was before: {COAT_CORRECTED} is {attrs[COAT_CORRECTED]!r}")
+            problems.add(
+                f"the coat was corrected before: {COAT_CORRECTED} is {attrs[COAT_CORRECTED]!r}",
+                mend="start from reflectance without this correction",
+                code="corrected-before",
+            )
         elif mirror_reflection(line) != EXCLUDED:
             problems.add(
-                "the sky that the coat mirrors is in the reflectance, or nothing says that it is not",
+                "the reflectance includes the sky that the coat mirrors, or does not say that it excludes it",
                 mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
                 f"{EXCLUDED!r} where there is none",
                 option="give --specular-sky",
+                code="mirrored-sky-included",
             )
     problems.raise_if_any()
 

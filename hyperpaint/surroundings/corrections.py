@@ -33,14 +33,14 @@ MAX_TILT_GAIN = 0.3
 NORMAL_REFLECTANCE = 0.04
 """Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
 
-_MENDED = {
-    "mirrored_sky_removed": "start from reflectance that is as it was seen",
-    "coat_corrected": "start from reflectance that is as it was seen, and correct the coat last",
-    "light_corrected": "start from reflectance that is as it was seen, and remove the mirrored sky first",
-    "tilt": "compute reflectance without tilt=, remove the mirrored sky first where it is to be removed, "
-    "then call correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
+_MENDS = {
+    "mirrored_sky_removed": "start from uncorrected reflectance",
+    "coat_corrected": "start from uncorrected reflectance, and correct the coat last",
+    "light_corrected": "start from uncorrected reflectance, and remove the mirrored sky first",
+    "tilt": "compute reflectance without tilt=, remove the mirrored sky if wanted, then call "
+    "correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
-"""How to go on where a correction was made before."""
+"""Remedy by the correction that was made before."""
 
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
@@ -220,14 +220,16 @@ def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numb
     problems = Problems("reflectance cannot be corrected", SchemaError)
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
     for name, value in numbers.items():
         if not 0.0 <= value <= most:
-            problems.add(f"{name}={value!r}, expected 0 to {most:g}")
+            problems.add(f"{name}={value!r}", expected=f"0 to {most:g}", code="value-out-of-range")
     before = line["reflectance"].attrs if "reflectance" in line.variables else {}
     for name in done:
         if name in before:
-            problems.add(f"it was before: {name} is {before[name]!r}; {_MENDED[name]}")
+            problems.add(
+                f"corrected before: {name} is {before[name]!r}", mend=_MENDS[name], code="corrected-before"
+            )
     problems.raise_if_any()
 
 
@@ -241,8 +243,9 @@ def _same_pixels() -> Iterator[None]:
             yield
     except xr.AlignmentError as error:
         raise SchemaError(
-            "direct= or sky_view_factor= is of other lines or columns than the line",
+            "direct= or sky_view_factor= has other lines or columns than the line",
             mend="crop them alike, or drop their coordinates along_track and cross_track",
+            code="grid-mismatch",
         ) from error
 
 
@@ -262,7 +265,9 @@ def sky_above(split: LightSplit) -> Any:
 
 def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None) -> LightSplit:
     if isinstance(diffuse, str) and diffuse == "shadow":
-        raise SchemaError("diffuse='shadow', expected 'model', 'pvlib' or a measured spectrum")
+        raise SchemaError(
+            "diffuse='shadow'", expected="'model', 'pvlib' or a measured spectrum", code="choice-unknown"
+        )
     return split_of(line, diffuse, sun_zenith, sky)
 
 

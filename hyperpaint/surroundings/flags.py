@@ -148,7 +148,9 @@ def flag(
         model = survey(line, progress=progress, **options)
     elif options:
         raise SchemaError(
-            f"{', '.join(options)}: options of the survey, which is not run where a model is given"
+            f"{', '.join(options)}= are options of the survey, which does not run with model=",
+            mend="leave out one or the other",
+            code="option-conflict",
         )
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     _check_model(scene, cube, line["wavelength"])
@@ -160,7 +162,7 @@ def _check(**limits: float) -> None:
     problems = Problems("thresholds cannot be used", SchemaError)
     for name, value in limits.items():
         if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}, expected a number from 0 on")
+            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
     problems.raise_if_any()
 
 
@@ -168,13 +170,21 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
     problems = Problems("the scene model is not of this line", SchemaError)
     lines, bands, columns = cube.shape
     if model.segment.shape != (lines, columns):
-        problems.add(f"it has {model.segment.shape} pixels, the line ({lines}, {columns})")
+        problems.add(
+            f"the model has {model.segment.shape} pixels",
+            expected=f"({lines}, {columns}) as the line",
+            code="grid-mismatch",
+        )
     # of a lazy coordinate only the size is looked at
     line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
     if model.wavelength.shape != (bands,) or not np.array_equal(
         model.wavelength, line_wavelength, equal_nan=True
     ):
-        problems.add(f"it has other bands than the {bands} of the line; survey the line as it is flagged")
+        problems.add(
+            f"the model has other bands than the {bands} of the line",
+            mend="survey the same line that is flagged",
+            code="bands-differ",
+        )
     problems.raise_if_any()
 
 

@@ -30,18 +30,18 @@ from .sun_and_sky import (
 if TYPE_CHECKING:
     import xarray as xr
 
-CLEAR_SKY_TAKEN = (
-    "no record of irradiance says what the sky was, a clear one is taken; give diffuse='model' where it was, "
-    "or a measured spectrum"
+CLEAR_SKY_ASSUMED = (
+    "no irradiance record tells the state of the sky, a clear sky is assumed; pass diffuse='model' where "
+    "it was clear, or a measured spectrum"
 )
-"""What is warned of where nothing but the sun's place is known."""
+"""Warning where only the position of the sun is known."""
 
 CONTRADICTION = (
-    "the record of irradiance contradicts every sky with the sun at {zenith:.1f} degrees from the zenith: "
-    "check the clocks (utc_offset_h) and the receiver's calibration, give sun_zenith= where the clock is "
-    "wrong, or diffuse= where the split was measured; until then the split is uncertain"
+    "the irradiance record contradicts every sky with the sun at {zenith:.1f} degrees from the zenith: check "
+    "the clocks (utc_offset_h) and the receiver's calibration, pass sun_zenith= where the clock is wrong, or "
+    "diffuse= where the split was measured; until then the split is uncertain"
 )
-"""What is warned of where most lines are of no sky that there may be."""
+"""Warning where most lines match no possible sky."""
 
 MAX_CLOCK_DEG = 2.0
 """Distance of a sun that is said from that of the clock, beyond which the split is made anew [degree]."""
@@ -99,9 +99,10 @@ class LightSplit:
         known = np.isfinite(whole.values)
         if not known.any():
             raise SchemaError(
-                "the line has 'diffuse_fraction', or a record that it follows from, without any value",
-                mend="give diffuse= with a measured spectrum, or 'model' where the sky was clear",
+                "'diffuse_fraction' of the line, or of its irradiance record, has no value",
+                mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
                 option="give --diffuse",
+                code="diffuse-fraction-empty",
             )
         if not known.all():  # bands without irradiance, which others around them stand for
             nm = self.wavelength
@@ -117,9 +118,10 @@ class LightSplit:
         """Return `mirrored_radiances` of a mean (band,) [1]."""
         if not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"):
             raise SchemaError(
-                "the sun's place is not known, which the mirrored sky depends on",
-                mend="give sun_zenith= [degree]",
+                "the position of the sun, which the mirrored sky depends on, is unknown",
+                mend="pass sun_zenith= [degree]",
                 option="give --sun-zenith",
+                code="sun-unknown",
             )
         if self.sky in SKIES:
             return mirrored_radiances(self.sky, self.wavelength, self.zenith)
@@ -155,12 +157,12 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     Warns
     -----
     PaintWarning
-        `CLEAR_SKY_TAKEN`.
+        `CLEAR_SKY_ASSUMED`.
     """
     import xarray as xr
 
     if sky is not None and sky not in SKIES:
-        raise SchemaError(f"sky={sky!r}, expected one of {', '.join(SKIES)}")
+        raise SchemaError(f"sky={sky!r}", expected=f"one of {', '.join(SKIES)}", code="choice-unknown")
     wavelength = line["wavelength"].values.astype(np.float64)
     if not isinstance(diffuse, str) and diffuse is not None:
         fraction = xr.DataArray(measured_fraction(diffuse, wavelength), dims=BAND)
@@ -174,11 +176,13 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         return _recorded(line, own, wavelength, sun_zenith, sky)
     if diffuse is not None and diffuse not in SOURCES:
         raise SchemaError(
-            f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
+            f"diffuse={diffuse!r}",
+            expected=f"{', '.join(map(repr, SOURCES))} or a measured spectrum",
+            code="choice-unknown",
         )
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
-        warnings.warn(CLEAR_SKY_TAKEN, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(CLEAR_SKY_ASSUMED, code="clear-sky-assumed"), stacklevel=3)
     values = diffuse_from_clear_sky(diffuse or "model", wavelength, zenith)
     fraction = xr.DataArray(values, dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
@@ -196,7 +200,9 @@ def says_its_split(line: xr.Dataset) -> bool:
 def warn_of_contradiction(states: Any, zenith: float) -> None:
     """Warn where most of the lines' words, numbers of `SKY_STATES`, are that of no sky."""
     if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
-        warnings.warn(CONTRADICTION.format(zenith=zenith), PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(CONTRADICTION.format(zenith=zenith), code="sky-contradictory"), stacklevel=3
+        )
 
 
 def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
@@ -221,8 +227,10 @@ def _held(line: xr.Dataset) -> xr.Dataset:
     dims = line["diffuse_fraction"].dims
     if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
         raise SchemaError(
-            f"'diffuse_fraction' has dims {dims}, expected ({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},); drop "
-            "it where the line has its record: it follows from that"
+            f"'diffuse_fraction' has dims {dims}",
+            expected=f"({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},)",
+            mend="drop it where the line has its irradiance record, from which it follows",
+            code="dims-wrong",
         )
     return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
 

@@ -115,31 +115,38 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
         if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
-            problems.add(f"{name!r} points at segments beyond the {count} there are")
+            problems.add(
+                f"{name!r} refers to segments other than the {count} of the model", code="segment-unknown"
+            )
     if "channel" in fields:
         used = np.unique(fields["channel"])
         if not channels or not np.array_equal(used[used != -1], np.arange(channels)):
             problems.add(
-                f"'band_channel' does not name each of the {channels} channels, and nothing else but -1 for "
-                "bands that are not used"
+                "'band_channel' is incomplete",
+                expected=f"each of the {channels} channels, and -1 for unused bands",
+                code="channel-unknown",
             )
     if {"neighbour", "segment"} <= fields.keys():
         cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
         if fields["neighbour"].shape[:2] != cells:
-            problems.add(f"'neighbour' has {fields['neighbour'].shape[:2]} cells, expected {cells}")
+            problems.add(
+                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+                expected=f"{cells}",
+                code="grid-mismatch",
+            )
     if not np.isfinite(fields.get("shift", np.empty(0))).all():
-        problems.add("'shift' is not finite")
+        problems.add("'shift' is not finite", code="not-finite")
     for name, least in (("noise", 0.0), ("tilt", 1e-6)):
         spread = fields.get(name, np.empty(0))
         if not (np.isfinite(spread) & (spread >= least)).all():
-            problems.add(f"{name!r} is not finite, or below {least:g}")
+            problems.add(f"{name!r} is not finite, or below {least:g}", code="value-out-of-range")
     fraction = fields.get("diffuse_fraction", np.empty(0))
     if not ((fraction >= 0) & (fraction <= 1)).all():
-        problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
+        problems.add("'diffuse_fraction' is not finite, or outside 0 to 1", code="value-out-of-range")
     for name in ("zenith_radiance", "sunward_radiance"):
         radiance = fields.get(name, np.empty(0))
         if not (np.isfinite(radiance) & (radiance >= 0)).all():
-            problems.add(f"{name!r} is not finite, or below 0")
+            problems.add(f"{name!r} is not finite, or below 0", code="value-out-of-range")
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,15 +275,21 @@ class SceneModel:
                 shape = tuple(dataset.sizes.get(dim, 0) for dim in dims)
                 fields[name] = np.full(shape, _BEFORE[name], dtype)
             elif stored not in dataset.variables:
-                problems.add(f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})")
+                problems.add(
+                    f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})", code="variable-missing"
+                )
             elif set(dataset[stored].dims) != set(dims):
-                problems.add(f"{stored!r} has dims {dataset[stored].dims}, expected {dims}")
+                problems.add(
+                    f"{stored!r} has dims {dataset[stored].dims}", expected=f"{dims}", code="dims-wrong"
+                )
             else:
                 values = dataset[stored].transpose(*dims).values
                 if _fits(values, np.dtype(dtype)):
                     fields[name] = np.ascontiguousarray(values, dtype)
                 else:
-                    problems.add(f"{stored!r} holds {values.dtype} values that are no {dtype}")
+                    problems.add(
+                        f"{stored!r} holds {values.dtype} values", expected=f"{dtype}", code="type-wrong"
+                    )
         _check_numbers(fields, dataset.sizes, problems)
         problems.raise_if_any()
         attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}

@@ -62,8 +62,9 @@ def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
             mapped = mmap.mmap(file.fileno(), size)
     except OSError as error:
         raise StoreError(
-            f"{size / 2**20:.0f} MiB of a long line have no room in {tempfile.gettempdir()}: {error}; make "
-            "room there, set TMPDIR to another disk, or take fewer lines at a time"
+            f"no room for {size / 2**20:.0f} MiB of a flight line in {tempfile.gettempdir()}: {error}",
+            mend="make room there, set TMPDIR to another disk, or take fewer lines at a time",
+            code="disk-full",
         ) from error
     return np.ndarray(shape, dtype, buffer=mapped)
 

@@ -86,9 +86,11 @@ def match_shade(
     agree = side is None or seen_side is None or seen_side @ side >= SHADOWS.min_agreement
     if not agree and coherence >= SHADOWS.min_coherence:
         warnings.warn(
-            "shadows fall to another side than the sun's place and the heading of the line say; they are "
-            "taken as they are seen. Check the heading, its convention and the clock",
-            PaintWarning,
+            PaintWarning(
+                "shadows fall to another side than sun and heading of the line predict; the observed side "
+                "is used. Check the heading, its convention and the clock",
+                code="shadow-side-contradictory",
+            ),
             stacklevel=2,
         )
         side = seen_side

@@ -38,20 +38,24 @@ def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     """Return the zenith angle of the sun [degree], given or from time and place of the line."""
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
-            raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
+            raise SchemaError(
+                f"sun_zenith={sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
+            )
         return float(sun_zenith)
     if not set(SUN_FROM) <= set(line.variables):
         raise SchemaError(
-            "the sun's place is not known: the line has no time, latitude and longitude",
-            mend="give sun_zenith= [degree], or diffuse= with a measured spectrum",
+            "the position of the sun is unknown: the line has no time, latitude and longitude",
+            mend="pass sun_zenith= [degree], or diffuse= with a measured spectrum",
             option="give --sun-zenith",
+            code="sun-unknown",
         )
     zenith, _ = solar_position(*(line[name].values for name in SUN_FROM))
     if not np.isfinite(zenith).any():
         raise SchemaError(
             "time, latitude or longitude is missing on every line",
-            mend="give sun_zenith= [degree]",
+            mend="pass sun_zenith= [degree]",
             option="give --sun-zenith",
+            code="sun-unknown",
         )
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
@@ -122,11 +126,17 @@ def measured_fraction(given: Any, wavelength: Floats) -> Floats:
         values = np.asarray(given, np.float64)
     if values.shape != wavelength.shape:
         raise SchemaError(
-            f"diffuse= has shape {values.shape}, expected one value for each of the {wavelength.size} bands, "
-            "or a DataArray with a coordinate 'wavelength' [nm]"
+            f"diffuse= has shape {values.shape}",
+            expected=f"one value for each of the {wavelength.size} bands, or a DataArray with a coordinate "
+            "'wavelength' [nm]",
+            code="length-mismatch",
         )
     if not ((values >= 0) & (values <= 1)).all():
-        raise SchemaError("diffuse= leaves 0 to 1, or does not cover the bands")
+        raise SchemaError(
+            "diffuse= has missing values or values outside 0 to 1",
+            expected="0 to 1 in all bands",
+            code="value-out-of-range",
+        )
     return values
 
 
@@ -142,8 +152,10 @@ def fraction_in_shadow(
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
-            "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
-            "use diffuse='model', or give a measured spectrum"
+            f"diffuse='shadow': no cast shadow of {DIFFUSE.min_shadow_px} pixels beside its ground in full "
+            "sun",
+            mend="pass diffuse='model', or a measured spectrum",
+            code="shadow-missing",
         )
     ground = matches.body[shaded]
     best = ground[np.argmax(size[ground])]

@@ -358,20 +358,29 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
     """Return which bands are good (band,), of a line that can be looked at."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
-        problems.add(f"reflectance has shape {cube.shape}, expected at least one line, band and column")
+        problems.add(
+            f"reflectance has shape {cube.shape}",
+            expected="at least one line, band and column",
+            code="empty-input",
+        )
     good = np.ones(wavelength.size, bool)
     if "good" in line.variables:
         if line["good"].dims != (BAND,):
-            problems.add(f"'good' has dims {line['good'].dims}, expected ({BAND!r},)")
+            problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
         else:
             good = line["good"].values.astype(bool)
     if not good.any():
-        problems.add(f"none of the {good.size} bands is good; mend 'good', or drop it to use all of them")
+        problems.add(
+            f"'good' is False in all {good.size} bands",
+            mend="correct 'good', or drop it to use all of them",
+            code="good-bands-missing",
+        )
     without = np.flatnonzero(good & ~np.isfinite(wavelength))
     if without.size:
         problems.add(
-            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}; "
-            "give it, or set 'good' to False there"
+            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}",
+            mend="give it, or set 'good' to False there",
+            code="wavelength-missing",
         )
     problems.raise_if_any()
     return good
@@ -385,7 +394,7 @@ def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightS
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
         raise SchemaError(
-            f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
+            "diffuse='shadow' starts from the light of a clear sky", problems=[error.problem]
         ) from error
 
 
