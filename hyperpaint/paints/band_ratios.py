@@ -61,7 +61,11 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     problems = Problems("the covariance of bands cannot be computed", SchemaError)
     for name in names:
         if name not in signatures.variables:
-            problems.add(f"{name!r} is missing; extract signatures of reflectance with uncertainty")
+            problems.add(
+                f"{name!r} is missing",
+                mend="extract signatures of reflectance with uncertainty",
+                code="variable-missing",
+            )
     problems.raise_if_any()
     random, systematic = (_last(signatures[name]) for name in names)
     rest = [dim for dim in signatures[names[0]].dims if dim != BAND]

@@ -78,7 +78,11 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     nm = np.asarray(wavelength, np.float64)
     visible = np.flatnonzero((nm > 380) & (nm < 780))
     if visible.size < 3:
-        raise SchemaError(f"a colour needs three bands between 380 and 780 nm, found {visible.size}")
+        raise SchemaError(
+            f"{visible.size} bands between 380 and 780 nm",
+            expected="at least 3 for a colour",
+            code="visible-bands-missing",
+        )
     nm = nm[visible]
     values = np.asarray(spectra, np.float64)[..., visible]
     flat = values.reshape(-1, visible.size)
@@ -161,7 +165,10 @@ def parse_colour(colour: str) -> Floats:
         close = difflib.get_close_matches(word, COLOURS, 1)
         hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}"
         raise SchemaError(
-            f"colour {colour!r:.60} is no name known here and no sRGB such as '#a3222a'; {hint}"
+            f"colour {colour!r:.60} is unknown",
+            expected="a name or sRGB such as '#a3222a'",
+            mend=hint,
+            code="colour-unknown",
         )
     return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0
 

@@ -19,7 +19,7 @@ from .colours import ciede2000, lab_of, paint_colours, parse_colour
 if TYPE_CHECKING:
     import xarray as xr
 
-_FEWEST_BANDS = 5
+MIN_BANDS = 5
 _WIDEST_STEP = 4.0
 """Between two samples that are interpolated, in steps of those beside them."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
@@ -135,13 +135,13 @@ def _check(
     )
     for key, value, needed, given in limits:
         if value is not None and given is None:
-            problems.add(f"{key}= needs {needed}=")
+            problems.add(f"{key}= needs {needed}=", code="argument-missing")
         if value is not None and not value >= 0.0:
-            problems.add(f"{key}={value!r}, expected 0 or more")
+            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
     if limit is not None and limit < 1:
-        problems.add(f"limit={limit!r}, expected 1 or more")
+        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
     if name is not None and not name.strip():
-        problems.add("name= is empty, expected part of a name")
+        problems.add("name= is empty", expected="part of a name", code="empty-input")
     problems.raise_if_any()
 
 
@@ -179,7 +179,9 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
     if len(colours) and not np.isfinite(colours).any():
         raise SchemaError(
-            "no paint of the library has a colour: it needs three good bands between 380 and 780 nm"
+            "no paint of the library has a colour",
+            expected="at least 3 good bands between 380 and 780 nm",
+            code="visible-bands-missing",
         )
     different = ciede2000(lab_of(colours), wanted)
     return np.where(np.isfinite(different), different, np.inf)
@@ -194,16 +196,18 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
         spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
-    if np.isfinite(spectrum).sum() < _FEWEST_BANDS:
+    if np.isfinite(spectrum).sum() < MIN_BANDS:
         raise SchemaError(
-            f"like= has a value in {int(np.isfinite(spectrum).sum())} good bands of the library "
-            f"({nm.min():g} to {nm.max():g} nm), expected at least {_FEWEST_BANDS}"
+            f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+            f"({nm.min():g} to {nm.max():g} nm)",
+            expected=f"at least {MIN_BANDS}",
+            code="bands-not-shared",
         )
     paints = np.asarray(reflectance.values, np.float64)
     both = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
     lengths = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
-    usable = (both.sum(axis=1) >= _FEWEST_BANDS) & (lengths > 0.0)
+    usable = (both.sum(axis=1) >= MIN_BANDS) & (lengths > 0.0)
     # the chord is exact where the cosine is too close to 1
     unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
     unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
@@ -219,26 +223,34 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
         names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:
             raise SchemaError(
-                f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
+                f"{names.count(like)} paints of the library are named like={like!r:.60}",
+                expected="1",
+                code="paint-ambiguous" if like in names else "paint-unknown",
             )
         like = library.isel({SIGNATURE: names.index(like)})
     if isinstance(like, xr.Dataset):
         if "reflectance" not in like.variables:
             raise SchemaError(
-                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}, expected reflectance"
+                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
+                expected="reflectance",
+                code="variable-missing",
             )
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
         if values.shape != nm.shape:
             raise SchemaError(
-                f"like= has shape {values.shape}, expected ({nm.size},), or a DataArray with wavelengths"
+                f"like= has shape {values.shape}",
+                expected=f"({nm.size},), or a DataArray with wavelengths",
+                code="length-mismatch",
             )
         return values
     spectrum = like.squeeze()
     if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
         raise SchemaError(
-            f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
+            f"like= has dims {like.dims} of sizes {like.shape}",
+            expected="one spectrum with its wavelength",
+            code="dims-wrong",
         )
     axis = spectrum["wavelength"]
     # what has no units is in nanometres, as the table has it

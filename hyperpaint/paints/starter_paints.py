@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
 """Of a pushbroom camera for the visible and near infrared [nm]."""
 
-MOST_MEMBERS = 10_000
+MAX_MEMBERS = 10_000
 
 GENERATED = (
     ("white", 1), ("white", 9), ("grey", 2), ("grey", 7), ("carbon_black", 0), ("ir_black", 4),
@@ -87,7 +87,18 @@ def starter_library(
     ((40, 5, 272), 'synthetic')
     """
     nm = np.linspace(FIRST, LAST, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
-    _check(members, nm)
+    problems = Problems("the starter library cannot be made", SchemaError)
+    if not 0 <= members <= MAX_MEMBERS:
+        problems.add(f"members={members!r}", expected=f"0 to {MAX_MEMBERS}", code="value-out-of-range")
+    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
+        problems.add(
+            f"wavelength={wavelength!r:.40}",
+            expected="one number a band, from 300 to 2500 nm",
+            code="value-out-of-range",
+        )
+    elif not (np.diff(nm) > 0.0).all():
+        problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
+    problems.raise_if_any()
     specs = _specs()
     values: dict[str, Array] = {
         "reflectance": np.stack([_body(spec, nm) for spec in specs]),
@@ -98,17 +109,6 @@ def starter_library(
             [_variants(spec, nm, members, np.random.default_rng([seed, at])) for at, spec in enumerate(specs)]
         )
     return _library(specs, nm, values, seed)
-
-
-def _check(members: int, nm: Floats) -> None:
-    problems = Problems("the starter library cannot be made", SchemaError)
-    if not 0 <= members <= MOST_MEMBERS:
-        problems.add(f"members={members!r}, expected 0 to {MOST_MEMBERS}")
-    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
-        problems.add("wavelength= leaves 300 to 2500 nm, or is none; expected one number a band [nm]")
-    elif not (np.diff(nm) > 0.0).all():
-        problems.add("wavelength= does not ascend; sort it")
-    problems.raise_if_any()
 
 
 def _specs() -> list[PaintSpec]:

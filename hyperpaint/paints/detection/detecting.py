@@ -20,7 +20,7 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.paint_search import interpolated
+from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
 from hyperpaint.paints.signatures import EXCLUDED
 
 from .detectors import METHODS, distances, scores
@@ -37,7 +37,6 @@ from .false_alarms import (
 if TYPE_CHECKING:
     import xarray as xr
 
-_FEWEST_BANDS = 5
 _MOST_OTHERS = 20_000
 _JOINED_AT_ONCE = 16
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
@@ -189,17 +188,23 @@ def _check(
 ) -> None:
     problems = Problems("paints cannot be looked for in this line", SchemaError)
     if set(cube.dims) != set(CUBE) or not cube.size:
-        problems.add(f"reflectance has dims {dict(cube.sizes)}, expected lines, bands and columns")
+        problems.add(
+            f"reflectance has dims {dict(cube.sizes)}", expected="lines, bands and columns", code="dims-wrong"
+        )
     if method not in METHODS:
-        problems.add(f"method={method!r}, expected {', '.join(METHODS)}")
+        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
     if not 0.0 < alarms < 1.0:
-        problems.add(f"false_alarm_rate={alarms!r}, expected a share between 0 and 1")
+        problems.add(
+            f"false_alarm_rate={alarms!r}", expected="a share between 0 and 1", code="value-out-of-range"
+        )
     if not 0.0 < unknown <= 1.0:
-        problems.add(f"unknown_rate={unknown!r}, expected a share, 1 to reject nothing")
+        problems.add(
+            f"unknown_rate={unknown!r}", expected="a share above 0, at most 1", code="value-out-of-range"
+        )
     if not 0.0 <= shrinkage <= 1.0:
-        problems.add(f"shrinkage={shrinkage!r}, expected 0 to 1")
+        problems.add(f"shrinkage={shrinkage!r}", expected="0 to 1", code="value-out-of-range")
     if "good" in line.variables and line["good"].dims != (BAND,):
-        problems.add(f"'good' has dims {line['good'].dims}, expected ({BAND!r},)")
+        problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     problems.raise_if_any()
 
 
@@ -215,12 +220,13 @@ def _spectra(
     if "good" in line.variables:
         good &= line["good"].values.astype(bool)
     bands = np.flatnonzero(good & np.isfinite(paints).all(axis=0) if len(paints) else good & False)
-    if bands.size < _FEWEST_BANDS:
+    if bands.size < MIN_BANDS:
         raise SchemaError(
-            f"all {len(paints)} paints of the library have values in {bands.size} of the line's "
+            f"the {len(paints)} paints of the library have values in {bands.size} of the line's "
             f"{int(good.sum())} good bands",
-            expected=f"paints, and at least {_FEWEST_BANDS} bands that they share",
-            mend="take a library that covers the wavelengths of the line, without paints that have gaps",
+            expected=f"at least 1 paint and {MIN_BANDS} common bands",
+            mend="use a library that covers the wavelengths of the line and has no gaps",
+            code="bands-not-shared",
         )
     if others is None:
         others = starter_library(wavelength=np.unique(nm[bands]))
@@ -231,7 +237,8 @@ def _spectra(
     if not len(unknown):
         raise SchemaError(
             f"no paint of others= has values in all {bands.size} bands that line and library share",
-            mend="give others= a library that covers them, with paints that the library lacks",
+            mend="pass others= a library that covers these bands, with paints that library= lacks",
+            code="other-paints-missing",
         )
     return paints[:, bands], bands, unknown[:: -(-len(unknown) // _MOST_OTHERS)]
 
@@ -270,13 +277,16 @@ def _mask(background: Any, clear: Any) -> Any:
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
         if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
-            raise SchemaError(f"background= has dims {background.dims}", expected="lines and columns")
+            raise SchemaError(
+                f"background= has dims {background.dims}", expected="lines and columns", code="dims-wrong"
+            )
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
     if mask.shape != clear.shape or mask.dtype != bool:
         raise SchemaError(
             f"background= is {mask.dtype} of shape {mask.shape}",
-            expected=f"bool of shape {clear.shape}, one a pixel",
+            expected=f"bool of shape {clear.shape}",
+            code="grid-mismatch",
         )
     return mask.rechunk(clear.chunks)
 
@@ -303,7 +313,11 @@ def _lazy_detector(
     elif sky is not None:
         sky = np.asarray(sky, np.float64)
         if sky.shape != (cube.shape[1],):
-            raise SchemaError(f"sky= has shape {sky.shape}", expected=f"({cube.shape[1]},), one a band")
+            raise SchemaError(
+                f"sky= has shape {sky.shape}",
+                expected=f"({cube.shape[1]},), one value a band",
+                code="length-mismatch",
+            )
         sky = sky[bands]
     return dask.delayed(make_detector, pure=True)(parts[0], bands, paints, sky, unknown, settings)
 

@@ -135,16 +135,17 @@ def make_detector(
     """
     if not part.pixels:
         raise SchemaError(
-            f"the line has no pixel that is free of flags and has a value in all {bands.size} bands",
-            expected="a background to be searched",
+            f"the line has no background pixel without flags and with values in all {bands.size} bands",
             mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
             option="give --keep with flags",
+            code="background-empty",
         )
     if part.pixels <= bands.size:
         raise SchemaError(
             f"{part.pixels} valid pixels for the covariance of {bands.size} bands",
             expected="more pixels than bands",
-            mend="take a longer line, fewer bands, or exclude= with fewer flags",
+            mend="use a longer line, fewer bands, or exclude= with fewer flags",
+            code="background-too-small",
         )
     mean = part.total / part.pixels
     covariance = (part.products - part.pixels * np.outer(mean, mean)) / (part.pixels - 1)
@@ -156,9 +157,10 @@ def make_detector(
             project = projection(paints, sky, mean, shrunk)
     except np.linalg.LinAlgError as error:
         raise SchemaError(
-            "the covariance of the background is singular: some bands follow from others",
-            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in bands that were interpolated",
+            "the covariance of the background is singular: some bands depend linearly on others",
+            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in interpolated bands",
             option="give --shrinkage 0.001",
+            code="covariance-singular",
         ) from error
     of_others = distances(others, paints, sky)
     limit = _distance_limits(of_others, settings.unknown_rate)
@@ -176,11 +178,13 @@ def make_detector(
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
     if explained > DETECTION.explained_ratio * settings.rate:
         warnings.warn(
-            f"{100.0 * explained:.2g} % of the pixels are so like the paints that they were left out of the "
-            f"background: false_alarm_rate={settings.rate:g} holds for the others alone; where these "
-            "are not all the paints themselves, pass background=, or give --background, with like pixels "
-            "that show none",
-            PaintWarning,
+            PaintWarning(
+                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were left out of the "
+                f"background: false_alarm_rate={settings.rate:g} holds for the other pixels only; where "
+                "these pixels are not all the paints themselves, pass background= (--background) with "
+                "similar pixels that show no paint",
+                code="background-resembles-paints",
+            ),
             stacklevel=2,
         )
     values = values[is_background]
@@ -220,10 +224,11 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
     if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
         need = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
         raise SchemaError(
-            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} pixels of background",
-            expected=f"at least {need}",
-            mend="ask for a higher rate, search a longer line or look for fewer paints",
-            option="give --rate",
+            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
+            expected=f"at least {need} pixels",
+            mend="pass a higher rate, search a longer line or look for fewer paints",
+            option="give a higher --rate",
+            code="false-alarm-rate-too-low",
         )
     rank = _joint_rank(_ranks(-values), allowed)
     return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])

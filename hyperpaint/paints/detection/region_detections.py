@@ -73,7 +73,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     problems = Problems("these regions cannot be searched", SchemaError)
     for name, (along, _) in zip(region_list.names, places, strict=True):
         if not along.size:
-            problems.add(f"region {name!r} holds no pixel of the line")
+            problems.add(f"region {name!r} holds no pixel of the line", code="region-empty")
     problems.raise_if_any()
     taken = np.zeros(detected.shape, bool)
     for place in places:

@@ -88,7 +88,9 @@ class Interface:
         problems = Problems("there is no such interface of a paint", SchemaError)
         for name, value in (("k1", self.k1), ("k2", self.k2)):
             if not 0.0 <= value < 1.0:
-                problems.add(f"{name}={value!r}, expected a reflectance from 0 to below 1")
+                problems.add(
+                    f"{name}={value!r}", expected="a reflectance from 0 to below 1", code="value-out-of-range"
+                )
         problems.raise_if_any()
 
     def seen(self, layer: npt.ArrayLike) -> Floats:
@@ -133,11 +135,11 @@ class Coating:
         if low.any() or high.any():
             finite_count = int(np.isfinite(values).sum())
             msg = (
-                f"{int(low.sum())} of {finite_count} reflectances are darker than any layer of paint under "
-                f"an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
-                f"replaced by what is nearest, of R_inf = {BLACKEST:g} and 1"
+                f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
+                f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
+                f"replaced by the nearest possible values, of R_inf = {BLACKEST:g} and 1"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
+            warnings.warn(PaintWarning(msg, code="reflectance-outside-model"), stacklevel=4)
         layer = np.where(low, BLACKEST, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
@@ -153,12 +155,12 @@ class Coating:
         for name, one, there in zip(names, dark, is_finite, strict=True):
             share = float(one.sum() / max(int(there.sum()), 1))
             if share > _FEW:
-                problems.add(f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}")
-        if len(problems):
-            problems.add(
-                "pass mirrored= what it holds of mirrored light: 0 for none; outdoors k1 times the diffuse "
-                "fraction of the light; or use remove_mirrored_sky first"
-            )
+                problems.add(
+                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                    mend="pass mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
+                    "times the diffuse fraction), or call remove_mirrored_sky first",
+                    code="paint-too-dark",
+                )
         problems.raise_if_any()
 
 
@@ -177,13 +179,17 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     try:
         stated = mirror_reflection(library)
     except SchemaError as error:
-        problems.add(str(error))
+        problems.add_error(str(library.attrs.get("title", "the library")), error)
     if mirrored is None:
         mirrored = 0.0 if stated == EXCLUDED else k1
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
-        problems.add(f"mirrored= has shape {values.shape}, expected a number or one a band")
+        problems.add(
+            f"mirrored= has shape {values.shape}", expected="a number or one a band", code="length-mismatch"
+        )
     elif not ((values >= 0.0) & (values < 1.0)).all():
-        problems.add("mirrored= leaves 0 to below 1")
+        problems.add(
+            f"mirrored={mirrored!r:.40}", expected="values from 0 to below 1", code="value-out-of-range"
+        )
     problems.raise_if_any()
     return Coating(interface, values)

@@ -186,7 +186,11 @@ def shade_paints(
     """
     factors = np.asarray(depths, np.float64)
     if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
-        raise SchemaError(f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]")
+        raise SchemaError(
+            f"depths={depths!r:.60}",
+            expected="numbers above 0, such as [0.1, 0.5, 2]",
+            code="value-out-of-range",
+        )
     _require(library)
     names = [str(name) for name in library[SIGNATURE].values]
     coating = coating_of(library, k1, k2, mirrored)
@@ -263,9 +267,9 @@ def _tell_of_partners(taken: Bools, members: Floats) -> None:
     if alone.any():
         msg = (
             f"{alone.sum()} members of the parents of {int((alone > 0).sum())} of {len(alone)} paints have "
-            "no partner and were left out; for more, draw as many of each parent first, with sample_paints"
+            "no partner and were left out; draw equally many of each parent with sample_paints first"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=3)
+        warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=3)
 
 
 def _clipped(reflectance: Floats) -> Floats:
@@ -274,7 +278,7 @@ def _clipped(reflectance: Floats) -> Floats:
     if outside:
         finite_count = int(np.isfinite(reflectance).sum())
         msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped; check the scale"
-        warnings.warn(msg, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
     return np.clip(reflectance, 0.0, 1.0)
 
 
@@ -289,34 +293,48 @@ def _checked(
     problems = Problems("paints cannot be mixed", SchemaError)
     paint_names = [str(name) for name in library[SIGNATURE].values]
     if method not in METHODS:
-        problems.add(f"method={method!r}, expected one of {', '.join(METHODS)}")
+        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
     if not recipes:
-        problems.add('there is no recipe; expected some, such as {"grey": {"white": 9, "black": 1}}')
+        problems.add(
+            "recipes= is empty",
+            mend='pass some, such as {"grey": {"white": 9, "black": 1}}',
+            code="empty-input",
+        )
     shares = {}
     for name, recipe in recipes.items():
-        wrong = [text for parent in recipe if (text := _name_problem(str(parent), paint_names))]
+        for parent in recipe:
+            _check_name(str(parent), f"{name!r}", paint_names, problems)
         parts = np.array([*recipe.values()], np.float64)
         if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
-            wrong.append(f"parts are {list(recipe.values())}, expected 0 or more, not all 0")
-        for text in wrong:
-            problems.add(f"{name!r}: {text}")
-        if not wrong:
+            problems.add(
+                f"{name!r}: parts are {list(recipe.values())}",
+                expected="0 or more, not all 0",
+                code="value-out-of-range",
+            )
+        elif not len(problems):
             shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
     for name, number in (scattering or {}).items():
-        if text := _name_problem(name, paint_names):
-            problems.add(f"scattering: {text}")
+        _check_name(name, "scattering", paint_names, problems)
         if not 0.0 < number < np.inf:
-            problems.add(f"scattering of {name!r} is {number!r}, expected a number above 0")
+            problems.add(
+                f"scattering of {name!r} is {number!r}",
+                expected="a number above 0",
+                code="value-out-of-range",
+            )
     problems.raise_if_any()
     return shares
 
 
-def _name_problem(name: str, paint_names: list[str]) -> str:
-    """Return why a name does not say one paint; nothing where it does."""
+def _check_name(name: str, subject: str, paint_names: list[str], problems: Problems) -> None:
+    """Note a name that no paint has, or several."""
     count = paint_names.count(name)
-    if count == 1:
-        return ""
-    if count:
-        return f"{count} paints are named {name!r}; give them different names, or leave some out with isel"
-    close = difflib.get_close_matches(name, paint_names, 1)
-    return f"there is no paint {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    if count > 1:
+        problems.add(
+            f"{subject}: {count} paints are named {name!r}",
+            mend="give them different names, or leave some out with isel",
+            code="paint-ambiguous",
+        )
+    elif not count:
+        close = difflib.get_close_matches(name, paint_names, 1)
+        mend = f"did you mean {close[0]!r}?" if close else ""
+        problems.add(f"{subject}: there is no paint {name!r}", mend=mend, code="paint-unknown")

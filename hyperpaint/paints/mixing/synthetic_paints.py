@@ -229,7 +229,12 @@ def sample_paints(
     for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
         bands, whole = _whole(np.asarray(spectra, np.float64))
         if len(whole) < 2:
-            problems.add(f"{name!r} has {len(whole)} whole members, expected at least 2; leave the paint out")
+            problems.add(
+                f"{name!r} has {len(whole)} members with values in all bands",
+                expected="at least 2",
+                mend="leave the paint out",
+                code="members-too-few",
+            )
             continue
         left_out += int(np.isfinite(spectra).any(axis=1).sum()) - len(whole)
         outside += int(((whole <= -_MARGIN) | (whole >= 1.0 + _MARGIN)).sum())
@@ -238,10 +243,10 @@ def sample_paints(
     problems.raise_if_any()
     if left_out or outside:
         msg = (
-            f"{left_out} members lack bands and were left out; {outside} values outside 0 to 1 by more than "
-            f"{_MARGIN:g}, where variants end"
+            f"{left_out} members lack bands and were left out; {outside} values are outside 0 to 1 by more "
+            f"than {_MARGIN:g}, the range of variants"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(msg, code="members-left-out"), stacklevel=2)
     return _library(library, drawn, form, seed)
 
 
@@ -292,13 +297,13 @@ def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None
     variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
     for problem in wrong:
-        problems.add(problem)
+        problems.add(problem, code="variable-unusable")
     if count < 1:
-        problems.add(f"count={count!r}, expected 1 or more")
+        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
     if form not in ("members", "paints"):
-        problems.add(f"form={form!r}, expected members or paints")
+        problems.add(f"form={form!r}", expected="members or paints", code="choice-unknown")
     if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
-        problems.add(f"bandwidth={bandwidth!r}, expected 0 or more, or None")
+        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
     problems.raise_if_any()
     return np.asarray(variables["member_reflectance"].values)
 

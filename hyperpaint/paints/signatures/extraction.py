@@ -200,7 +200,10 @@ def extract_signatures(
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
         if value is not None and not (specular_sky or coat):
             raise SchemaError(
-                f"{option}={value!r:.40} is for the mirrored sky and the coat; pass specular_sky=True as well"
+                f"{option}={value!r:.40} is used for the mirrored sky and the coat only",
+                mend="pass specular_sky=True as well",
+                option="give --specular-sky as well",
+                code="argument-missing",
             )
     lines = lines_of(line, region_list)
     sources = {
@@ -230,7 +233,9 @@ def extract_signatures(
         problems = Problems("there are regions with too few pixels left", SchemaError)
         for text in small.values():
             problems.add(
-                f"{text}; draw it elsewhere, exclude less, lower min_pixels, or pass drop_small=True"
+                text,
+                mend="draw it elsewhere, exclude fewer flags, lower min_pixels, or pass drop_small=True",
+                code="region-too-small",
             )
         problems.raise_if_any()
     left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
@@ -258,16 +263,23 @@ class _Options:
     def check(self, regions: Regions) -> None:
         problems = Problems("signatures cannot be extracted", SchemaError)
         if not len(regions):
-            problems.add("there is no region; draw some, or have some proposed")
+            problems.add(
+                "there is no region", mend="draw regions, or call propose_regions", code="empty-input"
+            )
         if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
-            given = f"exclude={self.exclude!r:.40}"
-            problems.add(f"{given}, expected flags such as Quality.GLINT | Quality.SHADOW, or 0")
+            problems.add(
+                f"exclude={self.exclude!r:.40}",
+                expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+                code="choice-unknown",
+            )
         if self.members < 0:
-            problems.add(f"members={self.members}, expected 0 or more")
+            problems.add(f"members={self.members}", expected="0 or more", code="value-out-of-range")
         if self.centre not in CENTRES:
-            problems.add(f"centre={self.centre!r:.40}, expected one of {', '.join(CENTRES)}")
+            problems.add(
+                f"centre={self.centre!r:.40}", expected=f"one of {', '.join(CENTRES)}", code="choice-unknown"
+            )
         if self.min_pixels < 1:
-            problems.add(f"min_pixels={self.min_pixels}, expected 1 or more")
+            problems.add(f"min_pixels={self.min_pixels}", expected="1 or more", code="value-out-of-range")
         problems.raise_if_any()
 
     @property
@@ -311,8 +323,9 @@ def _reduce(
 
 
 _DEGREES_WITHOUT_CRS = (
-    "they name no crs, and are taken for columns and lines: if they are longitude and latitude, say so by "
-    'Regions(..., coordinates="map", crs="OGC:CRS84"), or by "crs": "OGC:CRS84" beside "features" in the file'
+    "without a crs the coordinates are columns and lines: if they are longitude and latitude, pass "
+    'Regions(..., coordinates="map", crs="OGC:CRS84"), or write "crs": "OGC:CRS84" beside "features" in '
+    "the file"
 )
 
 
@@ -327,7 +340,11 @@ def _check_bands(sources: Mapping[str, Source]) -> None:
             source.wavelength, reference.wavelength, rtol=0.0, atol=1e-3
         )
         if not same:
-            problems.add(f"bands of {name!r} are not those of {first!r}; extract them one by one")
+            problems.add(
+                f"bands of {name!r} differ from those of {first!r}",
+                mend="extract the lines one by one",
+                code="bands-differ",
+            )
     problems.raise_if_any()
 
 
@@ -344,6 +361,7 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
                 problems.add(
                     f"region {regions[position].name!r} holds no pixel of the line ({size})",
                     mend=_DEGREES_WITHOUT_CRS if _could_be_degrees(part) else "",
+                    code="region-empty",
                 )
     problems.raise_if_any()
     return places
@@ -388,8 +406,9 @@ def _refuse_divided(
         if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
             name, count = regions[part.batch[0]].name, places[part.batch[0]].size
             problems.add(
-                f"region {name!r} has {count} pixels, more than {WHOLE_BYTES >> 20} MiB; "
-                'cut it smaller, or take centre="trimmed_mean"'
+                f"region {name!r} has {count} pixels: more than {WHOLE_BYTES >> 20} MiB",
+                mend='cut it smaller, or pass centre="trimmed_mean"',
+                code="region-too-large",
             )
     problems.raise_if_any()
 

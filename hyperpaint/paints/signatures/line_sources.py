@@ -337,7 +337,11 @@ def source_of(
     filtering = None
     if smoothing is not None:
         if before is not None:
-            raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")
+            raise SchemaError(
+                f"the reflectance is smoothed already ({before})",
+                mend="leave out smooth=",
+                code="already-smoothed",
+            )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
         if errors is not None:
@@ -422,9 +426,9 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
                 lines[wanted] = (located_for(regions, given[wanted]), [])
             lines[wanted][1].append(position)
             continue
-        held = ", ".join(map(repr, shown or given)) or "no flight line"
+        held = " or ".join(map(repr, shown or given)) or "no flight line"
         naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-        problems.add(f"region {region.name!r} {naming}; there is {held}")
+        problems.add(f"region {region.name!r} {naming}", expected=held, code="flightline-unknown")
     problems.raise_if_any()
     return lines
 
@@ -443,5 +447,7 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
     if isinstance(line, Mapping):
         return dict(line)
     raise SchemaError(
-        f"line is {type(line).__name__}, expected a Dataset, several by name, or a DataTree of them"
+        f"line is {type(line).__name__}",
+        expected="a Dataset, several by name, or a DataTree of them",
+        code="type-wrong",
     )

@@ -204,6 +204,8 @@ def excluded_of(region: Region, usual: int) -> int:
     flags = {flag.name.lower(): int(flag) for flag in Quality if flag.name}
     if not isinstance(names, list) or not set(names) <= set(flags):
         raise SchemaError(
-            f"region {region.name!r}: excluded_flags is {names!r:.80}, expected a list of {', '.join(flags)}"
+            f"region {region.name!r}: excluded_flags is {names!r:.80}",
+            expected=f"a list of {', '.join(flags)}",
+            code="choice-unknown",
         )
     return sum(flags[name] for name in set(names))
