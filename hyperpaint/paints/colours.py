@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.responses import band_spacing
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
 _BRADFORD_E_TO_D65 = np.array(
@@ -135,6 +132,7 @@ def srgb_weights(wavelength: Array, shift: Array | None) -> Array:
     return np.asarray(np.tensordot(_XYZ_TO_SRGB @ _BRADFORD_E_TO_D65, matching, 1), np.float32)
 
 
+#: sRGB of typical paints by the words for their colours.
 COLOURS = {
     "white": "#eeeeec", "ivory": "#ece2c6", "beige": "#cdbb98", "silver": "#b4b7b9", "grey": "#7c7f82",
     "anthracite": "#3c4044", "black": "#141416", "yellow": "#f2c61f", "gold": "#b8963f", "orange": "#e8742a",
@@ -142,13 +140,12 @@ COLOURS = {
     "light blue": "#86b7dc", "blue": "#27509e", "dark blue": "#18264d", "turquoise": "#25959a",
     "light green": "#9bc98f", "green": "#2f7d43", "dark green": "#1d4030",
 }  # fmt: skip
-"""sRGB of typical paints by the words for their colours."""
 
+#: Of linear sRGB (IEC 61966-2-1).
 _HEX = re.compile(r"#?([0-9a-f]{6})")
 _TO_XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
-"""Of linear sRGB (IEC 61966-2-1)."""
 
 
 def parse_colour(colour: str) -> Floats:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import fnmatch
 import unicodedata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
@@ -16,12 +17,9 @@ from hyperpaint.base.units import convert, takes_quantities
 
 from .colours import ciede2000, lab_of, paint_colours, parse_colour
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Between two samples that are interpolated, in steps of those beside them.
 MIN_BANDS = 5
 _WIDEST_STEP = 4.0
-"""Between two samples that are interpolated, in steps of those beside them."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
 
 
@@ -217,8 +215,6 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
 
 def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     """Return a spectrum at the wavelengths of the library (band,); NaN beyond its ends."""
-    import xarray as xr
-
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:

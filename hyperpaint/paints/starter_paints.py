@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
@@ -17,15 +18,14 @@ from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_laye
 from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
 
+#: Of a pushbroom camera for the visible and near infrared [nm].
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
-"""Of a pushbroom camera for the visible and near infrared [nm]."""
 
 MAX_MEMBERS = 10_000
 
+#: Family and number of the paints beside the built-in fourteen, see `hyperpaint.simulation`.
 GENERATED = (
     ("white", 1), ("white", 9), ("grey", 2), ("grey", 7), ("carbon_black", 0), ("ir_black", 4),
     ("ir_black", 16), ("solid", 3), ("solid", 4), ("solid", 5), ("solid", 2), ("solid", 8), ("solid", 9),
@@ -33,11 +33,10 @@ GENERATED = (
     ("tinted", 22), ("metallic", 17), ("metallic", 23), ("metallic", 5), ("metallic", 15), ("pearl", 3),
     ("pearl", 13),
 )  # fmt: skip
-"""Family and number of the paints beside the built-in fourteen, see `hyperpaint.simulation`."""
 
+#: Standard deviations of the members: of pigment (relative), of the wavelengths at which it absorbs [nm], and
+#: of the light that reaches a spot of the car (relative).
 _LOAD, _HUE_NM, _LEVEL = 0.08, 0.8, 0.02
-"""Standard deviations of the members: of pigment (relative), of the wavelengths at which it absorbs [nm],
-and of the light that reaches a spot of the car (relative)."""
 
 
 @takes_quantities(wavelength="nm")
@@ -153,8 +152,6 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
 
 
 def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed: int) -> xr.Dataset:
-    import xarray as xr
-
     bands = xr.Dataset(
         {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
         {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},

@@ -21,8 +21,8 @@ from hyperpaint.io.files.publishing import publish_file
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
+#: Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB.
 MAX_FILE_BYTES = 16 * 2**20
-"""Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB."""
 
 MAX_REGIONS = 10_000
 

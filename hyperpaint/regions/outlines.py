@@ -15,14 +15,14 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
+#: What x and y of regions are: column and line of the cube, or a place on the ground.
 COORDINATES = ("sensor", "map")
-"""What x and y of regions are: column and line of the cube, or a place on the ground."""
 
+#: Corners of one ring.
 MAX_VERTICES = 10_000
-"""Corners of one ring."""
 
+#: Coordinate that no pixel and no place has.
 MAX_COORDINATE = 1e9
-"""Coordinate that no pixel and no place has."""
 
 MAX_NAME_CHARS = 200
 MAX_DRAWN_REGIONS = 60

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
@@ -17,23 +18,20 @@ from .geojson import regions_from
 from .outlines import Region, Regions
 from .polygons import contains
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Positions along and across the track, line by line.
 RegionsT = TypeVar("RegionsT", bound=Regions)
 Pixels = tuple[Ints, Ints]
-"""Positions along and across the track, line by line."""
 
+#: Pixels whose place is looked at together.
 _BLOCK_PIXELS = 2**20
-"""Pixels whose place is looked at together."""
 
+#: Of a map: column and line of the flight line that every cell shows.
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
 _DEGREES = "EPSG:4326"
 _SHOWN = ("nearest_sample", "nearest_line")
-"""Of a map: column and line of the flight line that every cell shows."""
+#: Of a map of several flight lines: which of them a cell shows.
 _OF_LINE = "flightline"
-"""Of a map of several flight lines: which of them a cell shows."""
 
 
 def pixels(
@@ -110,8 +108,6 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
            [ 0,  0, -1, -1],
            [-1, -1, -1, -1]], dtype=int16)
     """
-    import xarray as xr
-
     region_list = regions_from(regions)
     dims = "yx" if {"y", "x"} <= set(line.dims) else (ALONG_TRACK, CROSS_TRACK)
     line = schema.rename_to_roles(line)

@@ -28,10 +28,10 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
+#: Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag.
 MAX_EDGES_PER_PIXEL = 100
-"""Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag."""
+#: Comparisons of an edge with a point that any polygon may take.
 _FREE = 10_000_000
-"""Comparisons of an edge with a point that any polygon may take."""
 
 
 def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:

@@ -11,8 +11,8 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, MissingExtraError
 from hyperpaint.base.input_files import open_input
 
+#: Suffixes, and what files begin with: the reader goes by content, and other kinds name further files.
 VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
-"""Suffixes, and what files begin with: the reader goes by content, and other kinds name further files."""
 
 _MOST_BYTES = 256 * 2**20
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
@@ -17,14 +18,11 @@ from .corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, as_fractions, sky_a
 from .light_split import LightSplit, split_of
 from .sun_and_sky import sun_zenith_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Attribute of reflectance that says what a coat was taken for.
 COAT_CORRECTED = "coat_corrected"
-"""Attribute of reflectance that says what a coat was taken for."""
 
+#: Standard deviation of the lean of roofs and bonnets that pass for level [degree].
 LEAN_U_DEG = 2.0
-"""Standard deviation of the lean of roofs and bonnets that pass for level [degree]."""
 
 
 @takes_quantities(sun_zenith="degree", view_zenith="degree", lean_u="degree")
@@ -182,7 +180,6 @@ def _shares(
 
 def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
     """Return the sky's light that the coat reflects, on the dims of the split."""
-    import xarray as xr
 
     def of(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
@@ -200,8 +197,6 @@ def _of_paints(
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
     """Return `_shares` (signature, band), each paint under its own sun; ``light`` as `split_of`'s."""
-    import xarray as xr
-
     diffuse, sun_zenith, sky = light
     wanted = (
         "wavelength",

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
@@ -21,18 +22,16 @@ from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 from .light_split import LightSplit, split_of
 from .sun_and_sky import OVERCAST_ZENITH
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Attributes of reflectance that say what was corrected.
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
-"""Attributes of reflectance that say what was corrected."""
 
+#: Change of the direct light up to which a surface gains sky with it, as one that leans [1].
 MAX_TILT_GAIN = 0.3
-"""Change of the direct light up to which a surface gains sky with it, as one that leans [1]."""
 
+#: Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
 NORMAL_REFLECTANCE = 0.04
-"""Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
 
+#: Remedy by the correction that was made before.
 _MENDS = {
     "mirrored_sky_removed": "start from uncorrected reflectance",
     "coat_corrected": "start from uncorrected reflectance, and correct the coat last",
@@ -40,11 +39,10 @@ _MENDS = {
     "tilt": "compute reflectance without tilt=, remove the mirrored sky if wanted, then call "
     "correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
-"""Remedy by the correction that was made before."""
 
+#: Of a flight line or of a paint library: what moves with a level, and what only scales.
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
-"""Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -236,8 +234,6 @@ def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numb
 @contextlib.contextmanager
 def _same_pixels() -> Iterator[None]:
     """Refuse arrays of other lines or columns than the line's, which xarray would cut to those in common."""
-    import xarray as xr
-
     try:
         with xr.set_options(arithmetic_join="exact"):
             yield
@@ -272,8 +268,6 @@ def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | 
 
 
 def _on_bands(values: Any) -> xr.DataArray:
-    import xarray as xr
-
     return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 

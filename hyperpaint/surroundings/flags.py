@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
@@ -28,11 +29,8 @@ from .lobes import SATURATED_IN_LOBE
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Layers that bits are set from, and those that explain them.
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
-"""Layers that bits are set from, and those that explain them."""
 
 
 @takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
@@ -191,7 +189,6 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
     import dask
     import dask.array as da
-    import xarray as xr
 
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -27,38 +28,35 @@ from .sun_and_sky import (
     sun_zenith_of,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Warning where only the position of the sun is known.
 CLEAR_SKY_ASSUMED = (
     "no irradiance record tells the state of the sky, a clear sky is assumed; pass diffuse='model' where "
     "it was clear, or a measured spectrum"
 )
-"""Warning where only the position of the sun is known."""
 
+#: Warning where most lines match no possible sky.
 CONTRADICTION = (
     "the irradiance record contradicts every sky with the sun at {zenith:.1f} degrees from the zenith: check "
     "the clocks (utc_offset_h) and the receiver's calibration, pass sun_zenith= where the clock is wrong, or "
     "diffuse= where the split was measured; until then the split is uncertain"
 )
-"""Warning where most lines match no possible sky."""
 
+#: Distance of a sun that is said from that of the clock, beyond which the split is made anew [degree].
 MAX_CLOCK_DEG = 2.0
-"""Distance of a sun that is said from that of the clock, beyond which the split is made anew [degree]."""
 
+#: Sky of a line whose ``sky_state`` says which it is.
 RECORDED = "as recorded"
-"""Sky of a line whose ``sky_state`` says which it is."""
 
 CONTRADICTORY = SKY_STATES.index("contradictory")
 
+#: In place of a number of `SKY_STATES` where nothing says what the sky was, as of a measured split.
 UNSAID = -1
-"""In place of a number of `SKY_STATES` where nothing says what the sky was, as of a measured split."""
 
+#: Share of the lines that have a word, from which on it counts among those of a mean [1].
 MIN_STATE_SHARE = 0.1
-"""Share of the lines that have a word, from which on it counts among those of a mean [1]."""
 
+#: Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25.
 MODEL_U = 0.2
-"""Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +157,6 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     PaintWarning
         `CLEAR_SKY_ASSUMED`.
     """
-    import xarray as xr
-
     if sky is not None and sky not in SKIES:
         raise SchemaError(f"sky={sky!r}", expected=f"one of {', '.join(SKIES)}", code="choice-unknown")
     wavelength = line["wavelength"].values.astype(np.float64)
@@ -238,8 +234,6 @@ def _held(line: xr.Dataset) -> xr.Dataset:
 def _recorded(
     line: xr.Dataset, own: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
 ) -> LightSplit:
-    import xarray as xr
-
     fraction = own["diffuse_fraction"].astype(np.float64)
     if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
         fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})

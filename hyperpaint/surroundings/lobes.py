@@ -18,17 +18,17 @@ from .detection_rules import GLINT, LOBES
 from .full_light import AS_GLINT, Light, unmix_spectra
 from .scratch import line_parts, release, scratch_array
 
+#: In a mirror image of the sun; and so bright there that nothing is measured. 0: in none.
 IN_LOBE, SATURATED_IN_LOBE = 1, 2
-"""In a mirror image of the sun; and so bright there that nothing is measured. 0: in none."""
 
+#: Pixels three steps around one.
 _RING = (
     (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3), (0, 3), (1, 3), (2, 2),
     (3, 1), (3, 0), (3, -1), (2, -2), (1, -3), (0, -3), (-1, -3), (-2, -2),
 )  # fmt: skip
-"""Pixels three steps around one."""
+#: Pixels of a ring that are darker, at least, where its median is; place of its third lowest.
 _MARGIN, _LINES = 3, 128
 _DARKER, _LOWEST = 9, 2
-"""Pixels of a ring that are darker, at least, where its median is; place of its third lowest."""
 
 
 class Shown:

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 Index = npt.NDArray[np.int32]
 
+#: Side of a cell [pixel].
 CELL = 4
-"""Side of a cell [pixel]."""
 
 
 def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
@@ -57,9 +55,10 @@ def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
     return nearest
 
 
+#: States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image.
 LIT, SHADED, GLINTED = 0, 1, 2
-"""States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image."""
 
+#: Field to its dims, dtype, units and meaning.
 _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "channel": ((BAND,), "int64", "", "Channel that a band is averaged into; -1 for none"),
     "wavelength": ((BAND,), "float64", "nm", "Centre wavelength at the centre column"),
@@ -91,11 +90,10 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "spectrum": (("segment_number", "channel"), "float64", "1", "Median reflectance of a segment"),
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
-"""Field to its dims, dtype, units and meaning."""
 
+#: What models were made with that say nothing of it: a uniform sky, glint wherever it fits, and shadows on
+#: all things as on the ground.
 _BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
-"""What models were made with that say nothing of it: a uniform sky, glint wherever it fits, and shadows on
-all things as on the ground."""
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
@@ -252,8 +250,6 @@ class SceneModel:
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""
-        import xarray as xr
-
         variables = {}
         for name, (dims, _, units, meaning) in _LAYOUT.items():
             attrs = {"long_name": meaning, **({"units": units} if units else {})}

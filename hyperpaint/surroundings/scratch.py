@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import StoreError
@@ -20,19 +21,18 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 if TYPE_CHECKING:
     import dask.array as da
-    import xarray as xr
 
+#: Memory of a survey for every pixel, beside the channels in their file: what 12,000 lines took.
 SURVEYED_BYTES = 30
-"""Memory of a survey for every pixel, beside the channels in their file: what 12,000 lines took."""
+#: Size up to which an array is in memory as any other: a layer of some 3,000 lines.
 MOST_IN_MEMORY_BYTES = 8 * 2**20
-"""Size up to which an array is in memory as any other: a layer of some 3,000 lines."""
 
+#: Chunks that are computed at a time: enough for the threads of a laptop, little enough for its memory.
 _TOGETHER = 8
-"""Chunks that are computed at a time: enough for the threads of a laptop, little enough for its memory."""
+#: Rows of an array that are gathered at a time.
 _ROWS = 64
-"""Rows of an array that are gathered at a time."""
+#: Lines that are looked at together.
 _LINES = 128
-"""Lines that are looked at together."""
 
 
 def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[None]:

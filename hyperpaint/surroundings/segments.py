@@ -79,8 +79,8 @@ def divide(channels: Floats32) -> Segments:
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
 
 
+#: Parts in which steps are sorted.
 _PARTS = 8
-"""Parts in which steps are sorted."""
 
 
 def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
@@ -186,8 +186,8 @@ def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touch
     return total / pairs.length
 
 
+#: Pixels and those of the next line; and those to the right.
 _NEXT: tuple[Any, Any] = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
-"""Pixels and those of the next line; and those to the right."""
 
 
 def edge_distance(

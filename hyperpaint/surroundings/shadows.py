@@ -26,8 +26,8 @@ from .model import LIT, SHADED
 from .scratch import line_parts, release
 from .segments import Touching, beyond, distinct_pairs
 
+#: Directions (along, across) of the sides of `Touching`.
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Directions (along, across) of the sides of `Touching`."""
 
 
 class Scene(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError, needs_extra
@@ -22,16 +23,14 @@ from .model import SHADED
 from .scratch import gather
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from .full_light import Matches
 
+#: Where the diffuse fraction may come from, beside a measured spectrum.
 SOURCES = ("model", "pvlib", "shadow")
-"""Where the diffuse fraction may come from, beside a measured spectrum."""
 
 
+#: Variables of a line that say where the sun is.
 SUN_FROM = ("time", "latitude", "longitude")
-"""Variables of a line that say where the sun is."""
 
 
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
@@ -169,14 +168,14 @@ def fraction_in_shadow(
     return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
 
 
+#: Where the light of the sky comes from: `hyperpaint.light.sky_functions`, evenly, or CIE's overcast sky.
 SKIES = ("clear", "uniform", "overcast")
-"""Where the light of the sky comes from: `hyperpaint.light.sky_functions`, evenly, or CIE's overcast sky."""
 
+#: Radiance of the zenith of a CIE overcast sky over that of a uniform one [1].
 OVERCAST_ZENITH = 9.0 / 7.0
-"""Radiance of the zenith of a CIE overcast sky over that of a uniform one [1]."""
 
+#: Sun from which on the sky's directions are taken for what they are there [degree].
 MAX_SUN_ZENITH_DEG = 89.0
-"""Sun from which on the sky's directions are taken for what they are there [degree]."""
 
 
 def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
@@ -27,9 +28,6 @@ from .segments import Segments, border_steps, distance_to, divide, edge_distance
 from .shadows import match_shade, of_shadows, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
 from .vegetation import is_vegetation
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:

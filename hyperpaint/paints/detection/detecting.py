@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
@@ -33,9 +34,6 @@ from .false_alarms import (
     joined_parts,
     make_detector,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MOST_OTHERS = 20_000
 _JOINED_AT_ONCE = 16
@@ -377,7 +375,6 @@ def _search(
     line: xr.Dataset, cube: Any, clear: Any, detector: Any, names: list[str], attrs: dict[str, Any]
 ) -> xr.Dataset:
     import dask.array as da
-    import xarray as xr
 
     from hyperpaint.base.many_outputs import split_outputs
 

@@ -40,8 +40,8 @@ class DetectionRules:
 
 DETECTION = DetectionRules()
 
+#: Pixels of the sample that are looked at together.
 _TOGETHER = 4096
-"""Pixels of the sample that are looked at together."""
 
 
 class BackgroundPart(NamedTuple):

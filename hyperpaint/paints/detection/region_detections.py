@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SIGNATURE
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
@@ -57,8 +55,6 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     >>> cars["signature"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
     ('red', 1.0, 0.04)
     """
-    import xarray as xr
-
     from hyperpaint.paints.signatures.line_sources import lines_of
     from hyperpaint.regions import pixels_of
     from hyperpaint.regions.geojson import regions_from

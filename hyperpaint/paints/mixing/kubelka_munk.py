@@ -18,18 +18,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
@@ -104,12 +102,12 @@ class Interface:
         return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
 
 
+#: Of a layer without an interface [1]: blacker is no paint (soot in a binder is 0.02), but noise, whose K/S
+#: would drown all others in a mixture.
 BLACKEST = 1e-3
-"""Of a layer without an interface [1]: blacker is no paint (soot in a binder is 0.02), but noise, whose K/S
-would drown all others in a mixture."""
 
+#: Share of a spectrum that may be darker than its own interface, by noise.
 _FEW = 0.05
-"""Share of a spectrum that may be darker than its own interface, by noise."""
 
 
 @dataclass(frozen=True, eq=False)

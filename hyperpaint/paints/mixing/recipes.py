@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
@@ -18,13 +19,10 @@ from hyperpaint.base.units import takes_quantities
 from .kubelka_munk import coating_of
 from .synthetic_paints import MEMBERS, SPECULAR, specular_of, synthetic_library
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 Method = Literal["kubelka-munk", "linear"]
 
+#: How paints are mixed: as pigments in a pot, or as areas side by side.
 METHODS = ("kubelka-munk", "linear")
-"""How paints are mixed: as pigments in a pot, or as areas side by side."""
 
 
 @takes_quantities()

@@ -6,10 +6,11 @@ import json
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
@@ -18,15 +19,13 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SI
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Single pixels of a paint, or variants (signature, member, band).
 MEMBERS = "member_reflectance"
-"""Single pixels of a paint, or variants (signature, member, band)."""
 
+#: What a coat mirrors (signature, band), which not every library has.
 SPECULAR = "specular_reflectance"
-"""What a coat mirrors (signature, band), which not every library has."""
 
+#: Attributes of reflectance that are as true of what is made from it.
 _DIMS = {
     "reflectance": (SIGNATURE, BAND),
     "reflectance_sd": (SIGNATURE, BAND),
@@ -42,7 +41,6 @@ _MEANINGS = {
     MEMBERS: "Reflectance of synthetic variants of a paint",
 }
 _LASTING = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
-"""Attributes of reflectance that are as true of what is made from it."""
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
@@ -71,8 +69,6 @@ def synthetic_library(
     ``values``: spectra by the name of their variable; ``parents``: what each was made from, and by which
     shares; ``method``: how; ``**attrs``: of the library.
     """
-    import xarray as xr
-
     paints = xr.Dataset()
     if MEMBERS in values and values[MEMBERS].shape[1] > 1:
         values = {**values, **_spread(values[MEMBERS])}
@@ -144,12 +140,12 @@ def _shares(parents: Mapping[str, float]) -> str:
 
 Form = Literal["members", "paints"]
 
+#: How far beyond 0 and 1 the logit begins at least [1].
 _MARGIN = 0.005
-"""How far beyond 0 and 1 the logit begins at least [1]."""
 
+#: Spreads of a population that its median keeps from where the logit begins, which is nearly linear then:
+#: with 4, noise as large as the reflectance grows by 16 %; with 8, what shade takes is no longer a factor.
 _NOISE = 6.0
-"""Spreads of a population that its median keeps from where the logit begins, which is nearly linear then:
-with 4, noise as large as the reflectance grows by 16 %; with 8, what shade takes is no longer a factor."""
 
 _METHOD = "smoothed bootstrap of principal components of logit reflectance"
 

@@ -15,9 +15,10 @@ Only where a body is dark does the mirror have a part in it that can be told.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
@@ -25,9 +26,6 @@ from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.surroundings.corrections import NORMAL_REFLECTANCE
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @dataclass(frozen=True)

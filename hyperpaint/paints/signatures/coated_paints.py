@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.regions import Regions
 from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Words of a region's ``kind`` or ``material`` that say it has no clear coat.
 _NO_PAINT = frozenset({
     "asphalt", "concrete", "glass", "grass", "ground", "leaf", "line", "soil", "target", "tyre", "vegetation",
     "wall", "white panel", "window",
 })  # fmt: skip
-"""Words of a region's ``kind`` or ``material`` that say it has no clear coat."""
 
+#: Words of a region's ``finish``, or ``kind``: what these send holds at its geometry, the coat included.
 _AT_A_GEOMETRY = frozenset({"metallic", "pearl"})
-"""Words of a region's ``finish``, or ``kind``: what these send holds at its geometry, the coat included."""
 
 
 def without_coat(
@@ -34,8 +30,6 @@ def without_coat(
 
     Regions that are no paint, and those of metallic paint, stay as they are.
     """
-    import xarray as xr
-
     words = [
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import Problems, SchemaError
@@ -30,9 +31,7 @@ from .pixel_gathering import gather
 from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Flags of pixels whose reflectance is not that of the surface.
 EXCLUDED = (
     Quality.SATURATED
     | Quality.IRRADIANCE_GAP
@@ -42,12 +41,11 @@ EXCLUDED = (
     | Quality.ADJACENCY
     | Quality.MIXED_EDGE
 )
-"""Flags of pixels whose reflectance is not that of the surface."""
 
+#: Samples of pixels that are held at once; a region of more is done some bands at a time.
 GATHERED_BYTES = 64 * 2**20
-"""Samples of pixels that are held at once; a region of more is done some bands at a time."""
+#: Samples of a region whose spectra are needed whole.
 WHOLE_BYTES = 256 * 2**20
-"""Samples of a region whose spectra are needed whole."""
 
 
 @takes_quantities(sun_zenith="degree")

@@ -6,9 +6,10 @@ import contextlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats
@@ -33,16 +34,13 @@ from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_o
 
 from .map_cells import middle_of_map
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Variables of a line that turn its camera.
 ATTITUDE = ("roll", "pitch", "heading")
-"""Variables of a line that turn its camera."""
 
+#: Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds.
 _PIXELS = ("view_zenith", "view_azimuth")
 _LEVEL = (0.0, 0.0, 0.0)
 _ALONG_THE_VERTICAL = 1e-6
-"""Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds."""
 
 
 class Viewing:
@@ -222,8 +220,8 @@ def relative_azimuth(first: float, second: float) -> float:
     return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
+#: Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing.
 Smoothing = str | Mapping[str, Any] | None
-"""Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing."""
 
 _NOISE_KNOWN = {"counts", "electrons_per_count", "read_noise"}
 _SMALL = ("time", "latitude", "longitude", "irradiance_age")
@@ -291,8 +289,6 @@ def source_of(
     Raises `SchemaError`, `UnitsError`: there is no reflectance, and none can be computed; it is smoothed
     already, or the mirrored sky removed; or it is not known where the sun is.
     """
-    import xarray as xr
-
     line = schema.rename_to_roles(line)
     middle = middle_of_map(line)
     if "reflectance" not in line.variables:
@@ -388,7 +384,6 @@ def _light_of(
 ) -> SplitOfLines | None:
     """Return how the light of each line divides, small and in memory; None where nothing says so."""
     import dask
-    import xarray as xr
 
     if not needed and (diffuse is None and not says_its_split(line)):
         return None
@@ -434,8 +429,6 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
 
 
 def _by_name(line: Any) -> dict[str, xr.Dataset]:
-    import xarray as xr
-
     if isinstance(line, xr.Dataset):
         return {str(line.attrs.get("name", "")): line}
     if isinstance(line, xr.DataTree):

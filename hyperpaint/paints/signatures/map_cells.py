@@ -8,17 +8,15 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Ints
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
 

@@ -6,28 +6,26 @@ which the panel mirrors the sun. Its signature holds at a geometry, which is sta
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Share of the pixels at the bright, and at the dark end of a panel, whose means are compared [1].
 FLOP_SHARE = 0.2
-"""Share of the pixels at the bright, and at the dark end of a panel, whose means are compared [1]."""
 
+#: Pixels from which on both ends of a panel are told.
 MIN_FLOP_MEMBERS = 20
-"""Pixels from which on both ends of a panel are told."""
 
+#: Share of a panel's pixels that have a value in a band, from which on it counts [1].
 MIN_BAND_SHARE = 0.9
-"""Share of a panel's pixels that have a value in a band, from which on it counts [1]."""
 
+#: Lean of a panel up to which its change of brightness is taken for one [degree].
 MAX_LEAN_DEG = 15.0
-"""Lean of a panel up to which its change of brightness is taken for one [degree]."""
 
 
 def aspecular_angle(
@@ -134,8 +132,6 @@ def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
     may differ between the ends of the panel: twice `lean_range` [degree], and ``flop`` (signature, band),
     `panel_flop` of the members [1]; NaN where members, sun or view are not known.
     """
-    import xarray as xr
-
     good = library["good"].values.astype(bool)
     members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
     # a band that pixels lack, as one without irradiance, leaves none of them out

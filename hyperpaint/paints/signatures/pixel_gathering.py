@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
@@ -13,11 +14,8 @@ from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.surroundings.scratch import trim_memory
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Blocks that are computed at a time.
 _TOGETHER = 16
-"""Blocks that are computed at a time."""
 
 
 def gather(

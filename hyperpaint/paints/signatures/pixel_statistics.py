@@ -16,14 +16,14 @@ from hyperpaint.regions import Region
 CENTRES = ("trimmed_mean", "geometric_median", "median")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
+#: Spreads beyond which a value is not counted in the trimmed mean.
 TRIM_SIGMAS = 3.0
-"""Spreads beyond which a value is not counted in the trimmed mean."""
+#: Standard deviation of a normal distribution over its median absolute deviation.
 _SIGMA_OF_DEVIATION = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 _MOST_ROUNDS = 100
 
+#: Change of reflectance at which the geometric median is found.
 _SETTLED = 1e-7
-"""Change of reflectance at which the geometric median is found."""
 
 
 @dataclass(frozen=True)
@@ -145,18 +145,16 @@ def _mix(state: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return np.asarray(mixed ^ (mixed >> np.uint64(31)))
 
 
+#: Pixels that are worth one at least, whatever their values say: 1 + 2 c.
+#: While a line is exposed the camera moves on by some 0.7 of a pixel. A pixel then sees a trapezium along the
+#: track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.3 + 2 * 0.7 / 3) = 0.15.
 SMEAR = 1.3
-"""Pixels that are worth one at least, whatever their values say: 1 + 2 c.
 
-While a line is exposed the camera moves on by some 0.7 of a pixel. A pixel then sees a trapezium along the
-track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.3 + 2 * 0.7 / 3) = 0.15.
-"""
-
+#: Pixels from which their correlation can be estimated.
 FEWEST = 32
-"""Pixels from which their correlation can be estimated."""
 
+#: Cells of the grid on which correlation is looked at; of a larger region its first lines are.
 _MOST_CELLS = 2**18
-"""Cells of the grid on which correlation is looked at; of a larger region its first lines are."""
 
 
 def effective_pixels(values: Array, along: Array, across: Array) -> float:

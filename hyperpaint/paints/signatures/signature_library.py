@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
@@ -31,11 +32,8 @@ from .line_sources import Source, mean_view, relative_azimuth
 from .map_cells import Shown
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Good bands, spread over all, that the correlation of pixels is looked at in.
 _CORRELATED_BANDS = 8
-"""Good bands, spread over all, that the correlation of pixels is looked at in."""
 
 _NAT = np.datetime64("NaT", "ns")
 
@@ -218,8 +216,8 @@ def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
     }
 
 
+#: Properties that become coordinates; all are in the coordinate ``region`` as well.
 _MOST_PROPERTIES = 64
-"""Properties that become coordinates; all are in the coordinate ``region`` as well."""
 
 
 def paint_library(
@@ -235,8 +233,6 @@ def paint_library(
     the same order; ``sources``: the flight lines, by name; their bands are the same; ``notes``: attributes
     that say how it was made.
     """
-    import xarray as xr
-
     first = next(iter(sources.values()))
     most = max(draft.member_place[0].size for draft in drafts)
     values: dict[str, Any] = {

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME
@@ -13,9 +14,6 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.light_split import split_of
 from hyperpaint.surroundings.model import SHADED
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @dataclass(frozen=True)

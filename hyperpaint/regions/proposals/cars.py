@@ -64,8 +64,8 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     return lot.cars
 
 
+#: Rank of a roof between windows, or behind a windscreen, on what has the proportions of one car.
 _CERTAIN = 5
-"""Rank of a roof between windows, or behind a windscreen, on what has the proportions of one car."""
 
 
 class _Seen(NamedTuple):

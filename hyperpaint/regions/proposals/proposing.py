@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
@@ -30,11 +31,8 @@ from .judging import Judged, Verdict
 from .leans import height_model_of
 from .proposal_rules import SURFACES
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Right, down, left, up, as (line, column); a right turn is the next one.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""Right, down, left, up, as (line, column); a right turn is the next one."""
 
 
 def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
@@ -97,8 +95,8 @@ def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> 
     return ring
 
 
+#: What a signature of a proposed region leaves out: glint and neighbours were judged by its brightness.
 _LEFT_OUT = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
-"""What a signature of a proposed region leaves out: glint and neighbours were judged by its brightness."""
 
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 
