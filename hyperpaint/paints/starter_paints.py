@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -12,13 +10,18 @@ from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.simulation.rendering.materials import fresnel_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import (
+    FOURTEEN,
+    PaintSpec,
+    generate_paint,
+    paint_spec,
+    spectrum_of,
+)
 
 from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
-
-if TYPE_CHECKING:
-    from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
 
 #: Of a pushbroom camera for the visible and near infrared [nm].
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
@@ -111,8 +114,6 @@ def starter_library(
 
 
 def _specs() -> list[PaintSpec]:
-    from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, generate_paint, paint_spec
-
     generated = [generate_paint(family, number) for family, number in GENERATED]
     return [*map(paint_spec, FOURTEEN), *generated]
 
@@ -124,9 +125,6 @@ def _body(spec: PaintSpec, nm: Floats) -> Floats:
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
     """Return what coat and flakes reflect about the mirror direction (band,) [1]."""
-    from hyperpaint.simulation.rendering.materials import fresnel_reflectance
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:
         return np.full(nm.size, coat)

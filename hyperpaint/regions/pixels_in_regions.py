@@ -13,6 +13,9 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
+from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.geometry.georeference.poses import POSE
 
 from .geojson import regions_from
 from .outlines import Region, Regions
@@ -201,9 +204,6 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
 
     Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.geometry.locate`.
     """
-    from hyperpaint.geometry.georeference import locate
-    from hyperpaint.geometry.georeference.poses import POSE
-
     named = schema.rename_to_roles(line)
     is_placed = any(_is_place(named, pair) for pair in _GROUND)
     if regions.coordinates != "map" or is_placed or not set(POSE) <= set(named.variables):
@@ -315,8 +315,6 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 
 def _moved(regions: Regions, crs: str) -> Regions:
     """Return regions in another reference system; corners are moved, and edges are straight there."""
-    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
@@ -384,8 +382,6 @@ def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
         return _DEGREES
     stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if stated is None and "spatial_ref" in line.variables:
-        from hyperpaint.geometry.georeference.geodesy import crs_of
-
         # as rioxarray opens a GeoTIFF
         mapping = line["spatial_ref"].attrs
         wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from hyperpaint.base.arrays import Bools, Floats, Floats32, Ints
 
@@ -96,8 +97,6 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
     Of bodies that touch, or have something small between them, one is the other's paint where
     :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}` fits it to 2 %. Grey ones are not told apart, nor joined.
     """
-    import scipy.sparse
-
     near = beyond(pairs, size)
     one, other = matches.body[near[0]].astype(np.int64), matches.body[near[1]].astype(np.int64)
     paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > BODIES.min_paint_colour)

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
 import xarray as xr
 
@@ -187,9 +189,6 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
 
 
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
-    import dask
-    import dask.array as da
-
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     shared = dask.delayed(model, traverse=False, pure=False)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 
@@ -145,8 +146,6 @@ def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
 
     Large segments are no bridge: everything in a car park touches the asphalt.
     """
-    import scipy.sparse
-
     count = size.size
     near = pairs.length >= SEGMENTS.min_border_sides
     one, other = pairs.one[near], pairs.other[near]

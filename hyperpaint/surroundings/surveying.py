@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -60,8 +61,6 @@ def read_channels(
     And which pixels are saturated (line, column). A pixel's means depend on its own bands alone, so that
     blocks change no bit.
     """
-    import dask.array as da
-
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
     count = int(channel.max()) + 1

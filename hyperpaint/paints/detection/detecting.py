@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
 import xarray as xr
+from dask._task_spec import DataNode, Task, TaskRef, convert_legacy_graph
+from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -23,6 +28,10 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
 from hyperpaint.paints.signatures import EXCLUDED
+from hyperpaint.paints.starter_paints import starter_library
+from hyperpaint.radiometry import to_nominal
+from hyperpaint.surroundings.corrections import sky_above
+from hyperpaint.surroundings.light_split import says_its_split, split_of
 
 from .detectors import METHODS, distances, scores
 from .false_alarms import (
@@ -167,8 +176,6 @@ def detect(
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
     _check(line, variables["reflectance"], method, false_alarm_rate, rate, shrinkage)
     if "wavelength_shift" in line.variables:
-        from hyperpaint.radiometry import to_nominal
-
         variables["reflectance"] = to_nominal(line)["reflectance"]
     paints, bands, unknown = _spectra(line, variables["wavelength"].values, library, others)
     cube, clear = _blocks(line, variables["reflectance"], exclude)
@@ -210,8 +217,6 @@ def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
     """Return the paints (signature, band), the bands compared, and spectra of others (other, band)."""
-    from hyperpaint.paints.starter_paints import starter_library
-
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     good = np.isfinite(nm)
@@ -259,8 +264,6 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
 
 def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int | None) -> tuple[Any, Any]:
     """Return the cube, and which pixels are free of flags, as dask arrays in blocks of 32 whole lines."""
-    import dask.array as da
-
     cube = reflectance.transpose(*CUBE).chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
     if "quality" not in line.variables:
         return cube, da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
@@ -270,8 +273,6 @@ def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int 
 
 
 def _mask(background: Any, clear: Any) -> Any:
-    import dask.array as da
-
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
         if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
@@ -294,8 +295,6 @@ def _lazy_detector(
     settings: DetectorSettings, sky: Any,
 ) -> Any:  # fmt: skip
     """Return the detector, delayed: sums over blocks in their order, then what follows from them."""
-    import dask
-
     blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
@@ -326,10 +325,6 @@ def _after(first: Any, array: Any) -> Any:
     Blocks that two passes shared would all be held from the first to the second, and read ahead of it.
     `dask.graph_manipulation` has bind for this, but loses the keys of rechunks.
     """
-    import dask.array as da
-    from dask._task_spec import DataNode, Task, TaskRef, convert_legacy_graph
-    from dask.highlevelgraph import HighLevelGraph
-
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
     copy = {}
@@ -361,9 +356,6 @@ def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> 
 
 def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
     """Return what a level coat mirrors, but for a factor (band,); None where the line does not tell."""
-    from hyperpaint.surroundings.corrections import sky_above
-    from hyperpaint.surroundings.light_split import says_its_split, split_of
-
     if not says_its_split(line):
         return None
     split = split_of(line, None, None).mean()
@@ -374,9 +366,6 @@ def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
 def _search(
     line: xr.Dataset, cube: Any, clear: Any, detector: Any, names: list[str], attrs: dict[str, Any]
 ) -> xr.Dataset:
-    import dask.array as da
-
-    from hyperpaint.base.many_outputs import split_outputs
 
     cube = _after(detector, cube)
     blocks = da.blockwise(

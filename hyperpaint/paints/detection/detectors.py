@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from hyperpaint.base.arrays import Array, Floats
 
@@ -38,8 +39,6 @@ def projection(
     # covariance = L L', z = L^-1 (x - mean) has unit covariance
     whitening = np.eye(bands)
     if covariance is not None:
-        from scipy.linalg import solve_triangular
-
         whitening = solve_triangular(np.linalg.cholesky(covariance), whitening, lower=True).T
     matrix = whitening
     if sky is not None:

@@ -11,6 +11,9 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SIGNATURE
+from hyperpaint.paints.signatures.line_sources import lines_of
+from hyperpaint.regions import pixels_of
+from hyperpaint.regions.geojson import regions_from
 
 _COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
@@ -55,10 +58,6 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     >>> cars["signature"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
     ('red', 1.0, 0.04)
     """
-    from hyperpaint.paints.signatures.line_sources import lines_of
-    from hyperpaint.regions import pixels_of
-    from hyperpaint.regions.geojson import regions_from
-
     detections = schema.rename_to_roles(detections)
     variables = schema.require(detections, ["detected", "best_paint"], "detected regions")
     detected, best = variables["detected"].values, variables["best_paint"].values

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import dask
 import numpy as np
 import xarray as xr
 
@@ -16,6 +17,9 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.cameras import directions
+from hyperpaint.geometry.georeference.geodesy import meridian_convergence
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
@@ -169,8 +173,6 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
 
 def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
     """Return grid north, east of true north (pixel,) [degree]; None where the map is not known."""
-    from hyperpaint.geometry.georeference.geodesy import meridian_convergence
-
     if convention.grid_crs is None:
         return None
     with contextlib.suppress(MissingExtraError, SchemaError):
@@ -191,9 +193,6 @@ def _from_attitude(
     ``look`` and ``along`` are angles of the line of sight in the camera's frame, across and along the track.
     """
     if along is not None or any(boresight):
-        from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
-        from hyperpaint.geometry.georeference.cameras import directions
-
         sight = directions(look, np.zeros(look.shape) if along is None else along)
         level = np.zeros(roll.shape)
         turn = matrices(quaternions(roll, pitch, level)) @ matrices(quaternions(*boresight))
@@ -383,8 +382,6 @@ def _light_of(
     line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
 ) -> SplitOfLines | None:
     """Return how the light of each line divides, small and in memory; None where nothing says so."""
-    import dask
-
     if not needed and (diffuse is None and not says_its_split(line)):
         return None
     with warnings.catch_warnings():  # the correction has warned already

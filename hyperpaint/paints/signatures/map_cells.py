@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import dask
 import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Ints
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells
 
 _PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
@@ -43,8 +45,6 @@ def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
     read there. Cells that show nothing are no pixels. Of a flight line, and of a map that does not say which
     pixels its cells show, positions are left as they are.
     """
-    import dask
-
     if not set(_PLACES) <= set(line.variables):
         return [Shown(place, place) for place in places]
     # so far may the cell lie that is nearest to the centre of a pixel
@@ -103,8 +103,6 @@ def _once(
 
 def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
     """Return latitude and longitude of the middle of a map [degree]; None of a flight line, or unknown."""
-    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-
     mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
     axes = [line.variables.get(name) for name in ("x", "y")]
     wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 
@@ -35,8 +36,6 @@ def gather(
     to do. Values are those of the planes (pixel,) and of the small variables (along_track,), and ``present``
     (pixel,), whether a pixel has a value in any band of the first cube, also in one that was not asked for.
     """
-    import dask
-
     first = next(iter(cubes.values()))
     # lines of the slabs that a flight line is computed in; a map has tiles, and rows of any width
     sizes = (line_chunked(first) if first.chunks is None else first).variable.chunksizes
@@ -87,8 +86,6 @@ def _share(progress: Progress, before: int, tasks: int) -> Progress:
 
 def _whole(array: xr.DataArray) -> Any:
     """Return a lazy variable of one dim as one task, which shares what it needs with all others."""
-    import dask
-
     return dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
 
 
@@ -101,8 +98,6 @@ def _taken(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: 
 
 def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
     """Compute everything at once, so that what the tasks share is computed once."""
-    import dask
-
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
     client = client_in_force()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_opening, find_objects, label, uniform_filter
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
@@ -132,8 +133,6 @@ class Measures(NamedTuple):
 
 def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
     """Yield the connected parts of bodies that have some pixels, in the order of bodies and lines."""
-    from scipy.ndimage import find_objects, label
-
     body = np.append(model.body, np.int32(-1))[model.segment]
     shaded = np.append(model.state == SHADED, False)[model.segment]
     inside = (model.edge_distance > erode) & ~shaded & (body >= 0)
@@ -211,8 +210,6 @@ def _both(mask: Bools, axis: int) -> Bools:
 
 def _smoothed(values: Array, valid: Bools) -> Floats:
     """Return means over a square of what is known (line, column); NaN where nothing is."""
-    from scipy.ndimage import uniform_filter
-
     valid = valid & np.isfinite(values)
     total = uniform_filter(
         np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
@@ -233,8 +230,6 @@ def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
 
 def _largest(mask: Bools) -> Bools:
     """Return the largest connected part of a mask without what is narrower than three pixels."""
-    from scipy.ndimage import binary_opening, label
-
     opened = binary_opening(mask, np.ones((3, 3), bool))
     parts, count = label(opened)
     if not count:

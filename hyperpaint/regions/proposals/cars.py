@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.surroundings import SceneModel
@@ -292,8 +293,6 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
 
     What is brighter than the paint is elsewhere is paint, too: in the lobe of flakes, or in glint.
     """
-    from scipy.ndimage import distance_transform_edt
-
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))

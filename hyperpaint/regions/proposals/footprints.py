@@ -7,6 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import (
+    binary_closing,
+    binary_fill_holes,
+    binary_opening,
+    distance_transform_edt,
+    label,
+    minimum,
+)
+from scipy.spatial import ConvexHull
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
@@ -152,14 +161,6 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
     seed.
     """
-    from scipy.ndimage import (
-        binary_closing,
-        binary_fill_holes,
-        binary_opening,
-        distance_transform_edt,
-        label,
-    )
-
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
     padded = np.pad(like.paint | seed, gap)
@@ -184,8 +185,6 @@ def _gathered(
     cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
 ) -> Bools:
     """Return what lies between a part and those around it, as far as it may be one car."""
-    from scipy.ndimage import distance_transform_edt, minimum
-
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
@@ -209,8 +208,6 @@ def _gathered(
 
 def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
     """Return what of a mask is within a distance [pixel] of its core."""
-    from scipy.ndimage import distance_transform_edt
-
     reach = int(np.ceil(thick))
     lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
     near = tuple(slice(max(int(one[0]) - reach, 0), int(one[-1]) + reach + 1) for one in (lines, columns))
@@ -221,8 +218,6 @@ def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
 
 def hull_of(mask: Bools) -> Bools:
     """Return the convex hull of a mask (line, column)."""
-    from scipy.spatial import ConvexHull
-
     points = _border(mask)
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return mask

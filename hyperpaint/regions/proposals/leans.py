@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import dask
 import numpy as np
 import xarray as xr
 
@@ -61,8 +62,6 @@ def height_model_of(line: xr.Dataset) -> HeightModel | None:
     names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
     if not all(name in line.variables and set(line[name].dims) == set(dims) for name in names):
         return None
-    import dask
-
     east, north, height = dask.compute(*(line[name].transpose(*dims).data for name in names))
     steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
     known = np.concatenate([step[np.isfinite(step)] for step in steps])

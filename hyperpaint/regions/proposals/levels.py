@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 
@@ -90,8 +91,6 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     where brightness falls most steeply in proportion: shading changes brightness over a roof by factors, too,
     and a difference would put the edge of the darker side too far in.
     """
-    from scipy.ndimage import map_coordinates
-
     along, across = _from(roof.middle, roof.axis, *np.nonzero(roof.inside))
     half = max(float(np.abs(across).max()) / ROOFS.used_width, 1.0)
     tracks = np.arange(np.ceil(along.min()), np.floor(along.max()) + 1.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from inspect import signature
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 
@@ -327,8 +328,6 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
 
     Both come of one pass over the line.
     """
-    import dask
-
     flagged = flag(line, model)
     before = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from hyperpaint.base.arrays import Bools, Floats
 
@@ -289,8 +290,6 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
 
     In half widths; NaN where it drops by less in most tracks of a run.
     """
-    from scipy.ndimage import map_coordinates
-
     half = 0.5 * frame.width
     out = np.arange(ROOFS.side * half, ROOFS.beyond * half, ROOFS.step_px)
     along = np.arange(run.first + 0.5, run.last) - 0.5 * frame.length
