@@ -1,4 +1,4 @@
-"""A library to begin with: forty car paints from a few parameters each, none of them measured."""
+"""A library to begin with: forty synthetic car paints, each from a few parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 
-#: Of a pushbroom camera for the visible and near infrared [nm].
+#: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
+#: infrared.
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
 
 MAX_MEMBERS = 10_000
@@ -46,23 +47,23 @@ _LOAD, _HUE_NM, _LEVEL = 0.08, 0.8, 0.02
 def starter_library(
     *, members: int = 24, seed: int = 0, wavelength: npt.ArrayLike | None = None
 ) -> xr.Dataset:
-    r"""Return a library of forty synthetic car paints, to begin with.
+    r"""Return a library of forty synthetic car paints.
 
     Parameters
     ----------
     members
         Variants of each paint; 0 for none.
     seed
-        Another seed varies them otherwise. The paints themselves are always the same.
+        Seed of the variants. The paints themselves are always the same.
     wavelength
-        Of the bands, ascending, 300 to 2500 nm; by default 272 bands from 400 to 1000 nm.
+        Wavelengths of the bands, ascending, 300 to 2500 nm; by default 272 bands from 400 to 1000 nm.
 
     Returns
     -------
     Dataset
-        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without what
-        is mirrored (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature, band),
-        what clear coat and flakes reflect about the mirror direction; ``member_reflectance`` (signature,
+        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without
+        mirrored light (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature,
+        band) of clear coat and flakes around the mirror direction; ``member_reflectance`` (signature,
         member, band) with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates of the paints:
         ``finish``, ``colour`` in words, ``srgb`` of the body in daylight, ``family``, ``roughness`` of the
         coat [1], ``provenance`` ("synthetic"), ``parents`` (the spectrum's name in the simulator) and
@@ -75,12 +76,12 @@ def starter_library(
 
     Notes
     -----
-    No spectrum was measured, and names are make-believe: nothing here is the colour of a maker. K/S of a
-    paint is a few edges and bands (see `hyperpaint.simulation`), from which Kubelka and Munk's thick layer
-    under a coat of index 1.5 follows. In metallic and pearl paints a share of the light meets flakes; what
-    these reflect about the mirror direction is with the specular part, so that the body is their dark "flop"
-    colour. Members differ in pigment, in the wavelengths at which it absorbs, and in light: 8 %, 0.8 nm and
-    2 %, standard deviations.
+    No spectrum was measured, and names are invented: no paint is the colour of a maker. K/S of a paint
+    consists of a few edges and bands (see `hyperpaint.simulation`), from which its reflectance follows as
+    Kubelka and Munk's thick layer under a coat of index 1.5. In metallic and pearl paints a share of the
+    light meets flakes; their reflectance around the mirror direction belongs to the specular part, so that
+    the body is their dark "flop" colour. Members differ in pigment, in the wavelengths at which it absorbs,
+    and in light: standard deviations 8 %, 0.8 nm and 2 %.
 
     Examples
     --------
@@ -119,12 +120,12 @@ def _specs() -> list[PaintSpec]:
 
 
 def _body(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return the reflectance of what is no flake (band,) [1], without mirrored light."""
+    """Return the reflectance of the paint outside its flakes (band,) [1], without mirrored light."""
     return spec.reflectance(nm) * (1.0 - _share(spec))
 
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return what coat and flakes reflect about the mirror direction (band,) [1]."""
+    """Return the reflectance of coat and flakes around the mirror direction (band,) [1]."""
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:
         return np.full(nm.size, coat)

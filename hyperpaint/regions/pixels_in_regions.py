@@ -21,19 +21,19 @@ from .geojson import regions_from
 from .outlines import Region, Regions
 from .polygons import contains
 
-#: Positions along and across the track, line by line.
 RegionsT = TypeVar("RegionsT", bound=Regions)
+#: Positions along and across the track, line by line.
 Pixels = tuple[Ints, Ints]
 
 #: Pixels whose place is looked at together.
 _BLOCK_PIXELS = 2**20
 
-#: Of a map: column and line of the flight line that every cell shows.
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
 _DEGREES = "EPSG:4326"
+#: Variables of a map: column and line of the flight line that every cell shows.
 _SHOWN = ("nearest_sample", "nearest_line")
-#: Of a map of several flight lines: which of them a cell shows.
+#: Variable of a map of several flight lines: the flight line that a cell shows.
 _OF_LINE = "flightline"
 
 

@@ -69,8 +69,8 @@ def nearest_coloured(
     return labels
 
 
-#: What amounts are expected in a pixel, and how far from it they may come to lie (2, part).
 _BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
+#: Prior of the amounts in a pixel: expected values and standard deviations (2, part).
 _AS_PIXEL = np.transpose(
     [(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), (0.0, 0.03), *_BESIDE]
 )

@@ -40,7 +40,7 @@ _MENDS = {
     "correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
 
-#: Of a flight line or of a paint library: what moves with a level, and what only scales.
+#: Variables of a flight line or paint library that shift with a subtraction, and those that only scale.
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
 

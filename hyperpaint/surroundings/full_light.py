@@ -14,9 +14,9 @@ from .model import CELL, GLINTED, LIT, SHADED
 from .scratch import gather
 from .segments import Touching, distinct_pairs
 
-#: What amounts are expected, and how far from it they may come to lie (2, part): of a body in a shadow, of
-#: one that leans, of one in glint; parts as in `hyperpaint.kernels.unmixing`.
 _NONE = (0.0, 1e-6)
+#: Priors of the amounts of a body in shadow, of a leaning body and of a body in glint: expected values and
+#: standard deviations (2, part); parts as in `hyperpaint.kernels.unmixing`.
 _AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(5 * [_NONE])])
 _AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(5 * [_NONE])])
 AS_GLINT = np.transpose([(1.0, 0.1), (1.0, 0.15), (0.0, 10.0), (0.0, 0.01), (0.0, 0.03), *(4 * [_NONE])])

@@ -26,8 +26,8 @@ _RING = (
     (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3), (0, 3), (1, 3), (2, 2),
     (3, 1), (3, 0), (3, -1), (2, -2), (1, -3), (0, -3), (-1, -3), (-2, -2),
 )  # fmt: skip
-#: Pixels of a ring that are darker, at least, where its median is; place of its third lowest.
 _MARGIN, _LINES = 3, 128
+#: Minimum number of ring pixels darker than its median allows; index of its third lowest.
 _DARKER, _LOWEST = 9, 2
 
 

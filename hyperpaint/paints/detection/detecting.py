@@ -1,4 +1,4 @@
-"""Paints looked for in an image: labels, units and the lazy graph."""
+"""Detection of paints in a flight line: labels, units and the lazy graph."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ from .false_alarms import (
     make_detector,
 )
 
-_MOST_OTHERS = 20_000
-_JOINED_AT_ONCE = 16
+MAX_OTHER_SPECTRA = 20_000
+JOINED_PARTS = 16
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
-_OF_DETECTOR = {
+_DETECTOR_FIELDS = {
     "score_threshold": "threshold", "distance_limit": "distance_limit", "checked_rate": "checked_rate",
     "checked_rate_u": "checked_rate_u", "explained_share": "explained_share",
 }  # fmt: skip
@@ -69,58 +69,58 @@ def detect(
 ) -> xr.Dataset:
     r"""Look for the paints of a library in a flight line, at a stated rate of false alarms.
 
-    Lazy, but for the wavelengths: computing reads the line twice, for the background and for the search, some
-    lines at a time. All bits are the same for any chunks.
+    Lazy except for the wavelengths: computing reads the line twice, for the background and for the search,
+    some lines at a time. Results have the same bits for any chunks.
 
     Parameters
     ----------
     line
-        ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality``, where it has it.
+        ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality`` where present.
     library
         Paints to look for: ``reflectance`` (signature, band) [1] of the body under its clear coat
         (``specular_component`` excluded), interpolated to the bands of the line.
     method
         "ace", the adaptive coherence (cosine) estimator; "matched_filter"; or "spectral_angle".
     false_alarm_rate
-        Share of the background of which any paint may score above its threshold. Pixels that show none of the
-        paints but are explained by one all the same are no background by default: the rate says nothing of
-        them, and ``explained_share`` is how many they can be.
+        Share of the background in which any paint may score above its threshold. By default pixels that a
+        paint explains are left out of the background, whether they show it or not: the rate does not hold for
+        them, and ``explained_share`` is their number.
     unknown_rate
-        Share of ``others`` that may be taken for a paint of the library; by default the same; 1 rejects
-        nothing.
+        Share of ``others`` that may be taken for a paint of the library; by default ``false_alarm_rate``; 1
+        rejects nothing.
     others
-        A library of paints that may be there and are not looked for; the starter library by default. Those
-        whose names the library has are left out. The rate holds for paints like these: give those of your
-        cars. Under ``1 / unknown_rate`` spectra the limits get stricter than they need to be.
+        A library of paints that may occur and are not looked for; by default the starter library. Paints
+        named in ``library`` are left out. The rate holds for paints like these: pass the paints of your cars.
+        With fewer than ``1 / unknown_rate`` spectra the limits are stricter than necessary.
     background
-        Which pixels show none of the paints for certain, (along_track, cross_track) bool: covariance
-        and thresholds come from these alone. By default thresholds come from all but those that a paint
-        explains. The rate holds for pixels like these: let them include whatever looks like the paints.
+        Pixels that certainly show none of the paints, (along_track, cross_track) bool: covariance and
+        thresholds come from these alone. By default thresholds come from all pixels that no paint explains.
+        The rate holds for pixels like these: include objects that look like the paints.
     exclude
-        Flags of pixels that are left out of the background, and not detected; those that signatures leave
-        out by default.
+        Flags of pixels that are left out of the background, and not detected; by default the flags that
+        signatures exclude.
     sky
-        Spectrum (band,) that a clear coat mirrors in any amount, which is taken out of pixels and paints;
-        "auto" for the diffuse light from above, where the line tells it; None for none.
+        Spectrum (band,) of the sky that a clear coat mirrors in any amount, projected out of pixels and
+        paints; "auto" for the diffuse light from above, where the line declares it; None for no sky.
     shrinkage
-        Weight of its own diagonal in the covariance, 0 to 1, for lines of few pixels.
+        Weight of the diagonal in the covariance, 0 to 1, for lines with few pixels.
 
     Returns
     -------
     Dataset
         (along_track, cross_track): ``best_paint``, number of the paint, which the attribute
-        ``flag_meanings`` names, -1 where a value is missing; ``detection_score`` of it; ``paint_distance``
+        ``flag_meanings`` names, -1 where a value is missing; its ``detection_score``, ``paint_distance``
         and ``paint_level``; ``detected``. (signature): ``score_threshold``, ``distance_limit``, 0 where a
-        paint cannot be told from others at that rate. ``checked_rate`` with ``checked_rate_u``: share of
-        alarms in each eighth of the line's background under thresholds from the rest, and half of its 95 %
-        interval. ``explained_share`` of the valid pixels was left out of that background since a paint
-        explains them, be they the paint or not; 0 with ``background=``.
+        paint cannot be distinguished from others at this rate. ``checked_rate`` with ``checked_rate_u``: mean
+        share of alarms in an eighth of the line's background under thresholds from the rest, and half of its
+        95 % interval. ``explained_share``: share of the valid pixels that was left out of the background
+        since a paint explains them, whether they show it or not; 0 with ``background=``.
 
     Raises
     ------
     SchemaError
-        Variables, options or bands that cannot be used; all are listed. When computed: fewer valid pixels of
-        background than bands, or too few for the rate.
+        Variables, options or bands cannot be used; all are listed. When computed: the background has fewer
+        valid pixels than bands, or too few for the rate.
 
     Warns
     -----
@@ -130,25 +130,25 @@ def detect(
     Notes
     -----
     With mean and covariance of the background :math:`\mu, C`, a pixel :math:`x` and a paint :math:`t` less
-    :math:`\mu`, products :math:`\langle a, b \rangle = a^T C^{-1} b` and the sky's direction taken out,
+    :math:`\mu`, products :math:`\langle a, b \rangle = a^T C^{-1} b` and the sky's direction projected out,
 
     .. math:: s_{ACE} = \pm \frac{\langle t, x \rangle^2}{\langle t, t \rangle \langle x, x \rangle}, \qquad
               s_{MF} = \frac{\langle t, x \rangle}{\langle t, t \rangle}
 
-    [1]_ [2]_; the sign is that of the product. The score of the spectral angle is its cosine, without
-    :math:`\mu` and :math:`C`. C is that of all valid pixels, with ``background=`` of those
-    pixels alone; its diagonal has the weight ``shrinkage``.
+    [1]_ [2]_ with the sign of the product. The score of the spectral angle is its cosine, without
+    :math:`\mu` and :math:`C`. C is computed from all valid pixels, with ``background=`` from those pixels
+    alone; its diagonal has the weight ``shrinkage``.
 
-    *Threshold*: each paint's is the score of the same rank among the background's, such that the share with
-    any paint above is the rate; drawn from pixels spread over all lines (128 MiB of them). Target pixels
-    that no paint explains stay among them and raise it: then fewer false alarms than stated, and fewer
-    detections; ``background=`` mends that.
+    *Threshold*: the score of the same rank in the background for each paint, chosen such that the share of
+    pixels above the threshold of any paint is the rate; from pixels spread over all lines (128 MiB of
+    samples). Target pixels that no paint explains stay in the background and raise the threshold: there are
+    fewer false alarms than stated, and fewer detections; ``background=`` avoids this.
 
     *Unknown paints*: :math:`x = a t + m s + r` by least squares with the sky s; a pixel is rejected where
-    :math:`|r| / |a t|` is above the paint's ``distance_limit``, or a outside of 0.25 to 2.5. The limit is
-    that within which a share ``unknown_rate`` of the others lies for any paint. White, silver and grey
-    paints mostly cannot be told from one another at 1e-3: they are not detected, and not in error.
-    A metallic paint at another angle is another spectrum: look for its signature of a like geometry.
+    :math:`|r| / |a t|` is above the paint's ``distance_limit``, or a outside of 0.25 to 2.5. A share
+    ``unknown_rate`` of ``others`` lies within the limit of any paint. White, silver and grey paints mostly
+    cannot be distinguished at 1e-3: they are not detected, which is no error. A metallic paint at another
+    angle has another spectrum: look for its signature of a similar geometry.
 
     References
     ----------
@@ -216,7 +216,7 @@ def _check(
 def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
-    """Return the paints (signature, band), the bands compared, and spectra of others (other, band)."""
+    """Return the paints (signature, band), the bands compared, and spectra of other paints (other, band)."""
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     good = np.isfinite(nm)
@@ -243,27 +243,29 @@ def _spectra(
             mend="pass others= a library that covers these bands, with paints that library= lacks",
             code="other-paints-missing",
         )
-    return paints[:, bands], bands, unknown[:: -(-len(unknown) // _MOST_OTHERS)]
+    return paints[:, bands], bands, unknown[:: -(-len(unknown) // MAX_OTHER_SPECTRA)]
 
 
 def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
-    """Return the spectra of a library at other wavelengths (spectrum, band), those of its members too."""
+    """Return the spectra of a library (spectrum, band), and its members if wanted, at wavelengths [nm]."""
     names = [
         "reflectance",
         "wavelength",
         *(["member_reflectance"] if "member_reflectance" in library else []),
     ]
     variables = schema.require(library, names if members else names[:2], "a detection", LIBRARY_VARIABLES)
-    own = np.asarray(variables["wavelength"].values, np.float64)
+    wavelength = np.asarray(variables["wavelength"].values, np.float64)
     spectra = [np.asarray(variables["reflectance"].values, np.float64)]
     if members and "member_reflectance" in variables:
-        rows = np.asarray(variables["member_reflectance"].values, np.float64).reshape(-1, own.size)
+        rows = np.asarray(variables["member_reflectance"].values, np.float64).reshape(-1, wavelength.size)
         spectra.append(rows[np.isfinite(rows).any(axis=1)])
-    return np.array([interpolated(nm, own, each) for each in np.concatenate(spectra)]).reshape(-1, nm.size)
+    return np.array([interpolated(nm, wavelength, spectrum) for spectrum in np.concatenate(spectra)]).reshape(
+        -1, nm.size
+    )
 
 
 def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int | None) -> tuple[Any, Any]:
-    """Return the cube, and which pixels are free of flags, as dask arrays in blocks of 32 whole lines."""
+    """Return the cube and the mask of pixels without flags as dask arrays in blocks of 32 whole lines."""
     cube = reflectance.transpose(*CUBE).chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
     if "quality" not in line.variables:
         return cube, da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
@@ -294,16 +296,19 @@ def _lazy_detector(
     line: xr.Dataset, cube: Any, clear: Any, bands: Ints, paints: Floats, unknown: Floats,
     settings: DetectorSettings, sky: Any,
 ) -> Any:  # fmt: skip
-    """Return the detector, delayed: sums over blocks in their order, then what follows from them."""
+    """Return the delayed detector: sums over blocks in their order, then thresholds."""
     blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
     part = dask.delayed(_part_of, pure=True)
-    parts = [part(*each, bands, number, size) for number, each in enumerate(zip(blocks, masks, strict=True))]
+    parts = [
+        part(*block_and_mask, bands, number, size)
+        for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
+    ]
     join = dask.delayed(joined_parts, pure=True)
     while len(parts) > 1:
-        parts = [join(parts[at : at + _JOINED_AT_ONCE]) for at in range(0, len(parts), _JOINED_AT_ONCE)]
+        parts = [join(parts[at : at + JOINED_PARTS]) for at in range(0, len(parts), JOINED_PARTS)]
     if isinstance(sky, str) and sky == "auto":
         of_light = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
         sky = dask.delayed(_sky_of)(line[of_light], bands)
@@ -320,22 +325,24 @@ def _lazy_detector(
 
 
 def _after(first: Any, array: Any) -> Any:
-    """Return a dask array under other keys, of which nothing is computed before a delayed object is.
+    """Return a copy of a dask array under other keys, computed only after a delayed object.
 
-    Blocks that two passes shared would all be held from the first to the second, and read ahead of it.
-    `dask.graph_manipulation` has bind for this, but loses the keys of rechunks.
+    Blocks shared by two passes would all be held in memory from the first to the second, and read ahead of
+    it. `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
     """
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
     copy = {}
     for key, task in graph.items():
-        own = keys[key]
+        new_key = keys[key]
         if isinstance(task, DataNode):
-            copy[own] = Task(own, _second, TaskRef(first.key), task.value)
+            copy[new_key] = Task(new_key, _second, TaskRef(first.key), task.value)
         elif isinstance(task, Task) and not task.dependencies:
-            copy[own] = Task(own, _call_second, TaskRef(first.key), task.func, *task.args, **task.kwargs)
+            copy[new_key] = Task(
+                new_key, _call_second, TaskRef(first.key), task.func, *task.args, **task.kwargs
+            )
         else:
-            copy[own] = task.substitute(keys, key=own)
+            copy[new_key] = task.substitute(keys, key=new_key)
     name = f"again-{array.name}"
     graph = HighLevelGraph.from_collections(name, copy, dependencies=[first])
     return da.Array(graph, name, array.chunks, meta=array._meta)
@@ -355,7 +362,7 @@ def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> 
 
 
 def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
-    """Return what a level coat mirrors, but for a factor (band,); None where the line does not tell."""
+    """Return the sky that a level coat mirrors, up to a factor (band,); None where it is not declared."""
     if not says_its_split(line):
         return None
     split = split_of(line, None, None).mean()
@@ -378,7 +385,7 @@ def _search(
         name: schema.label(xr.DataArray(array, dims=pixel), name)
         for name, array in zip(_LAYERS, split_outputs(blocks, "lbx", layout).values(), strict=True)
     }
-    for name, field in _OF_DETECTOR.items():
+    for name, field in _DETECTOR_FIELDS.items():
         dims = schema.VARIABLES[name].dims
         data = da.from_delayed(getattr(detector, field), (len(names),) * len(dims), np.float64)
         arrays[name] = schema.label(xr.DataArray(data, dims=dims), name)
@@ -404,15 +411,15 @@ def search_block(cube: Array, clear: Bools, detector: Detector) -> tuple[Array, 
         spectra = np.ascontiguousarray(values.T, np.float64)
         whole = np.asarray(np.isfinite(spectra).all(axis=1))
         spectra[~whole] = 0.0
-        own = scores(spectra, detector.project, detector.method)
-        apart, levels = distances(spectra, detector.paints, detector.sky)
-        passes: Array = (own >= detector.threshold) & detector.is_near(apart, levels)
-        standing = (own - detector.usual) / scale
+        paint_scores = scores(spectra, detector.project, detector.method)
+        paint_distances, levels = distances(spectra, detector.paints, detector.sky)
+        passes: Array = (paint_scores >= detector.threshold) & detector.is_near(paint_distances, levels)
+        standing = (paint_scores - detector.usual) / scale
         some = np.max(passes, axis=1, keepdims=True)
         chosen = np.where(whole[:, None], np.where(passes >= some, standing, -np.inf), 0.0)
         paint = np.argmax(chosen, axis=1)
         place = np.arange(len(paint))
-        for layer, of_paints in ((score, own), (distance, apart), (level, levels)):
+        for layer, of_paints in ((score, paint_scores), (distance, paint_distances), (level, levels)):
             layer[number] = np.where(whole, of_paints[place, paint], np.nan)
         best[number] = np.where(whole, paint, -1)
         detected[number] = some[:, 0] & whole & clear[number]

@@ -1,4 +1,4 @@
-"""New paints from old: mixtures, shades, and variants drawn from a measured population.
+"""Synthetic paints: mixtures, shades, and variants drawn from a measured population.
 
 A paint library comes in, a library of synthetic paints goes out. For the accessor and workflows.
 """

@@ -57,7 +57,7 @@ def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class Interface:
-    """The surface of a paint, which mirrors light on both of its sides.
+    """The surface of a paint, which reflects light on both sides.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Interface:
     Raises
     ------
     SchemaError
-        One is outside 0 to below 1; both are listed.
+        A value is negative, or 1 and more; all are listed.
 
     Examples
     --------
@@ -92,42 +92,42 @@ class Interface:
         problems.raise_if_any()
 
     def seen(self, layer: npt.ArrayLike) -> Floats:
-        """Return what leaves of a layer's reflectance, without the mirror image: from 0 to 1 - k1."""
+        """Return the reflectance above the interface of a layer, without mirrored light: 0 to 1 - k1."""
         inside = np.asarray(layer, np.float64)
         return np.asarray((1.0 - self.k1) * (1.0 - self.k2) * inside / (1.0 - self.k2 * inside))
 
     def layer(self, seen: npt.ArrayLike) -> Floats:
-        """Return the reflectance of the layer below; undoes `seen`, and is above 1 for more than 1 - k1."""
+        """Return the reflectance of the layer below; inverse of `seen`, above 1 for inputs above 1 - k1."""
         body = np.asarray(seen, np.float64)
         return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
 
 
-#: Of a layer without an interface [1]: blacker is no paint (soot in a binder is 0.02), but noise, whose K/S
-#: would drown all others in a mixture.
-BLACKEST = 1e-3
+#: Lowest reflectance of a layer without an interface [1]: values below are noise (soot in a binder is 0.02),
+#: whose K/S would dominate any mixture.
+MIN_LAYER_REFLECTANCE = 1e-3
 
-#: Share of a spectrum that may be darker than its own interface, by noise.
-_FEW = 0.05
+#: Share of a spectrum that may be darker than its interface, by noise [1].
+MAX_DARK_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Coating:
-    """What lies between a layer of paint and its reflectance as the library holds it."""
+    """Interface and mirrored light between a layer of paint and its reflectance in the library."""
 
     interface: Interface  #: Of the layer.
-    mirrored: Floats  #: (band,) or (): Mirrored light that the reflectance holds [1].
+    mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
-        """Return K/S [1] of spectra (signature, ..., band); NaN where there is none.
+        """Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
 
-        Raises `SchemaError`: over a twentieth of the spectra of a paint is darker than the light that the
-        coat mirrors; all such paints are listed. Warns of values that no such layer can have; they are
-        replaced by the nearest that it can.
+        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light that the coat
+        mirrors; all such paints are listed. Warns of values that no such layer can have; they are replaced by
+        the nearest possible value.
         """
         values = np.asarray(reflectance, np.float64)
         layer = self.interface.layer(values - self.mirrored)
-        # far below 0, where the denominator has changed its sign, is dark as well
-        low = (layer < BLACKEST) | (values < self.mirrored)
+        # also dark: far below 0, where the denominator changes its sign
+        low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
         high = ~low & (layer > 1.0)
         self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
         if low.any() or high.any():
@@ -135,24 +135,24 @@ class Coating:
             msg = (
                 f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
                 f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
-                f"replaced by the nearest possible values, of R_inf = {BLACKEST:g} and 1"
+                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1"
             )
             warnings.warn(PaintWarning(msg, code="reflectance-outside-model"), stacklevel=4)
-        layer = np.where(low, BLACKEST, np.minimum(layer, 1.0))
+        layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
     def reflectance(self, ratio: npt.ArrayLike) -> Floats:
-        """Return the reflectance of layers by their K/S [1], 0 to 1; undoes `ratio`."""
-        seen = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
-        return np.asarray(np.clip(seen, 0.0, 1.0))
+        """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
+        reflectance = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
+        return np.asarray(np.clip(reflectance, 0.0, 1.0))
 
     def _refuse_dark(self, dark: Bools, is_finite: Any, names: list[str]) -> None:
         if not self.mirrored.any():
             return
         problems = Problems("the library's reflectance cannot hold that much mirrored light", SchemaError)
-        for name, one, there in zip(names, dark, is_finite, strict=True):
-            share = float(one.sum() / max(int(there.sum()), 1))
-            if share > _FEW:
+        for name, is_dark, has_value in zip(names, dark, is_finite, strict=True):
+            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
+            if share > MAX_DARK_SHARE:
                 problems.add(
                     f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
                     mend="pass mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
@@ -163,13 +163,13 @@ class Coating:
 
 
 def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:
-    """Return what lies between the layers of a library's paints and their reflectance.
+    """Return the coating between the layers of a library's paints and their reflectance.
 
     Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
-    `Interface`; ``mirrored``: mirrored light that the reflectance holds [1]: a number, or one a band. None:
-    none where the library says that it is excluded, or has it apart as ``specular_reflectance``; else k1.
+    `Interface`; ``mirrored``: mirrored light in the reflectance [1], a number, or one a band. By default 0
+    where the library declares mirrored light excluded, or holds it as ``specular_reflectance``; else k1.
 
-    Raises `SchemaError`: one of them is no reflectance, or the attribute says neither; all are listed.
+    Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     """
     interface = Interface(k1, k2)
     problems = Problems("the light that the coat mirrors is not known", SchemaError)

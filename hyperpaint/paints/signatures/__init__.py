@@ -1,4 +1,4 @@
-"""Paint signatures: what a paint reflects, from regions of calibrated flight lines.
+"""Paint signatures: reflectance of paints from regions of calibrated flight lines.
 
 Flight lines and regions come in, a paint library with spread and uncertainties goes out. For validation,
 report, workflows and the accessor.

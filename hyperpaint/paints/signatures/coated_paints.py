@@ -1,4 +1,4 @@
-"""Signatures of the body under a clear coat, of those regions that are paint."""
+"""Correction of the clear coat for those regions that are paint."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def without_coat(
     index: float,
     sun_zenith: float | None,
 ) -> xr.Dataset:
-    """Return a library without the share of a coat of some index.
+    """Return a library without the share of a coat of the given index.
 
-    Regions that are no paint, and those of metallic paint, stay as they are.
+    Regions that are no paint, and metallic paint, stay unchanged.
     """
     words = [
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions
     ]
-    is_paint = np.array([not own & (_NO_PAINT | _AT_A_GEOMETRY) for own in words])
+    is_paint = np.array([not region_words & (_NO_PAINT | _AT_A_GEOMETRY) for region_words in words])
     if not is_paint.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
