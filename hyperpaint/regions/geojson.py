@@ -1,7 +1,7 @@
-"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line.
+"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line of text.
 
-Beside what the format has, the collection says what its numbers are: ``"coordinates": "sensor"`` or
-``"map"``, and ``"crs"`` as GeoJSON had it before 2016. Without either they are of the sensor.
+Two members beyond the format define the coordinates: ``"coordinates": "sensor"`` or ``"map"``, and ``"crs"``
+as in GeoJSON before 2016. Without either they are sensor coordinates.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from hyperpaint.io.files.publishing import publish_file
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
-#: Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB.
+#: Maximum size of a file of regions [byte]: a thousand regions of a hundred corners have 4 MB.
 MAX_FILE_BYTES = 16 * 2**20
 
 MAX_REGIONS = 10_000
 
-#: Lists and mappings in it, and separators: each costs memory many times its own size.
+#: Maximum numbers of lists and mappings, and of separators in a file: each costs much memory.
 MAX_CONTAINERS = 500_000
 MAX_SEPARATORS = 1_500_000
 MAX_LISTED_FEATURES = 20
@@ -38,9 +38,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     Parameters
     ----------
     path
-        The file; others than GeoJSON need pyogrio or fiona, and are in coordinates of a map. Features are
-        polygons with a property ``name``, and ``flightline`` where the collect has several; every other
-        property is kept, other members of features are not.
+        The file; formats other than GeoJSON need pyogrio or fiona, and are in coordinates of a map. Features
+        are polygons with a property ``name``, and ``flightline`` where the collect has several; all other
+        properties are kept, other members of features are not.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     Raises
     ------
     FormatError
-        The file is not GeoJSON, or holds what is no region; all features that are not are listed.
+        The file is not GeoJSON, or some features are no regions; all of these are listed.
     MissingExtraError
         Neither pyogrio nor fiona is installed.
 
@@ -93,16 +93,16 @@ def write_regions(
 ) -> Path:
     """Write regions as GeoJSON.
 
-    Equal regions give equal bytes, and what `read_regions` reads is what was written.
+    Equal regions give equal bytes, and `read_regions` returns equal regions.
 
     Parameters
     ----------
     regions
-        What to write.
+        Regions to write.
     path
         The file.
     overwrite
-        Replace a file that holds something else.
+        Replace a file with other content.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def write_regions(
     Raises
     ------
     StoreError
-        The file holds something else, or cannot be written. It is as it was.
+        The file has other content, or cannot be written. It is unchanged.
 
     Examples
     --------
@@ -134,12 +134,12 @@ def write_regions(
 
 
 def regions_from(source: Any) -> Regions:
-    """Return regions, however they are given.
+    """Return regions from any of their forms.
 
     Parameters
     ----------
     source
-        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or what has a
+        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or an object with
         ``__geo_interface__``, as of geopandas.
 
     Returns
@@ -151,7 +151,7 @@ def regions_from(source: Any) -> Regions:
     FormatError
         A file or mapping is not GeoJSON of regions.
     SchemaError
-        It is nothing that regions can be made of, or names occur twice.
+        The object has another type, or names occur twice.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def _no_constant(text: str) -> None:
     raise ValueError(f"{text} is no number of JSON")
 
 
-# --- what a document says ----------------------------------------------------------------------------------
+# --- content of a document ---------------------------------------------------------------------------------
 
 
 def _collection(document: Any, subject: str) -> Regions:
@@ -229,7 +229,7 @@ def _collection(document: Any, subject: str) -> Regions:
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
-    """Return the features of a collection, or the one that stands for itself."""
+    """Return the features of a collection, or a single Feature as a list."""
     kind = document.get("type") if isinstance(document, Mapping) else None
     if kind == "Feature":
         return [document]
@@ -267,7 +267,6 @@ def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
 
 
 def _region(feature: Any) -> Region:
-    """Return a feature as a region; `SchemaError` where it is none."""
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
         raise SchemaError(type(feature).__name__, expected="a Feature", code="type-wrong")
     properties = feature.get("properties")
@@ -311,11 +310,11 @@ def _positions(ring: Any, subject: str) -> Any:
             raise SchemaError(
                 f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
             )
-        # heights are of no use here
+        # heights are not used
         corners.append((float(position[0]), float(position[1])))
     return np.array(corners, np.float64).reshape(-1, 2)
 
 
 def _is_number(value: Any) -> bool:
-    # whole numbers of JSON have no end, those of float64 do
+    # integers of JSON may exceed float64
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300

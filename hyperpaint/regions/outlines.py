@@ -1,4 +1,4 @@
-"""Regions as data: named polygons with whatever is known of what they outline."""
+"""Regions as data: named polygons with their properties."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
-#: What x and y of regions are: column and line of the cube, or a place on the ground.
+#: Coordinate systems of regions: column and line of the cube, or a place on the ground.
 COORDINATES = ("sensor", "map")
 
-#: Corners of one ring.
+#: Maximum number of corners of a ring.
 MAX_VERTICES = 10_000
 
-#: Coordinate that no pixel and no place has.
+#: Largest absolute coordinate; no pixel and no place on a map has a larger one.
 MAX_COORDINATE = 1e9
 
 MAX_NAME_CHARS = 200
@@ -37,21 +37,21 @@ class Region:
     Attributes
     ----------
     name
-        Names the region, and the paint that is found in it.
+        Name of the region, and of its paint.
     polygon : (vertex, 2), float64
         x (cross_track) and y (along_track) of its corners, whole numbers at pixel centres; or x and y on the
         map. The last corner is joined to the first.
     holes
         Rings cut out of it, as ``polygon``.
     flightline
-        The flight line that the coordinates are of; empty where there is one only.
+        The flight line of the coordinates; empty where there is only one.
     properties
-        Anything else that is known of it: make, model, year, colour, finish, reference ... in terms of JSON.
+        Other facts about it: make, model, year, colour, finish, reference ... as JSON values.
 
     Raises
     ------
     SchemaError
-        A name, ring or property that cannot be used; all are listed.
+        A name, ring or property cannot be used; all are listed.
 
     Examples
     --------
@@ -123,7 +123,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Regions(Sequence[Region]):
-    """An immutable sequence of regions, and what their coordinates are.
+    """An immutable sequence of regions with their coordinate system.
 
     Attributes
     ----------
@@ -131,15 +131,15 @@ class Regions(Sequence[Region]):
         The regions; no two have the same name.
     coordinates
         "sensor": x is cross_track and y along_track, by their index coordinates where a line has them, which
-        a crop keeps, else counted from 0; or "map".
+        survive a crop, else counted from 0; or "map".
     crs
-        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not given.
+        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is undeclared.
 
     Raises
     ------
     SchemaError
-        Names that occur twice, unknown coordinates, or a reference system that is no text or of a sensor; all
-        are listed.
+        Names occur twice, ``coordinates`` is unknown, or ``crs`` is no text or given for a sensor; all are
+        listed.
 
     Examples
     --------
@@ -239,17 +239,17 @@ class Regions(Sequence[Region]):
 
     @property
     def digest(self) -> str:
-        """Digest of all that the regions say: equal digests, equal regions."""
+        """Digest of the content: equal digests mean equal regions."""
         text = json.dumps(self.__geo_interface__, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _drawn(region: Region, coordinates: str) -> str:
-    """Return a region's outline, filled with its property ``colour``, its name and its flight line."""
+    """Return a region as HTML: its outline, filled with its property ``colour``, its name and flight line."""
     rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     scale = 20.0 / max((high - low).max(), 1e-12)
-    # lines of a sensor count downwards, as a screen's do, and north is up
+    # sensor lines count downwards as on a screen, north is up
     turned = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
     corners = [((ring - (low + high) / 2.0) * scale * turned + 12.0).round(1) for ring in rings]
     step = max(1, len(corners[0]) // 100)
@@ -266,7 +266,7 @@ def _drawn(region: Region, coordinates: str) -> str:
 
 
 def _number(value: float) -> int | float:
-    """Return a coordinate as it is written: whole numbers without a point."""
+    """Return a coordinate for writing: whole numbers without a decimal point."""
     whole = int(value)
     return whole if whole == value else float(value)
 
@@ -304,7 +304,7 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
 
 
 def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
-    """Return properties as JSON holds them, copied."""
+    """Return a copy of properties as JSON values."""
     if not isinstance(properties, Mapping):
         problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
         return {}

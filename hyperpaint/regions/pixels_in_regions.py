@@ -1,4 +1,4 @@
-"""Which pixels of a flight line lie in a region."""
+"""Pixels of a flight line inside regions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RegionsT = TypeVar("RegionsT", bound=Regions)
 #: Positions along and across the track, line by line.
 Pixels = tuple[Ints, Ints]
 
-#: Pixels whose place is looked at together.
+#: Pixels whose places are processed together.
 _BLOCK_PIXELS = 2**20
 
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
@@ -49,11 +49,11 @@ def pixels(
     line
         A flight line, or a map. Coordinates of a map need the place of every pixel on the ground, as
         ``longitude`` and ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y``
-        of a map; a line that has poses and the attribute ``ground`` alone is located for it. Coordinates of
-        the sensor are those of the pixels that a map shows, where it says so (``nearest_line`` and
-        ``nearest_sample``); of a map of several flight lines those of the region's own line.
+        of a map; a line with poses and the attribute ``ground`` only is located first. Sensor coordinates in
+        a map are the coordinates of the pixels that its cells show (``nearest_line`` and ``nearest_sample``,
+        where present); in a map of several flight lines, of the region's own flight line.
     coordinates, crs
-        What the region's coordinates are, see `Regions`.
+        Coordinate system of the region, see `Regions`.
 
     Returns
     -------
@@ -64,9 +64,9 @@ def pixels(
     Raises
     ------
     SchemaError
-        The line has no along_track and cross_track; or, for a map, no place of its pixels in that reference
-        system; for a map of several flight lines, none of these named by a region in coordinates of the
-        sensor; or the polygon has too many long edges.
+        The line has no along_track and cross_track; it has no place of its pixels in the region's reference
+        system; a region in sensor coordinates names none of a map's several flight lines; or the polygon has
+        too many long edges.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def pixels(
 
 
 def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
-    """Return which region every pixel of a flight line lies in.
+    """Return the region of every pixel of a flight line.
 
     Parameters
     ----------
@@ -129,7 +129,8 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     """Return the pixels of every region; see `pixels`.
 
-    Of a sensor nothing is read, of a map the places of the pixels, once, a block of lines at a time.
+    In sensor coordinates nothing is read; of a map the places of the pixels are read once, in blocks of
+    lines.
 
     Examples
     --------
@@ -160,7 +161,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
             regions = _moved(regions, crs)
         return _by_place(regions, x, y, shape)
     if set(_SHOWN) <= set(line.variables):
-        # cells of a map are told by the pixel that they show; -1 shows none
+        # coordinates of a map's cell are those of the pixel that it shows; -1 is an empty cell
         across, along = (line[name].reset_coords(drop=True) for name in _SHOWN)
         places = across.where(across >= 0), along.where(along >= 0)
         names = lines_of_cells(line)
@@ -172,7 +173,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
-    """Return the flight lines that the cells of a map show, with their numbers; none of a map of one line."""
+    """Return the numbers of the flight lines in a map by name; empty for a map of one line."""
     if _OF_LINE not in line.variables or set(line[_OF_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
         return {}
     attrs = line[_OF_LINE].attrs
@@ -182,7 +183,7 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
 
 
 def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
-    """Return the number of the flight line that each region is drawn on."""
+    """Return the number of the flight line of each region."""
     problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
     for region in regions:
         if region.flightline.replace(" ", "_") not in names:
@@ -200,9 +201,9 @@ def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line with the places that regions of a map need: located where it has poses alone.
+    """Return a flight line with the places that regions of a map need, located where it has poses only.
 
-    Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.geometry.locate`.
+    Raises `SchemaError`: the height of the ground is unknown; or as `hyperpaint.geometry.locate`.
     """
     named = schema.rename_to_roles(line)
     is_placed = any(_is_place(named, pair) for pair in _GROUND)
@@ -244,9 +245,9 @@ def _by_place(
     shape: tuple[int, int],
     of_lines: tuple[xr.DataArray, Sequence[int]] | None = None,
 ) -> list[Pixels]:
-    """Return the pixels of every region by their coordinates, a block of lines at a time.
+    """Return the pixels of every region by their coordinates, in blocks of lines.
 
-    ``of_lines``: of a map of several flight lines, which of them each cell shows, and each region is on.
+    ``of_lines``: in a map of several flight lines, the flight line of each cell, and of each region.
     """
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
@@ -269,7 +270,7 @@ def _by_place(
 
 
 def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
-    """Return the cells of a map with north up: looked at are those in the box around the region."""
+    """Return the cells of a map with north up; only cells in the box around the region are tested."""
     low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
     across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
     parts = []
@@ -314,7 +315,7 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 
 
 def _moved(regions: Regions, crs: str) -> Regions:
-    """Return regions in another reference system; corners are moved, and edges are straight there."""
+    """Return regions transformed to another reference system; edges between the new corners are straight."""
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
@@ -336,9 +337,9 @@ def _moved(regions: Regions, crs: str) -> Regions:
 
 
 def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
-    """Return x and y of every pixel on the ground, and the reference system that regions have to be moved to.
+    """Return x and y of every pixel on the ground, and the reference system to transform regions to.
 
-    That is None where the line has places in the regions' own.
+    This system is None where the line has places in the regions' own.
     """
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
@@ -351,7 +352,7 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
         )
     wanted = None if crs is None else _normal(crs)
     fitting = [pair for pair, pair_crs in there.items() if wanted is None or pair_crs in (None, wanted)]
-    # what says that it fits goes before what says nothing
+    # places with a known crs take precedence over those without
     fitting.sort(key=lambda pair: there[pair] is None)
     others = [pair for pair, pair_crs in there.items() if pair_crs is not None]
     if not fitting and others:
@@ -373,7 +374,7 @@ def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
     if not set(pair) <= set(line.variables):
         return False
     dims = [set(line[name].dims) for name in pair]
-    # latitude and longitude of the camera are on along_track alone
+    # the camera's latitude and longitude have along_track only
     return set.union(*dims) == {ALONG_TRACK, CROSS_TRACK}
 
 
@@ -390,11 +391,11 @@ def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
 
 
 def _normal(crs: str) -> str:
-    """Return the one spelling of a reference system's name; in GeoJSON longitude always comes first."""
+    """Return a unique spelling of a reference system's name; in GeoJSON longitude always comes first."""
     text = crs.strip()
     if text.lower().startswith("urn:ogc:def:crs:"):
         parts = text.split(":")
         text = f"{parts[4]}:{parts[-1]}"
     if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84"):
         return _DEGREES
-    return text if "[" in text else text.upper()  # names within WKT have their case
+    return text if "[" in text else text.upper()  # names within WKT are case-sensitive

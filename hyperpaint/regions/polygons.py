@@ -1,9 +1,9 @@
-"""Which points lie in a polygon: exactly, whatever its coordinates.
+"""Exact test of points in a polygon, for any coordinates.
 
-A point on an edge is inside. To tell "on" from "beside", the sign of a cross product has to be that of the
-numbers as they stand and not of their rounding: where its float64 value is within the bound of its rounding
-error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points a hair beside
-an edge for points on it (tests/regions/test_regions.py, corners divided by three).
+A point on an edge is inside. To distinguish "on" from "beside", the sign of a cross product must hold for the
+exact numbers and not for their rounding: where its float64 value is within the bound of its rounding
+error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points very close to an
+edge for points on it (tests/regions/test_regions.py, corners divided by three).
 
 References
 ----------
@@ -28,21 +28,22 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
-#: Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag.
+#: Maximum mean number of edges that pass a pixel on its left or right: few for an outline, thousands for a
+#: zigzag.
 MAX_EDGES_PER_PIXEL = 100
-#: Comparisons of an edge with a point that any polygon may take.
-_FREE = 10_000_000
+#: Number of comparisons of an edge with a point that is always allowed.
+FREE_COMPARISONS = 10_000_000
 
 
 def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
-    """Return which points lie in a polygon or on one of its edges (point,).
+    """Return whether points lie in a polygon or on one of its edges (point,).
 
     ``polygon`` (vertex, 2): x and y of its corners, in order, the last joined to the first; ``holes``: rings
     cut out of it, whose edges belong to the polygon; ``x``, ``y`` (point,): the points; NaN are in no
-    polygon. Where a ring crosses itself, what it winds around an even number of times is outside (even-odd
-    rule).
+    polygon. Where a ring crosses itself, areas that it winds around an even number of times are outside
+    (even-odd rule).
 
-    Raises `SchemaError`: too many long edges: it would take minutes.
+    Raises `SchemaError`: too many long edges; the test would take minutes.
 
     Examples
     --------
@@ -73,7 +74,7 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
 
 
 def _check_effort(comparisons: int, points: int) -> None:
-    if comparisons > _FREE + MAX_EDGES_PER_PIXEL * points:
+    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * points:
         raise SchemaError(
             f"{comparisons / points:.0f} edges pass each of {points} pixels on average",
             expected=f"at most {MAX_EDGES_PER_PIXEL}",
@@ -83,7 +84,7 @@ def _check_effort(comparisons: int, points: int) -> None:
 
 
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
-    """Return the first point beside every edge, and that after the last one (edge,); y ascends."""
+    """Return the first point beside every edge, and the one after the last (edge,); y ascends."""
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
     last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")

@@ -11,10 +11,10 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, MissingExtraError
 from hyperpaint.base.input_files import open_input
 
-#: Suffixes, and what files begin with: the reader goes by content, and other kinds name further files.
+#: First bytes of files by suffix: the libraries go by content, and other formats refer to further files.
 VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
 
-_MOST_BYTES = 256 * 2**20
+MAX_VECTOR_FILE_BYTES = 256 * 2**20
 
 
 def features_of(path: Path, most: int) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     """
     magic = VECTOR_FILES[path.suffix.lower()]
-    with open_input(path, "regions", _MOST_BYTES) as file:
+    with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
         if file.read(len(magic)) != magic:
             raise FormatError(
                 f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
@@ -43,7 +43,7 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
         crs, features = read(path, most)
     except (FormatError, MissingExtraError):
         raise
-    except Exception as error:  # either has errors of its own for every driver
+    except Exception as error:  # both libraries raise errors of their own for every driver
         raise FormatError(
             f"{path}: {installed[0]} cannot read it: {error!s:.200}", code="file-unreadable"
         ) from error
@@ -95,7 +95,7 @@ def _by_fiona(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
 
 
 def _only(path: Path, layers: list[str]) -> str:
-    # styles that QGIS keeps beside a layer are no layer
+    # QGIS stores styles beside a layer
     layers = [name for name in layers if name != "layer_styles"]
     if len(layers) != 1:
         held = ", ".join(map(repr, layers)) or "none"
@@ -109,7 +109,7 @@ def _only(path: Path, layers: list[str]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a property as JSON holds it; what is not there is None."""
+    """Return a property as a JSON value; NaN becomes None."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float) and value != value:
         return None

@@ -1,4 +1,4 @@
-"""The body under a clear coat, as it is near its normal, from what is seen of it under sun and sky."""
+"""Reflectance of the body under a clear coat near its normal, from reflectance under sun and sky."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, as_fractions, sky_a
 from .light_split import LightSplit, split_of
 from .sun_and_sky import sun_zenith_of
 
-#: Attribute of reflectance that says what a coat was taken for.
+#: Attribute of reflectance with the assumed coat.
 COAT_CORRECTED = "coat_corrected"
 
-#: Standard deviation of the lean of roofs and bonnets that pass for level [degree].
+#: Standard deviation of the lean of roofs and bonnets that are taken as level [degree].
 LEAN_U_DEG = 2.0
 
 
@@ -37,56 +37,56 @@ def correct_coat(
     view_zenith: float | None = None,
     sky: str | None = None,
 ) -> xr.Dataset:
-    r"""Divide by what a clear coat lets through, over what it lets through near the normal.
+    r"""Divide by the transmission of a clear coat relative to its transmission near the normal.
 
-    Lazy. For paint whose mirrored sky was removed (`remove_mirrored_sky`): a body under a coat is lit by less
-    the lower the sun stands, 5 % less at 60 degrees, 8 % at 65. For one lean of the panel, level unless
-    `correct_light` is told otherwise; the angle of the sun to its normal is taken for ``sun_zenith``.
+    Lazy. For paint whose mirrored sky was removed (`remove_mirrored_sky`): a body under a coat receives less
+    light the lower the sun stands, 5 % less at 60 degrees, 8 % at 65. Assumes a level body part, unless
+    `correct_light` was applied; then ``sun_zenith`` is the angle of the sun to its normal.
 
     Parameters
     ----------
     line
         Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; or a paint library,
-        whose ``sun_zenith``, ``view_zenith`` and ``diffuse_fraction`` are those of each paint.
+        with ``sun_zenith``, ``view_zenith`` and ``diffuse_fraction`` of each paint.
     index, index_u
         Refractive index of the coat, and its standard uncertainty [1].
     lean_u
-        Standard uncertainty of the angle between sun and panel [degree].
+        Standard uncertainty of the angle between sun and body part [degree].
     diffuse, sun_zenith, sky
         As for `remove_mirrored_sky`.
     view_zenith
-        Angle between the panel's normal and the camera [degree]; by default that of a library's paints, 0 for
-        a line: up to 40 degrees it matters by 0.6 %.
+        Angle between the body part's normal and the camera [degree]; by default that of a library's paints, 0
+        for a line: up to 40 degrees its effect is 0.6 %.
 
     Returns
     -------
     Dataset
-        The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the coat's
-        own share in ``reflectance_u_systematic`` where that is known, and ``coat_transmission`` C and
-        ``coat_transmission_u`` [1]; of a library also ``reflectance_u_coat`` [1], what C and the mirrored sky
-        that was subtracted leave uncertain, alike in all pixels of a paint. Attributes of reflectance:
-        ``coat_corrected``; ``quantity``, which is then that of the body under the coat;
+        The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the
+        uncertainty of the coat included in ``reflectance_u_systematic`` where present, and
+        ``coat_transmission`` C and ``coat_transmission_u`` [1]; for a library also ``reflectance_u_coat``
+        [1], the uncertainty from C and the subtracted mirrored sky, common to all pixels of a paint.
+        Attributes of reflectance: ``coat_corrected``; ``quantity``, which is then the body under the coat;
         ``specular_component`` "excluded".
 
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the mirrored sky is in it, the
-        coat was corrected before, or the split or the sun is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the mirrored sky is included,
+        the coat was corrected before, or the split or the sun is unknown; all are listed.
 
     Warns
     -----
     PaintWarning
-        Nothing says what the sky was, and a clear one is taken.
+        The state of the sky is unknown, and a clear one is assumed.
 
     Notes
     -----
     .. math:: \rho = \rho_{seen} / C, \qquad C = \frac{f_{dir} (1 - F(\theta_s)) + f_{dif} (1 - F_{sky})}
               {1 - F(0)} \cdot \frac{1 - F(\theta_v)}{1 - F(0)}
 
-    with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C is that of
-    the index, of the lean, and of the diffuse fraction; that of the mirrored sky is of the index, by which
-    F(0) goes with :math:`4 (n - 1) / (n + 1)^3`, and of the fraction.
+    with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C combines
+    those of the index, the lean, and the diffuse fraction; the uncertainty of the mirrored sky combines the
+    index, on which F(0) depends with :math:`4 (n - 1) / (n + 1)^3`, and the fraction.
 
     Examples
     --------
@@ -109,7 +109,7 @@ def correct_coat(
         shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
     whole, u, mirror_u = (share.astype(np.float32) for share in shares)
     corrected = {name: line[name] / whole for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    # what was subtracted of the mirrored sky is not known better than index and split are
+    # the subtracted mirrored sky is as uncertain as index and split
     was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
     own = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
     if "reflectance_u_systematic" in corrected:
@@ -179,7 +179,7 @@ def _shares(
 
 
 def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
-    """Return the sky's light that the coat reflects, on the dims of the split."""
+    """Return the share of the sky's light that the coat reflects, on the dims of the split."""
 
     def of(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
@@ -196,7 +196,7 @@ def _of_paints(
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
-    """Return `_shares` (signature, band), each paint under its own sun; ``light`` as `split_of`'s."""
+    """Return `_shares` (signature, band), each paint under its sun; ``light``: arguments of `split_of`."""
     diffuse, sun_zenith, sky = light
     wanted = (
         "wavelength",

@@ -1,7 +1,7 @@
 """Thresholds of the survey and of the flags: one frozen dataclass a detector.
 
-Each field says what it limits and in which unit. Numbers were chosen on simulated scenes (analytic and
-ray-traced car parks) unless the field says otherwise.
+Each field states its meaning and unit. Numbers were chosen on simulated scenes (analytic and
+ray-traced car parks) unless the field states otherwise.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Contact(NamedTuple):
-    """How a segment touches its lit body, at least: a share of its border, and which side that is on.
+    """Minimum contact of a segment with its lit body: a share of its border, and its mean direction.
 
     ``way`` is the mean direction of the sides in touch, 1 where all are away from the sun, -1 towards it.
     """
@@ -21,7 +21,7 @@ class Contact(NamedTuple):
 
 
 class Direct(NamedTuple):
-    """Direct light, at most: what grey things send passes for it, the more of it the more sky they hide."""
+    """Maximum direct light: grey objects send light that looks direct, more of it the more sky they hide."""
 
     open: float
     hidden: float
@@ -57,11 +57,11 @@ class SegmentRules:
 
 @dataclass(frozen=True)
 class MirrorRules:
-    """What clear coats and glass mirror of the sky to a camera above; from Fresnel's equations, not tuned.
+    """Sky mirrored by clear coats and glass to a camera above; from Fresnel's equations, not tuned.
 
-    A panel that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55 reflects
-    0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith (sun at
-    60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
+    A body part that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55
+    reflects 0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith
+    (sun at 60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
     """
 
     max_above: float = 0.12  #: Amount of the zenith's light beyond that of the rest of the body, at most [1].
@@ -76,7 +76,7 @@ class MirrorRules:
 
 @dataclass(frozen=True)
 class GlintRules:
-    """Segments that are another's surface under the sun's mirror image."""
+    """Segments that are another segment's surface under the mirror image of the sun."""
 
     shade_tolerance: float = 0.08  #: Tolerance of spectra in shadow, relative to what is seen [1].
     tolerance: float = 0.02  #: Tolerance of spectra in glint, relative to what is seen [1].
@@ -99,7 +99,7 @@ class GlintRules:
 
 @dataclass(frozen=True)
 class LobeRules:
-    """Mirror images of the sun as spots on a panel.
+    """Mirror images of the sun as spots on a body part.
 
     Set on ray-traced car parks of the real fleet, whose coats of 70 gloss units and more mirror the sun as
     spots of some pixels in the middle of the flakes' broad lobe, and on coats of roughness 0.05.
@@ -157,9 +157,9 @@ class MixtureRules:
 
 @dataclass(frozen=True)
 class ShadowRules:
-    """Cast shadows; contact rules in the order of use: less is asked where more speaks for a shadow.
+    """Cast shadows; contact rules in the order of use: fewer conditions where more evidence exists.
 
-    Set on ray-traced car parks, to what keeps glass and black paint out.
+    Set on ray-traced car parks, such that glass and black paint are excluded.
     """
 
     max_brightness: float = 0.5  #: Brightness of a shadow, relative to its body, at most [1].

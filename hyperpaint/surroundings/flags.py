@@ -1,7 +1,7 @@
-"""Glint, shadow, coloured light from neighbours and mixed pixels: layers first, and bits by thresholds.
+"""Glint, shadow, coloured light from neighbours and mixed pixels: layers, and bits by thresholds.
 
-Pointwise, given a scene model: a pixel's light is divided into what its body sends in full light, changed
-amounts of sun and sky, mirror images of both, and the light of coloured neighbours.
+Pointwise, given a scene model: a pixel's light is unmixed into its body's reflectance under changed amounts
+of sun and sky, mirror images of both, and the light of coloured neighbours.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .lobes import SATURATED_IN_LOBE
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 
-#: Layers that bits are set from, and those that explain them.
+#: Layers from which bits are set, and layers that explain them.
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
 
 
@@ -47,7 +47,7 @@ def flag(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    r"""Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from.
+    r"""Set the bits of glint, shadow, adjacency and mixed edges, and add their layers.
 
     Lazy and pointwise given ``model``: one task a slab of lines. Without a model,
     `hyperpaint.surroundings.survey` is run first, which reads the line once.
@@ -57,21 +57,21 @@ def flag(
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
-        From `hyperpaint.surroundings.survey` of the same line, or the Dataset it was stored as.
+        From `hyperpaint.surroundings.survey` of the same line, or its stored Dataset.
     glint
-        What the mirrored sun adds, relative to the rest of what is seen, above which a pixel is in glint [1].
+        Reflectance added by the mirrored sun, relative to the rest, above which a pixel is in glint [1].
     shadow
-        ``blocked_direct`` from which it is in shadow [1], in and beside segments of the ground that the model
-        found to be a cast shadow, and in single pixels of it; on other things in such segments only, and from
-        0.6 on: elsewhere missing light is tilt.
+        ``blocked_direct`` from which a pixel is in shadow [1], in and beside segments of the ground that the
+        model holds as cast shadow, and in single pixels of it; on other objects in such segments only, and
+        from 0.6 on: elsewhere missing light is tilt.
     adjacency
-        ``adjacency`` above which it is lit by a coloured neighbour [1].
+        ``adjacency`` above which a pixel is lit by a coloured neighbour [1].
     edge
-        Pixels from a boundary up to which it is a mixed one, 0 for those in between only.
+        Distance from a boundary up to which a pixel is mixed [pixel], 0 for pixels in between only.
     progress
-        See `hyperpaint.surroundings.survey`; used where there is no model.
+        See `hyperpaint.surroundings.survey`; used without ``model``.
     **options
-        Those of `hyperpaint.surroundings.survey`, where there is no model.
+        Options of `hyperpaint.surroundings.survey`, used without ``model``.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def flag(
         part of the direct light that is missing, negative where a surface leans towards the sun;
         ``adjacency``, the largest reflectance in any channel that coloured neighbours add, and
         ``adjacency_segment``, int32, the segment of the model that adds most of it, -1 for none;
-        ``mirrored_sky`` s, beyond that of the rest of the body. NaN where nothing is known.
+        ``mirrored_sky`` s, beyond that of the rest of the body. NaN without data.
 
     Raises
     ------
@@ -97,29 +97,30 @@ def flag(
     .. math:: \rho_{obs} = \rho (c f_{dir} + V f_{dif}) + g f_{dir} + (s l_z + a l_\odot) f_{dif}
               + \textstyle\sum_n (b_n \rho \rho_n + c_n \rho_n)
 
-    is solved exactly for amounts that are not negative, by least squares with a tie of c and V to 1 and of
-    the others to 0, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % by
-    which bodies differ from place to place. g and the sum over neighbours are 0 unless leaving them out is
-    worse by three standard deviations, of the misfit where that is more than noise (a likelihood ratio). A
-    surface that mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
-    cos(z/2) / cos(z), and is no less than 0.7. Of the sky, coats mirror the zenith, of radiance :math:`l_z`
-    over the mean, and what is around the sun, which is brighter by :math:`l_\odot` and as much redder; with
-    glint, a is expected to be 0.04. Both are those of a clear sky where the split is.
+    is solved exactly for amounts that are not negative, by least squares with priors of 1 for c and V and of
+    0 for the others, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % of
+    variation within bodies. g and the sum over neighbours are 0 unless leaving them out is worse by three
+    standard deviations, of the misfit where that is more than noise (a likelihood ratio). A surface that
+    mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
+    cos(z/2) / cos(z), and is at least 0.7. Coats mirror the zenith, of radiance :math:`l_z` over the mean of
+    the sky, and the sky around the sun, which is brighter by :math:`l_\odot` and redder; with glint, a is
+    expected to be 0.04. Both are those of a clear sky where the split is.
 
-    Of neighbours only the sum is known well; a grey one adds nothing that could be told from a tilt, and
-    parts of one car are no neighbours of each other. On grey bodies a mirrored sun has the colour of their
-    own light: there g is what is brighter than tilt can make it, or, on bodies that are brighter over more
-    than half of them than their darkest parts, than their other parts are. Smile is taken out of the
+    Only the sum over neighbours is well determined; light of a grey neighbour cannot be distinguished from
+    tilt, and parts of one car are no neighbours of each other. On grey bodies a mirrored sun has the colour
+    of their own light: there g is the brightness beyond the largest effect of tilt, or, on bodies of which
+    more than half is brighter than their darkest parts, beyond their other parts. Smile is removed from the
     channels, which are some 25 nm wide, to first order.
 
-    ``glint_fraction`` is all that looks like direct light of another colour than the body: what flakes in a
-    paint send, and what leans on grey paint, among it. In glint is of this what lies in a lobe of a coat,
-    with a core that stands out (`hyperpaint.surroundings.lobes`), and saturated pixels that a lobe encloses.
+    ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
+    light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
+    coat, with a core that stands out (`hyperpaint.surroundings.lobes`), and in saturated pixels that a lobe
+    encloses.
 
-    Known limits: the lobe of a worn coat, which is wide, is told from flakes on coloured and on black paint
-    only, and where the panel shows its core; dark glass is taken for asphalt in shadow, so that neither is
-    found well on glass. Mixed pixels are found less well than whole ones. For measured precision and recall
-    see docs/figures.md.
+    Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
+    only, and where the body part shows its core; dark glass is taken for asphalt in shadow, so that glint and
+    shadow are unreliable on glass. Mixed pixels are detected less well than whole ones. For measured
+    precision and recall see docs/figures.md.
 
     References
     ----------
@@ -175,7 +176,7 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
             expected=f"({lines}, {columns}) as the line",
             code="grid-mismatch",
         )
-    # of a lazy coordinate only the size is looked at
+    # only the size of a lazy coordinate is compared
     line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
     if model.wavelength.shape != (bands,) or not np.array_equal(
         model.wavelength, line_wavelength, equal_nan=True
@@ -189,6 +190,7 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
 
 
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
+    """Return the line with lazy layers and bits."""
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     shared = dask.delayed(model, traverse=False, pure=False)
@@ -221,7 +223,7 @@ def _origin(model: SceneModel) -> str:
 
 
 def _most(model: SceneModel) -> Floats:
-    """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
+    """Return the largest amounts (part,): no surface gets more direct light than one that faces the sun."""
     most = most_amounts()
     zenith = float(model.attrs.get("sun_zenith", np.nan))
     if np.isfinite(zenith):
@@ -230,7 +232,7 @@ def _most(model: SceneModel) -> Floats:
 
 
 def _lean(model: SceneModel) -> float:
-    """Return how much more direct light than level ground gets what mirrors the sun to a camera above."""
+    """Return the excess of direct light, over level ground, on a surface that mirrors the sun upwards."""
     zenith = np.radians(min(float(model.attrs.get("sun_zenith", np.nan)), 80.0))
     return float(np.cos(zenith / 2) / np.cos(zenith) - 1.0) if np.isfinite(zenith) else 0.0
 
@@ -242,7 +244,6 @@ def _flag_block(
     limits: dict[str, float],
     block_id: tuple[int, ...] = (0,),
 ) -> dict[str, Array]:
-    """Return layers and bits of some lines."""
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
@@ -295,11 +296,11 @@ def _flag_block(
 
 
 def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
-    """Return which pixels of some lines lie in a cast shadow, given the direct light that is missing."""
+    """Return the pixels of some lines in a cast shadow, from the missing direct light."""
     segment = model.segment[lines]
     on_ground = np.append(model.ground > 0, False)[segment]
     near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
-    # what leans away from the sun beside a shadow, or in a segment with one, lacks light as well
+    # surfaces that lean away from the sun beside a shadow, or in a segment with one, lack light as well
     on_things = ~on_ground & np.append(model.state == SHADED, False)[segment]
     most = max(limit, FLAGS.min_missing_on_things)
     return np.asarray(near & (missing >= limit) | on_things & (missing >= most))
@@ -314,7 +315,7 @@ class Flagged:
     """A line with its flags."""
 
     line: xr.Dataset  #: The line with ``quality``, and the layers its bits are set from, lazy.
-    seen: xr.Dataset  #: The line as it was looked at, with the model that holds for it.
+    seen: xr.Dataset  #: The surveyed line, at nominal wavelengths where it has smile.
     model: SceneModel  #: From `hyperpaint.surroundings.survey`.
 
 
@@ -332,7 +333,7 @@ def is_flagged(line: xr.Dataset) -> bool:
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:
-    """Survey a line with ``reflectance``, and flag it; of a smile above 1 nm, at nominal wavelengths.
+    """Survey a line with ``reflectance``, and flag it; with smile above 1 nm, at nominal wavelengths.
 
     ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with lines surveyed
     and to do; flags are lazy. Raises as `flag` and `survey`.

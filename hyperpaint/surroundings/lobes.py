@@ -1,7 +1,8 @@
-"""Mirror images of the sun in clear coats and glass: which pixels lie in one.
+"""Mirror images of the sun in clear coats and glass: the pixels inside one.
 
-A coat that shines sends the sun's light into a few degrees: on a panel, into a spot much brighter than its
-surroundings. Flakes in a paint, and panels that lean, are brighter over all of a panel, without such a spot.
+A glossy coat reflects the sun's light into a few degrees: on a body part, into a spot much brighter than its
+surroundings. Flakes in a paint, and leaning body parts, are brighter over the whole part, without such a
+spot.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from .detection_rules import GLINT, LOBES
 from .full_light import AS_GLINT, Light, unmix_spectra
 from .scratch import line_parts, release, scratch_array
 
-#: In a mirror image of the sun; and so bright there that nothing is measured. 0: in none.
+#: Pixel in a mirror image of the sun; and saturated pixel in one. 0 elsewhere.
 IN_LOBE, SATURATED_IN_LOBE = 1, 2
 
 #: Pixels three steps around one.
@@ -32,7 +33,7 @@ _DARKER, _LOWEST = 9, 2
 
 
 class Shown:
-    """What pixels show, looked up where it is asked for: for memory."""
+    """Body of every pixel, looked up on demand to save memory."""
 
     def __init__(self, number: npt.NDArray[np.int32], body: npt.NDArray[np.int32]) -> None:
         self._number, self._body = number, np.append(body, np.int32(-1))
@@ -42,26 +43,26 @@ class Shown:
 
 
 class Picture(NamedTuple):
-    """What is seen of a line."""
+    """A flight line prepared for the search of lobes."""
 
     channels: Floats32  #: (line, column, channel): Reflectance [1].
-    saturated: Bools  #: (line, column): Whether a sample is.
+    saturated: Bools  #: (line, column): Whether a sample is saturated.
     body: Shown  #: (line, column): Body of every pixel; -1 without data.
-    ground: Bools  #: (segment,): Bodies that have no coat.
+    ground: Bools  #: (segment,): Bodies without a coat.
     reference: Floats  #: (segment, channel): Reflectance of bodies in full light [1].
-    coloured: Bools  #: (segment,): Bodies on which the mirrored sun has another colour than their own.
+    coloured: Bools  #: (segment,): Bodies whose colour differs from the mirrored sun's.
     light: Light
 
 
 def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
-    r"""Return which pixels lie in a mirror image of the sun (line, column).
+    r"""Return the pixels that lie in a mirror image of the sun (line, column).
 
-    0 for none, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a core. A sharp one is several times brighter
-    than the pixels three steps around it, which are of one surface in even light, and what it adds has the
-    colour of direct light. Beside it, what exceeds a surface :math:`\ln \rho` of second order through its
-    surroundings, flakes' broad lobe among them, by 4 %, belongs to it. A wide core, of a coat that is worn,
-    is as bright as a white surface in the sun over several pixels; it is told from flakes on paint of another
-    colour, and on black.
+    0 outside, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a core. A sharp core is several times brighter
+    than the pixels three steps around it, which show one surface in even light, and its excess has the colour
+    of direct light. Pixels around it that exceed a surface :math:`\ln \rho` of second order through its
+    surroundings, including flakes' broad lobe, by 4 %, belong to it. A wide core, of a worn coat, is as
+    bright as a white surface in the sun over several pixels; it can be distinguished from flakes on coloured
+    paint and on black.
     """
     level = scratch_array(picture.saturated.shape, np.float64)
     on_coat = np.empty(level.shape, bool)
@@ -95,7 +96,7 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
 
 
 def _components(chosen: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
-    """Return each piece of what is chosen, in a window with some pixels around it."""
+    """Yield each connected piece of a mask, in a window with some pixels around it."""
     from scipy.ndimage import find_objects, label
 
     pieces, _ = label(chosen, np.ones((3, 3)))
@@ -110,26 +111,26 @@ def _padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
 
 
 def _distance(chosen: Bools) -> Floats:
-    """Return how far every pixel is from a chosen one [pixel]."""
+    """Return the distance of every pixel from a chosen one [pixel]."""
     from scipy.ndimage import distance_transform_edt
 
     return np.asarray(distance_transform_edt(~chosen))
 
 
 def _half_width(core: Bools) -> float:
-    """Return the largest distance of a core's pixels to what is not core [pixel]."""
+    """Return the largest distance of a core's pixels from its outside [pixel]."""
     return float(_distance(~np.pad(core, 1)).max())
 
 
 def _sharp(level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels that stand out from those around them, where these are even (line, column)."""
+    """Return the pixels that stand out from evenly bright surroundings (line, column)."""
     found = np.zeros(level.shape, bool)
     lines, columns = level.shape
     for first in range(0, lines, _LINES):
         here = level[first : first + _LINES]
         below = here / LOBES.min_contrast
         darker = np.zeros(here.shape, np.int8)
-        # beyond the edges stands what is at them
+        # edge pixels are repeated beyond the edges
         rows = np.clip(np.arange(first - _MARGIN, first + len(here) + _MARGIN), 0, lines - 1)
         padded = np.pad(level[rows], ((0, 0), (_MARGIN, _MARGIN)), mode="edge")
         for down, right in _RING:
@@ -153,7 +154,7 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
 def _add_sharp(
     picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
 ) -> None:
-    """Set the pixels of ``lobe`` that belong to a sharp core, if it is one of the sun."""
+    """Set the pixels of ``lobe`` that belong to a sharp core, if it mirrors the sun."""
     from scipy.ndimage import label
 
     reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
@@ -191,7 +192,7 @@ def _add_sharp(
 
 
 def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
-    """Return the body that most of a ring shows, -1 where none does."""
+    """Return the body of most pixels of a ring, -1 without a majority."""
     numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
     if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
         return -1
@@ -199,9 +200,9 @@ def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
 
 
 def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Floats, float] | None:
-    """Return the brightness that a panel has without a lobe (line, column), and its relative spread.
+    """Return the brightness of a body part without a lobe (line, column), and its relative spread.
 
-    A surface of second order through the logarithm, from which what is brighter is left out in turns.
+    A surface of second order through the logarithm; brighter pixels are left out iteratively.
     """
     y, x = np.nonzero(surface)
     if y.size < LOBES.min_ring_px:
@@ -229,13 +230,13 @@ def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Fl
 
 
 def _distinct(picture: Picture) -> Bools:
-    """Return the bodies on which a wide lobe is told from flakes (segment,)."""
+    """Return the bodies on which a wide lobe can be distinguished from flakes (segment,)."""
     black = np.nan_to_num(picture.reference).mean(axis=1) < LOBES.max_black
     return np.asarray((picture.coloured | black) & ~picture.ground)
 
 
 def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Floats:
-    """Return the mirror image of the sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
+    """Return the mirrored sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
     glint = np.zeros(where.shape)
     body: Ints = picture.body[window][where].astype(np.int64)
     seen = picture.channels[window][where].astype(np.float64)
@@ -247,7 +248,7 @@ def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Float
 
 
 def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels where the sun's mirror image is as bright as a white surface (line, column)."""
+    """Return the pixels where the mirrored sun is as bright as a white surface (line, column)."""
     distinct = np.append(_distinct(picture), False)
     wide = np.zeros(level.shape, bool)
     for part, here in line_parts(level):

@@ -1,4 +1,4 @@
-"""What is known of a scene after one look at all of it: small enough to be stored beside the line."""
+"""The scene model: result of a survey of a whole line, small enough to be stored beside it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ CELL = 4
 
 
 def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
-    """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
+    """Return the two nearest coloured bodies, of other paint than its own, for the pixels of some lines.
 
     (line, column, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross,
     rank): segments nearest to a cell, -1 for none; ``body`` (segment,): body of a segment; ``paint``
-    (segment,): what is the same for all bodies of one paint; ``number`` (line, column): segment of every
+    (segment,): the same number for all bodies of one paint; ``number`` (line, column): segment of every
     pixel of these lines, -1 without data; ``first``: number of the first of these lines.
     """
     lines, columns = number.shape
@@ -34,7 +34,7 @@ def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, firs
 
 
 def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, places: Ints) -> Index:
-    """Return `two_nearest` of the pixels at some places of a whole line, counted line by line (pixel, 2)."""
+    """Return `two_nearest` of pixels of a whole line at places counted line by line (pixel, 2)."""
     line, column = np.divmod(places, number.shape[1])
     return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
 
@@ -91,24 +91,24 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
 
-#: What models were made with that say nothing of it: a uniform sky, glint wherever it fits, and shadows on
-#: all things as on the ground.
-_BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
+#: Values of older models without these fields: a uniform sky, glint wherever it fits, and shadows on
+#: all objects as on the ground.
+_DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
-    """Tell whether values are numbers that a dtype holds, before what it does not is wrapped around."""
+    """Return whether values are numbers that a dtype can hold, before a cast would wrap others around."""
     if values.dtype.kind not in "iufb":
         return False
     if dtype.kind == "f" or not values.size:
         return True
     limits = np.iinfo(dtype)
-    # not finite, or out of range: both comparisons are False for NaN
+    # both comparisons are False for NaN
     return bool(values.min() >= limits.min and values.max() <= limits.max)
 
 
 def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
-    """Note what of the fields found would be looked for beyond the others' ends."""
+    """Note fields with references outside the model, or values out of range."""
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
@@ -149,15 +149,15 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
-    """Segments of a flight line, what they look like in full light, and what stands beside them.
+    """Segments of a flight line, their spectra in full light, and their neighbours.
 
-    Made by `hyperpaint.surroundings.survey`; `to_dataset` makes something that can be stored. Spectra are
-    those of *channels*, means over some neighbouring bands.
+    Made by `hyperpaint.surroundings.survey`; `to_dataset` returns a form that can be stored. Spectra are
+    spectra of *channels*, means over some neighbouring bands.
 
     Attributes
     ----------
     wavelength : (band,)
-        Of the line the model was made of [nm].
+        Of the surveyed line [nm].
     channel : (band,)
         Channel of every band; -1 for bands that are not used.
     channel_wavelength : (channel,)
@@ -165,37 +165,37 @@ class SceneModel:
     diffuse_fraction : (channel,)
         Diffuse part of the irradiance on level ground [1].
     zenith_radiance, sunward_radiance : (channel,)
-        Radiance of the zenith, and by how much that 5 degrees from the sun is larger, over the mean of the
-        sky [1]; 1 and 0 of a uniform sky, and of models that were stored without them.
+        Radiance of the zenith, and its excess 5 degrees from the sun, over the mean of the
+        sky [1]; 1 and 0 for a uniform sky, and for models stored without them.
     shift : (channel, cross_track)
-        By how much a channel's true wavelength differs from the nominal one: smile [nm].
+        True less nominal wavelength of a channel: smile [nm].
     noise : (channel,)
-        Standard deviation of a channel, relative to what is seen [1].
+        Standard deviation of a channel, relative to the reflectance [1].
     segment : (along_track, cross_track)
-        Number of every pixel's segment; -1 where there are no data.
+        Number of every pixel's segment; -1 without data.
     edge_distance : (along_track, cross_track), uint8
-        Pixels to the next pixel of another surface; 0 in pixels that belong to nothing of some size.
+        Pixels to the next pixel of another surface; 0 in mixed pixels.
     shade_distance : (along_track, cross_track), uint8
         Pixels to the next cast shadow, 0 in one; 255 far from any.
     lobe : (along_track, cross_track), uint8
-        1 in a mirror image of the sun, 2 in saturated pixels of one, 0 in none; 1 everywhere in models that
-        were stored without it.
+        1 in a mirror image of the sun, 2 in saturated pixels of one, else 0; 1 everywhere in models stored
+        without it.
     neighbour : (cell_along, cell_cross, rank)
-        Coloured segments that are nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
+        Coloured segments nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
     size, state, body : (segment_number,)
         Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
         same surface in full light.
     ground : (segment_number,), int8
-        1 where the body is ground, which is level, 0 where it is a thing that leans; 1 in models that were
-        stored without it.
+        1 where the body is level ground, 0 where it is an object that may lean; 1 in models stored without
+        it.
     paint : (segment_number,)
         First of the bodies that show the same paint; a body lights no other of its paint.
     tilt : (segment_number,)
         Spread of the amount of direct light within the body [1].
     spectrum, reference : (segment_number, channel)
-        Median of a segment's pixels, and that of its body without what glint and shadow change [1].
+        Median of a segment's pixels, and of its body without glint and shadow [1].
     attrs
-        How it was made.
+        Settings of the survey.
 
     Examples
     --------
@@ -258,18 +258,18 @@ class SceneModel:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
-        """Return the model that a Dataset holds.
+        """Return the model stored in a Dataset.
 
-        Raises `SchemaError`: variables are missing or have other dims, types or sizes, or numbers point at
-        segments or channels that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
+        Raises `SchemaError`: variables are missing or have other dims, types or sizes, numbers refer to
+        unknown segments or channels, or values are out of range; all are listed.
         """
         problems = Problems("this is no scene model", SchemaError)
         fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
-            if stored not in dataset.variables and name in _BEFORE:
+            if stored not in dataset.variables and name in _DEFAULTS:
                 shape = tuple(dataset.sizes.get(dim, 0) for dim in dims)
-                fields[name] = np.full(shape, _BEFORE[name], dtype)
+                fields[name] = np.full(shape, _DEFAULTS[name], dtype)
             elif stored not in dataset.variables:
                 problems.add(
                     f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})", code="variable-missing"

@@ -1,4 +1,4 @@
-"""One look at a whole line: its channels, segments, their spectra in full light, and neighbours."""
+"""Survey of a whole line: its channels, segments, their spectra in full light, and neighbours."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from .vegetation import is_vegetation
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
-    """Return the channel of every band: runs of as many good bands each; -1 for bands that are not good.
+    """Return the channel of every band: runs of equally many good bands; -1 for bands that are not good.
 
-    The ends of the spectrum, where colours have their steepest edges, are not treated apart: 24 channels of
-    a 400-1000 nm camera are 25 nm wide.
+    The ends of the spectrum, where colours have their steepest edges, are treated like the rest: 24 channels
+    of a 400-1000 nm camera are 25 nm wide.
     """
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
     count = min(SURVEY.channels, order.size)
@@ -56,10 +56,10 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
 def read_channels(
     cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
 ) -> tuple[Floats32, Bools]:
-    """Return the whole line in channels (line, column, channel), in scratch, some blocks in memory at a time.
+    """Return the whole line in channels (line, column, channel), in scratch, read in blocks.
 
-    And which pixels are saturated (line, column). A pixel's means depend on its own bands alone, so that
-    blocks change no bit.
+    Also returns whether pixels are saturated (line, column). A pixel's means depend on its own bands alone,
+    so that results have the same bits for any blocks.
     """
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
@@ -80,8 +80,8 @@ def read_channels(
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     """Return a line in channels, and the channel of every band, without channels that most pixels lack.
 
-    One channel that is dead for the whole line would otherwise leave no segment of which all is known. Where
-    no channel would remain, all do.
+    Otherwise one channel that is dead for the whole line would leave no segment with all channels. If no
+    channel would remain, all are kept.
     """
     data, finite_count = 0, np.zeros(channels.shape[2], np.int64)
     for _, part in line_parts(channels):
@@ -100,9 +100,9 @@ def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
 
 
 def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
-    """Return by how much a channel's true wavelength differs from the nominal one (channel, column) [nm].
+    """Return true less nominal wavelength of the channels (channel, column) [nm].
 
-    0 where the line has no ``wavelength_shift``, or it is not known.
+    0 where the line has no ``wavelength_shift``, or it is NaN.
     """
     bands = (channel == np.arange(channel.max() + 1)[:, None]).astype(np.float64)
     bands /= bands.sum(axis=1, keepdims=True)
@@ -116,7 +116,7 @@ def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
 
 
 def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> None:
-    """Take the smile out of channels (line, column, channel), in place: what they change by over the shift.
+    """Remove the smile from channels (line, column, channel), in place: slope times shift.
 
     The slope is that between the channels on both sides, which are much wider than any smile.
     """
@@ -129,11 +129,11 @@ def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> No
 
 
 def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
-    """Return the noise of channels (channel,), relative to what is seen [1].
+    """Return the noise of channels (channel,), relative to the reflectance [1].
 
-    From second differences over the channels of what neighbouring pixels of one segment differ by: the
-    light and the surface change little from pixel to pixel, and smoothly over the channels. 0 where nothing
-    is known of it.
+    From second differences over the channels of the differences of neighbouring pixels of one segment: light
+    and surface change little from pixel to pixel, and smoothly over the channels. 0 where it cannot be
+    estimated.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``number``, ``inside`` (line, column):
     segment of every pixel, and whether it lies inside.
@@ -174,33 +174,32 @@ def survey(
     reach: int = 120,
     progress: Progress | bool | None = None,
 ) -> SceneModel:
-    r"""Look at a whole line once, and return what flags need to know of it.
+    r"""Survey a whole line, and return the scene model that flags use.
 
-    Eager. The line is read once, some blocks at a time, and kept as means over 24 channels (96 bytes a pixel,
-    of more than some 500 lines in a temporary file) while the survey runs, beside some 30 bytes a
-    pixel in memory. The result is the same to the last bit for any chunks and scheduler.
+    Eager. The line is read once, some blocks at a time, and held as means over 24 channels (96 bytes a pixel,
+    in a temporary file for more than some 500 lines) during the survey, beside some 30 bytes a pixel in
+    memory. Results have the same bits for any chunks and scheduler.
 
     Parameters
     ----------
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
-        latitude, longitude and heading, where it has them, tell where the sun stands in the image.
+        latitude, longitude and heading, where present, determine the direction of the sun in the image.
     diffuse
-        Where the diffuse part of the irradiance is known from: None, the line itself, by its
-        ``diffuse_fraction`` or else its record of ``irradiance``, mean over lines; "model", the clear sky of
-        `hyperpaint.light.sun`, which is also taken, with a warning, where the line has no record; "pvlib",
-        SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far as one is
-        found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading in the
-        shade of a small disc over that in full light.
+        Source of the diffuse part of the irradiance: None, the line's ``diffuse_fraction`` or else its record
+        of ``irradiance``, mean over lines; "model", the clear sky of `hyperpaint.light.sun`, also assumed,
+        with a warning, where the line has no record; "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast
+        shadow on the ground in the image; or a measured spectrum (band,) or with a coordinate
+        ``wavelength``, such as a reading in the shade of a small disc over the reading in full light.
     sun_zenith
-        [degree]; from time and place unless given.
+        [degree]; by default from time and place.
     sun_azimuth, heading
-        Clockwise from north [degree]; from the line unless given. Without them, the side to which shadows
-        fall is taken from those that are beyond doubt.
+        Clockwise from north [degree]; by default from the line. Without them, the side of shadows is
+        estimated from the most certain ones.
     reach
-        How far from a coloured thing its light is looked for [pixel].
+        Maximum distance at which light of a coloured object is considered [pixel].
     progress
-        True for a bar on stderr, or what is called with (lines done, lines to do).
+        True for a bar on stderr, or a function called with (lines done, lines to do).
 
     Returns
     -------
@@ -210,34 +209,35 @@ def survey(
     ------
     SchemaError, UnitsError
         Variables are missing or have other dims or units; the line has no pixel or no good band; the
-        wavelength of a good band is missing; the sun's place is not known; ``diffuse`` is none of these, or
-        no shadow was found.
+        wavelength of a good band is missing; the position of the sun is unknown; ``diffuse`` has another
+        value, or there is no shadow.
     MissingExtraError
         pvlib is not installed.
 
     Warns
     -----
     PaintWarning
-        A clear sky is taken, since the line has no record of its light.
+        A clear sky is assumed, since the line has no record of its light.
 
     Notes
     -----
-    1. Segments: neighbouring pixels are joined from the gentlest step on [1]_; what is small or thin goes
-       with its neighbour, and is a mixed pixel where it lies between two bodies. Where parts of one car meet
-       that differ by tilt, pixels are not mixed.
-    2. Segments that are others' surface in shadow, :math:`\rho (c f_{dir} + V f_{dif} + b \rho_n)` with small
-       c and the light b of one coloured neighbour, or fade into another under the sun's mirror image,
-       :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given its spectrum. Dark glass and black paint
-       can look like shadowed asphalt in every band: a shadow touches its lit body, though not on the side of
-       the sun, or goes on from one that does. On the ground, single pixels are shadow where direct light is
-       missing and that of the sky is not. Where the sky has over 95 % of the light there are no shadows, and
-       no mirror images of the sun.
-    3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least, less
-       what other parts of the same paint, where they are coloured, show to be glint all over it.
+    1. Segments: neighbouring pixels are joined in ascending order of their difference [1]_; small or thin
+       segments are joined to a neighbour, and are mixed pixels where they lie between two bodies. Where parts
+       of one car differ by tilt, pixels between them are not mixed.
+    2. Segments that are another segment's surface in shadow,
+       :math:`\rho (c f_{dir} + V f_{dif} + b \rho_n)` with small c and the light b of one coloured neighbour,
+       or that fade into another under the mirror image of the sun,
+       :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, get its spectrum. Dark glass and black paint can look
+       like asphalt in shadow in every band: a shadow touches its lit body, on a side away from the sun, or
+       another shadow. On the ground, single pixels are shadow where direct light is missing and light of the
+       sky is not. Where the sky has over 95 % of the light there are no shadows, and no mirror images of the
+       sun.
+    3. A body's reference is the mean of the pixels with least glint and light from coloured neighbours, less
+       glint that covers the whole body, estimated from other parts of the same coloured paint.
     4. The nearest coloured segments of every 4 x 4 pixels.
 
-    Channels that most pixels lack, such as those of dead bands, are left out. A body that lies in shadow or
-    in glint as a whole, and touches no part of itself that does not, is taken as it is seen.
+    Channels that most pixels lack, such as those of dead bands, are left out. A body that lies wholly in
+    shadow or in glint, without a touching part outside, keeps its spectrum.
 
     References
     ----------
@@ -309,7 +309,7 @@ def survey(
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
     del places
     coated = coloured_bodies(reference, light)
-    # what nothing casts a shadow on may be a bonnet that fills the picture
+    # ground without any cast shadow may be a bonnet that fills the picture
     bare = ground & ground[matches.body[matches.state == SHADED]].any()
     if light.direct.mean() < SURVEY.min_direct:
         lobe = np.zeros(saturated.shape, np.uint8)
@@ -345,14 +345,13 @@ def survey(
 
 
 def _quality(line: xr.Dataset) -> xr.DataArray | None:
-    """Return the bits of a line, None where it has none."""
     if "quality" not in line.variables:
         return None
     return schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
-    """Return which bands are good (band,), of a line that can be looked at."""
+    """Return the good bands (band,) of a line that can be surveyed."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
         problems.add(
@@ -384,7 +383,7 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
 
 
 def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightSplit:
-    """Return the split to start from, mean over lines."""
+    """Return the initial split, mean over lines."""
     try:
         return split_of(line, diffuse, sun_zenith).mean()
     except SchemaError as error:
@@ -396,7 +395,6 @@ def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightS
 
 
 def _source_text(diffuse: Any, split: LightSplit) -> str:
-    """Return where the diffuse fraction is from."""
     place = f"sun at {split.zenith:.1f} degrees from the zenith"
     if split.source == "measured":
         return "a measured spectrum"

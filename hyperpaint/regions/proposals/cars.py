@@ -1,4 +1,4 @@
-"""Cars: which pieces of paint belong to the same one, which part is its roof, and which part is proposed."""
+"""Cars: pieces of paint that belong to the same car, its roof, and the part that is proposed."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from .roofs import NoRoof, Roof, find_roof
 
 @dataclass(eq=False)
 class Car:
-    """Pieces of the picture that are of one car."""
+    """Pieces of the picture that belong to one car."""
 
     pieces: list[Piece]
-    #: What is seen of it around one of them, whether windows show that it is one or not; None where its
-    #: colour goes on beyond any car.
+    #: Footprint around one of the pieces, with or without visible windows; None where its colour extends
+    #: beyond any car.
     footprint: Footprint | None = None
     roof: Roof | None = None
-    #: Why there is no roof.
+    #: Reason why there is no roof.
     reason: str = "its colour goes on beyond any car: nothing says that it belongs to one"
     is_car: bool = False  #: Whether windows show that it is one.
 
 
 def _is_certain(footprint: Footprint, roof: Roof) -> bool:
-    """Return whether a roof lies between windows, or behind a windscreen, on what is one car's size."""
+    """Return whether a roof lies between windows, or behind a windscreen, on a footprint of one car."""
     return footprint.is_one_car and (roof.complete or roof.sided)
 
 
 def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
-    """Return the cars that pieces of paint are of, the surest first.
+    """Return the cars of pieces of paint, the most certain first.
 
-    The largest pieces are looked around first, those dark as windows last. What shows a roof for certain is a
-    car; what shows less is one only where no such car is.
+    The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
+    car; a piece with less evidence is one only where no certain car is.
     """
     lot = _Lot(scene)
 
@@ -70,7 +70,7 @@ _CERTAIN = 5
 
 
 class _Seen(NamedTuple):
-    """What is seen around a piece: the car, and its roof."""
+    """Car and roof found around a piece."""
 
     piece: Piece
     footprint: Footprint | None = None
@@ -83,7 +83,7 @@ class _Seen(NamedTuple):
 
     @property
     def rank(self) -> tuple[int, int]:
-        """How surely it is a car, and its pixels."""
+        """Certainty that it is a car, and its pixels."""
         if self.footprint is None:
             return 0, 0
         if isinstance(self.roof, NoRoof):
@@ -93,7 +93,7 @@ class _Seen(NamedTuple):
         return _CERTAIN - int(not _is_certain(self.footprint, self.roof)), self.size
 
     def unless_larger(self, largest: float) -> _Seen:
-        """Return this, or that it is no car where it has more pixels than cars have."""
+        """Return this, or a refusal where it has more pixels than a car."""
         if self.size <= largest:
             return self
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
@@ -101,17 +101,17 @@ class _Seen(NamedTuple):
 
 
 class _Lot:
-    """Cars, and which of them every pixel is of."""
+    """Cars, and the car of every pixel."""
 
     def __init__(self, scene: Scene) -> None:
         self.cars: list[Car] = []
-        self.certain: list[_Seen] = []  #: What the first of them were seen as.
+        self.certain: list[_Seen] = []  #: Certain cars, the first of `cars`.
         self._scene = scene
         self._whole = np.full(scene.level.shape, -1, np.int32)
         self._paint = self._whole.copy()
 
     def look(self, waiting: list[_Seen], ways: Sequence[Way], largest: float) -> list[_Seen]:
-        """Add the cars that are certain; return the best that is seen around all other pieces."""
+        """Add the cars that are certain; return the best candidates around all other pieces."""
         unsure = []
         for best in waiting:
             if self.has(best.piece):
@@ -126,7 +126,7 @@ class _Lot:
         return unsure
 
     def drop(self, largest: float) -> list[Piece]:
-        """Take away the cars of more pixels, which are several beside each other; return their pieces."""
+        """Remove the cars with more pixels, which are several side by side; return their pieces."""
         kept = [seen.size <= largest for seen in self.certain]
         numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)
         self._whole, self._paint = numbers[self._whole], numbers[self._paint]
@@ -136,7 +136,7 @@ class _Lot:
         return [piece for car in dropped for piece in car.pieces]
 
     def has(self, piece: Piece) -> bool:
-        """Give a piece to the car whose paint or windows it lies on, and tell whether there is one."""
+        """Assign a piece to the car whose paint or windows it lies on; return whether there is one."""
         for plane, least in ((self._paint, CARS.min_piece_share), (self._whole, CARS.min_window_share)):
             numbers = plane[piece.window][piece.inside]
             if (numbers >= 0).mean() > least:
@@ -145,7 +145,7 @@ class _Lot:
         return False
 
     def add(self, seen: _Seen) -> bool:
-        """Add a piece to the car that is there, or as a new one, and tell whether it is new."""
+        """Add a piece to the car at its place, or as a new car; return whether it is new."""
         footprint, roof = seen.footprint, seen.roof
         number = len(self.cars) if footprint is None else self._same(footprint)
         if number < len(self.cars):
@@ -156,7 +156,7 @@ class _Lot:
         else:
             self.cars.append(Car([seen.piece], footprint, roof, is_car=True))
         if footprint is not None and self.cars[-1].is_car:
-            # what is no car, such as ground that looks like no other, holds none
+            # only cars hold pieces: other footprints, such as unusual ground, do not
             for plane, mask in (
                 (self._whole, footprint.whole),
                 (self._paint, footprint.whole & footprint.paint),
@@ -166,7 +166,7 @@ class _Lot:
         return True
 
     def _same(self, footprint: Footprint) -> int:
-        """Return the number of the car that a footprint lies on, that of a new one if none."""
+        """Return the number of the car under a footprint, or the next number without one."""
         numbers = self._whole[footprint.window][footprint.whole]
         numbers = numbers[numbers >= 0]
         if not numbers.size:
@@ -179,7 +179,7 @@ class _Lot:
 
 
 def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float) -> _Seen:
-    """Return what is seen around a piece, and its roof: the first that is certain of what may be joined."""
+    """Return the best car and roof around a piece: the first certain one among all ways to join its parts."""
     piece = best.piece
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
     for footprint in footprints_of(piece.inside, piece.first, colour, scene, ways):
@@ -192,33 +192,33 @@ def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float)
 
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
-    """Return the verdicts on a car's roof and of the other pieces of its paint; at most one is proposed."""
+    """Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed."""
     judged = []
     if car.roof is not None and car.footprint is not None:
         one = _judge_roof(car.footprint, car.roof, picture, limits)
         if one is not None:
             judged.append(one)
-    panels = [_judge_panel(piece, car, picture, limits) for piece in car.pieces]
-    for one in judged + panels:
+    parts = [_judge_part(piece, car, picture, limits) for piece in car.pieces]
+    for one in judged + parts:
         doubt = doubt_about_clouds(one.piece.window, picture.channels, picture.model, picture.sun)
         if doubt:
             one.verdict.objections.append(doubt)
     best = next((one for one in judged if not one.verdict.objections), None)
     if best is None and judged and judged[0].measures.pixels:
-        # what makes the level part wrong lies on the others, too
-        for one in panels:
+        # an error of the level part affects the others, too
+        for one in parts:
             one.verdict.objections.append("the roof of the same car is refused")
     elif best is None:
-        good = [one for one in panels if not one.verdict.objections]
+        good = [one for one in parts if not one.verdict.objections]
         best = max(good, key=lambda one: one.verdict.score, default=None)
-    for one in panels:
+    for one in parts:
         if best is not None and one is not best and not one.verdict.objections:
             one.verdict.objections.append(better_part(best))
-    return judged + panels
+    return judged + parts
 
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Judged | None:
-    """Return what is thought of a roof; None where nothing of it is away from edges."""
+    """Return the verdict on a roof; None where all of it is near edges."""
     piece = _piece_of(footprint, roof, picture.model, limits.erode)
     if piece is None:
         return None
@@ -249,7 +249,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
         measures = measured(piece, picture, allowed, relative)
         if measures.pixels >= limits.min_pixels:
             break
-    # how far the pixels that are left are off what is level
+    # offset of the used pixels from the level part
     off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
     known = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
@@ -268,7 +268,7 @@ def _holds(mask: Bools, place: tuple[float, float]) -> bool:
 
 
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
-    """Object where a window, or a bed, may be taken for a black roof."""
+    """Object where a window or a bed may be mistaken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
     own = float(np.nanmedian(level[footprint.paint & footprint.whole]))
     step = own - roof.window_level
@@ -289,9 +289,9 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
-    """Return the pixels of a roof that are away from what has another colour.
+    """Return the pixels of a roof that are away from other colours.
 
-    What is brighter than the paint is elsewhere is paint, too: in the lobe of flakes, or in glint.
+    Pixels brighter than the paint elsewhere count as paint: they lie in the lobe of flakes, or in glint.
     """
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
@@ -306,7 +306,7 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
     return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
 
-def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Judged:
+def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Judged:
     measures = measured(piece, picture, limits)
     verdict = Verdict()
     if not car.is_car:
@@ -334,7 +334,7 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
 
 
 def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
-    """Return whether a spectrum is that of the ground, lit or in some shade."""
+    """Return whether a spectrum is the ground's, lit or in shade."""
     ground = np.nan_to_num(model.reference[largest_body(model)])
     own, other = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
     cosine = float(spectrum @ ground) / max(own * other, 1e-9)
@@ -342,7 +342,7 @@ def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
 
 
 def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:
-    """Object to a part of another colour than the rest of its car, or far brighter or darker."""
+    """Object to a part with another colour than the rest of its car, or far brighter or darker."""
     footprint = car.footprint
     if footprint is None or not measures.pixels:
         return
@@ -366,7 +366,6 @@ def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: P
 
 
 def _mean_level(measures: Measures) -> float:
-    """Return the mean reflectance of a piece [1]; 0 of none."""
     spectrum: Floats = measures.spectrum
     return float(spectrum.mean()) if measures.pixels else 0.0
 

@@ -1,4 +1,4 @@
-"""The whole of a car around a piece of its paint: what has its colour, and what that encloses."""
+"""Footprint of a car around a piece of its paint: all pixels of its colour, and the area they enclose."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _ROUNDING = 1e-6
 
 
 class Way(NamedTuple):
-    """What belongs to a car besides what touches."""
+    """Rules for joining parts of a car beyond those that touch."""
 
-    apart: bool = False  #: Without what only a thin bridge joins, such as a mirror and a bay line.
-    windows: bool = False  #: With all that nothing but what is dark lies between.
-    #: With what is far brighter or darker than the piece, as flakes are that lean otherwise.
+    apart: bool = False  #: Without parts joined by a thin bridge only, such as a mirror and a bay line.
+    windows: bool = False  #: With all parts separated by dark pixels only.
+    #: With far brighter or darker parts, such as flakes at another lean.
     wide: bool = False
 
 
@@ -44,7 +44,7 @@ WAYS = tuple(
 
 
 class Scene(NamedTuple):
-    """What is seen, for the whole picture."""
+    """The whole picture, prepared for footprints."""
 
     channels: Array  #: (line, column, channel): Reflectance [1].
     sky: Array  #: (channel,): What a level clear coat mirrors of the sky [1].
@@ -53,18 +53,18 @@ class Scene(NamedTuple):
 
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
-        """Return that of a line's channels (line, column, channel) and its model."""
+        """Return the scene of a line's channels (line, column, channel) and its model."""
         sky = (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
         ground = np.nan_to_num(model.reference[largest_body(model)])
         return cls(channels, sky, channels.mean(axis=2), ground)
 
     def without_sky(self, window: tuple[slice, slice]) -> Floats:
-        """Return the reflectance of a part of the picture, less the mirrored sky [1]."""
+        """Return the reflectance in a window of the picture, less the mirrored sky [1]."""
         return np.asarray(self.channels[window] - self.sky, np.float64)
 
 
 class Footprint(NamedTuple):
-    """A car as it is seen from above."""
+    """A car seen from above."""
 
     first: tuple[int, int]  #: Line and column of the first pixel of the masks.
     #: (line, column): Pixels of its colour; these and what they enclose, without what is thin.
@@ -80,24 +80,24 @@ class Footprint(NamedTuple):
 
     @property
     def is_one_car(self) -> bool:
-        """Whether it has the proportions of a car, and is seen whole."""
+        """Whether it has the proportions of a car, and lies wholly in the picture."""
         least, most = FOOTPRINTS.slenderness
         return not self.cut and least < self.length / self.width < most
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The part of the picture that the masks are of."""
+        """Window of the masks in the picture."""
         return window_of(self.first, self.whole)
 
 
 def footprints_of(
     inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, ways: Sequence[Way]
 ) -> Iterator[Footprint]:
-    """Yield the car that a piece of paint is of, in some ways; none where its colour goes on without an end.
+    """Yield the footprint of the car of a piece of paint, for each way whose colour ends within the margin.
 
     Takes ``inside`` (line, column): the piece; ``first``: line and column of its first pixel; ``colour``
-    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``ways``: which parts of
-    its colour belong together.
+    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: the picture; ``ways``: rules for
+    joining parts.
     """
     shape = np.array(scene.level.shape)
     looks: dict[tuple[int, bool], _Like] = {}
@@ -127,7 +127,7 @@ def footprints_of(
 
 
 class _Like(NamedTuple):
-    """Which pixels have a colour, look like the ground, are dark beside that colour; how bright they are."""
+    """Masks of pixels with a colour, like the ground, and dark beside that colour; their brightness."""
 
     paint: Bools
     ground: Bools
@@ -156,10 +156,10 @@ def _like(colour: Floats, scene: Scene, window: tuple[slice, slice], wide: bool)
 
 
 def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
-    """Return what lies between the thick parts of a connected colour, those of a seed's car.
+    """Return the area between the thick parts of a connected colour that belong to a seed's car.
 
-    Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
-    seed.
+    Bay lines and mirrors are thin. Where there is ground in between, only the area that the colour encloses
+    around the seed.
     """
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
@@ -172,7 +172,7 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     own = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
     depth = distance_transform_edt(filled)
-    # the depth where the seed is: a wall that the car touches may be wider
+    # depth at the seed: a wall that the car touches may be wider
     thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > thick, square)
     sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
@@ -184,7 +184,7 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
 def _gathered(
     cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
 ) -> Bools:
-    """Return what lies between a part and those around it, as far as it may be one car."""
+    """Return the area between a part and those around it that may belong to one car."""
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
@@ -207,7 +207,7 @@ def _gathered(
 
 
 def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
-    """Return what of a mask is within a distance [pixel] of its core."""
+    """Return the pixels of a mask within a distance [pixel] of its core."""
     reach = int(np.ceil(thick))
     lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
     near = tuple(slice(max(int(one[0]) - reach, 0), int(one[-1]) + reach + 1) for one in (lines, columns))
@@ -223,7 +223,7 @@ def hull_of(mask: Bools) -> Bools:
         return mask
     down, right, offset = ConvexHull(points).equations.T
     lines, columns = mask.shape
-    # where every line meets the sides: sides to its right end it, those to its left begin it
+    # intersections of every line with the sides: sides on its right end it, those on its left begin it
     reach = -(np.arange(lines)[:, None] * down + offset)
     steep = np.where(np.abs(right) > _ROUNDING, right, np.nan)
     last = np.where(right > _ROUNDING, reach / steep, np.inf).min(axis=1)
@@ -252,7 +252,7 @@ class _Rectangle(NamedTuple):
 
 
 def _rectangle(mask: Bools) -> _Rectangle:
-    """Return axis, centre, length and width of the smallest rectangle around a mask."""
+    """Return the smallest rectangle around a mask."""
     points = _border(mask)
     turn = np.radians(np.arange(0.0, 90.0, FOOTPRINTS.turn_deg))
     axes = np.stack([np.sin(turn), np.cos(turn)], axis=1)

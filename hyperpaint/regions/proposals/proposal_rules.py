@@ -1,7 +1,7 @@
-"""Thresholds of the proposals: what is paint, a car, its roof, and a region to propose.
+"""Thresholds of the proposals for paint, cars, roofs and proposed regions.
 
-Each field says what it limits and in which unit. Numbers were chosen on simulated car parks unless the field
-says otherwise.
+Each field states its meaning and unit. Numbers were chosen on simulated car parks unless the field states
+otherwise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SurfaceRules:
-    """Segments by their spectra, and the measures of a piece."""
+    """Classes of segments by their spectra, and measures of a piece."""
 
     #: Mean reflectance below which a surface may be a window or a shadow, and is listed last if refused [1].
     dark: float = 0.05
@@ -29,7 +29,7 @@ class SurfaceRules:
 
 @dataclass(frozen=True)
 class FootprintRules:
-    """The whole of a car around a piece of its paint."""
+    """The footprint of a car around a piece of its paint."""
 
     mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
     #: Cosine of the spectral angle to the piece, at least: 7 degrees.
@@ -112,7 +112,7 @@ class RoofRules:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """Verdicts: how uncertain the level of a part may be, whose windows are darker, flakes, and the score."""
+    """Verdicts: uncertainty of the level, darker windows, flakes, and the score."""
 
     #: Standard uncertainty of the level, relative, at most: half of the 6 % that a signature may be off [1].
     max_level_sd: float = 0.042

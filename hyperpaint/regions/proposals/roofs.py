@@ -30,14 +30,14 @@ class Roof(NamedTuple):
 
 
 class NoRoof(NamedTuple):
-    """Why no roof is found, and whether it is a car all the same."""
+    """Reason why no roof is found, and whether it is still a car."""
 
     reason: str
     is_car: bool
 
 
 class _Run(NamedTuple):
-    """A stretch of a car along its axis [pixel], of windows or of paint."""
+    """A section of a car along its axis [pixel], of windows or of paint."""
 
     first: int
     last: int
@@ -59,7 +59,7 @@ class _Frame(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """What is beside a stretch of a car, and what ends it."""
+    """Surroundings of a section of a car."""
 
     sided: float  #: Share with side windows.
     windows: list[_Run]  #: Those that end it.
@@ -68,7 +68,7 @@ class _Around(NamedTuple):
 
 
 class _Grounds(NamedTuple):
-    """Why a stretch is a roof, and how surely."""
+    """Reason why a section is a roof, and its worth."""
 
     reason: str
     worth: float
@@ -82,9 +82,9 @@ class _LevelPlace(NamedTuple):
 
 
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
-    """Return the roof of a car, or why none is found.
+    """Return the roof of a car, or the reason why none is found.
 
-    Takes ``car``: where; ``level`` (line, column): mean reflectance in its window [1].
+    Takes ``car``: its footprint; ``level`` (line, column): mean reflectance in its window [1].
     """
     glass = _glass(car, level)
     roof = _roof_along(car, glass, level, _frame(car, car.axis, car.length, car.width))
@@ -97,7 +97,6 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
 
 
 def _glass(car: Footprint, level: Floats) -> Bools:
-    """Return which pixels of a car are dark as windows."""
     own = float(np.median(level[car.paint & car.whole]))
     limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * own), own)
     return np.asarray(~car.paint & car.whole & (level < limit))
@@ -109,7 +108,7 @@ def _aside(frame: _Frame) -> Floats:
 
 
 def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
-    """Return where pixels are along and across a car."""
+    """Return the places of pixels along and across a car."""
     y, x = np.indices(car.whole.shape, np.float64)
     y, x = y - car.middle[0], x - car.middle[1]
     across = (y * axis[1] - x * axis[0]) / (0.5 * width)
@@ -117,7 +116,7 @@ def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> Roof | NoRoof:
-    """Return the best roof among the stretches between windows along a frame."""
+    """Return the best roof among the sections between windows along a frame."""
     crossed = (
         _share_of_tracks(glass, car.whole & (np.abs(frame.across) < ROOFS.middle), frame) > ROOFS.min_crossed
     )
@@ -152,8 +151,6 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
 
 
 def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Around:
-    """Return what is beside a stretch, and what ends it."""
-
     def sided(run: _Run) -> float:
         return float(beside[run.first : run.last].mean())
 
@@ -166,7 +163,7 @@ def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Aro
 
 
 def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Floats) -> float:
-    """Return the median level of what crosses a car in some stretches [1]."""
+    """Return the median level of the windows across some sections of a car [1]."""
     inside = np.zeros_like(glass)
     for run in windows:
         inside |= (frame.along >= run.first) & (frame.along < run.last)
@@ -177,7 +174,7 @@ def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Float
 def _judge_run(
     car: Footprint, runs: list[_Run], number: int, around: _Around, frame: _Frame
 ) -> _Grounds | None:
-    """Return why a stretch is the roof, and how surely it is; None where it may be another part."""
+    """Return reason and worth of a section as the roof; None where it may be another part."""
     run, sided = runs[number], around.sided
     share = run.length / frame.length
     ends = int(number > 0) + int(number + 1 < len(runs))
@@ -220,7 +217,7 @@ def _judge_run(
 
 
 def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
-    """Return whether a windscreen ends a stretch, and a bonnet the car."""
+    """Return whether a windscreen ends a section, and a bonnet the car."""
     if len(runs) != 3 or number == 1:
         return False
     bonnet = runs[2 - number].length / frame.length
@@ -229,10 +226,10 @@ def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
 
 
 def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> _LevelPlace:
-    """Return where along the car a roof is level, and how far that may be off [pixel].
+    """Return the position along the car where a roof is level, and its possible error [pixel].
 
     A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
-    but a bed, behind which next to nothing is left.
+    except for a bed, behind which almost nothing is left.
     """
     run, unit = runs[number], frame.length
     middle = 0.5 * (run.first + run.last)
@@ -261,10 +258,10 @@ class _Sides(NamedTuple):
 
 
 def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run) -> _Sides:
-    """Return where a roof ends to its sides.
+    """Return the sides of a roof.
 
-    Where brightness drops most: under a low sun the side that leans away is darker than paint elsewhere, and
-    no window yet. Of paint that is no brighter than windows, where side windows begin.
+    They lie where brightness drops most: under a low sun the side that leans away is darker than paint
+    elsewhere, but no window yet. For paint no brighter than windows, where side windows begin.
     """
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
     left, right = (_step(level, car, sign, frame, run) for sign in (-1, 1))
@@ -318,7 +315,7 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
 
 
 def _roof(car: Footprint, frame: _Frame, run: _Run, sides: _Sides) -> Bools | None:
-    """Return the pixels of a roof; None of a car at the picture's edge whose sides are not seen."""
+    """Return the pixels of a roof; None for a car at the picture's edge without visible sides."""
     if car.cut and not sides.seen:
         return None
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
@@ -345,7 +342,7 @@ def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
 
 
 def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
-    """Return the share of tracks across a car that is of some kind (track,)."""
+    """Return the share of pixels of ``which`` in ``of`` for every track across a car (track,)."""
     count = round(frame.length)
     track = np.floor(frame.along[of]).astype(np.int64).clip(0, count - 1)
     whole = np.bincount(track, minlength=count)
@@ -353,9 +350,9 @@ def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
 
 
 def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
-    """Return along which tracks there are side windows (track,), on the side where there are more.
+    """Return the tracks with side windows (track,), on the side with more of them.
 
-    Outside of a window there is a door; outside of what lies in the car's shadow there is nothing lit.
+    Outside of a window there is a door; outside of pixels in the car's shadow nothing is lit.
     """
     count = round(frame.length)
     track = np.floor(frame.along).astype(np.int64).clip(0, count - 1)
@@ -371,9 +368,9 @@ def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
 
 
 def _runs(crossed: Bools, strip: float) -> list[_Run]:
-    """Return the stretches of paint and of windows, from end to end.
+    """Return the sections of paint and of windows, from end to end.
 
-    What is shorter than a strip [pixel] between windows, as before a sunroof, goes with them.
+    Paint shorter than a strip [pixel] between windows, as before a sunroof, belongs to them.
     """
     ends = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=2, append=2))
     stretches = [
