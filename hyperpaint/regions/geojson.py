@@ -171,7 +171,7 @@ def regions_from(source: Any) -> Regions:
         return _collection(document, "these regions")
     if isinstance(source, Iterable):
         members = tuple(source)
-        if all(isinstance(each, Region) for each in members):
+        if all(isinstance(member, Region) for member in members):
             return Regions(members)
     raise SchemaError(
         f"regions are {type(source).__name__}",
@@ -202,8 +202,8 @@ def _collection(document: Any, subject: str) -> Regions:
     problems = Problems(f"{subject}: no regions can be made of it", FormatError)
     features = _features(document, problems)
     crs = _crs(document, problems) if isinstance(document, Mapping) else None
-    given = document.get("coordinates") if isinstance(document, Mapping) else None
-    coordinates = ("sensor" if crs is None else "map") if given is None else given
+    declared = document.get("coordinates") if isinstance(document, Mapping) else None
+    coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     if coordinates not in COORDINATES:
         problems.add(
             f"coordinates {str(coordinates)[:80]!r}",

@@ -103,10 +103,10 @@ class Region:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
         texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
-        said = "".join(f", {text}" for text in texts)
+        properties = "".join(f", {text}" for text in texts)
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
-        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{said}>"
+        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
 
     def feature(self) -> dict[str, Any]:
         """Return the region as a Feature of GeoJSON."""

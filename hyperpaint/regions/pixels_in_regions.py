@@ -223,8 +223,8 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
 def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
     """Return regions in positions of a line as regions in its numbers, or ``back`` from them to positions."""
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
-    first = np.array([own[0] for own in numbers])
-    step = np.array([(own[-1] - own[0]) / max(own.size - 1, 1) or 1.0 for own in numbers])
+    first = np.array([values[0] for values in numbers])
+    step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
     if not first.any() and (step == 1.0).all():
         return regions
 
@@ -305,9 +305,9 @@ def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
 
 
 def _joined(parts: Sequence[Pixels]) -> Pixels:
-    none = np.empty(0, np.int64)
-    along = np.concatenate([none, *(part[0] for part in parts)]).astype(np.int64)
-    across = np.concatenate([none, *(part[1] for part in parts)]).astype(np.int64)
+    empty = np.empty(0, np.int64)
+    along = np.concatenate([empty, *(part[0] for part in parts)]).astype(np.int64)
+    across = np.concatenate([empty, *(part[1] for part in parts)]).astype(np.int64)
     return along, across
 
 

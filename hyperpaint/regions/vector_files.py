@@ -86,10 +86,10 @@ def _by_fiona(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
         features = [
             {
                 "type": "Feature",
-                "geometry": one.geometry and one.geometry.__geo_interface__,
-                "properties": {name: _plain(value) for name, value in one.properties.items()},
+                "geometry": feature.geometry and feature.geometry.__geo_interface__,
+                "properties": {name: _plain(value) for name, value in feature.properties.items()},
             }
-            for _, one in zip(range(most + 1), layer, strict=False)
+            for _, feature in zip(range(most + 1), layer, strict=False)
         ]
         return layer.crs.to_wkt() or None, features
 

@@ -111,8 +111,8 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
     joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=shape)
     _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     _, first = np.unique(label, return_index=True)
-    both = np.concatenate([one, other]), np.concatenate([other, one])
-    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both, size.size))
+    both_orders = np.concatenate([one, other]), np.concatenate([other, one])
+    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both_orders, size.size))
 
 
 def clean_references(

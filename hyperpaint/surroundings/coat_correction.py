@@ -111,17 +111,19 @@ def correct_coat(
     corrected = {name: line[name] / whole for name in (*LEVELS, *WIDTHS) if name in line.variables}
     # the subtracted mirrored sky is as uncertain as index and split
     was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
-    own = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
+    coat_u = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
     if "reflectance_u_systematic" in corrected:
-        corrected["reflectance_u_systematic"] = (corrected["reflectance_u_systematic"] ** 2 + own**2) ** 0.5
+        corrected["reflectance_u_systematic"] = (
+            corrected["reflectance_u_systematic"] ** 2 + coat_u**2
+        ) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
     result = with_correction(line, corrected, COAT_CORRECTED, text)
-    said = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
-    result["reflectance"] = result["reflectance"].assign_attrs(said)
+    attrs = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
+    result["reflectance"] = result["reflectance"].assign_attrs(attrs)
     layers = {"coat_transmission": whole, "coat_transmission_u": u}
     table = schema.LIBRARY_VARIABLES if SIGNATURE in line["reflectance"].dims else schema.VARIABLES
     if SIGNATURE in line["reflectance"].dims:
-        layers["reflectance_u_coat"] = own.transpose(SIGNATURE, BAND).astype(np.float32)
+        layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
     return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
 
 
@@ -209,15 +211,15 @@ def _of_paints(
     small = library[[name for name in wanted if name in library.variables]].reset_coords().compute()
     rows = []
     for number in range(library.sizes[SIGNATURE]):
-        one = small.isel({SIGNATURE: number})
+        paint = small.isel({SIGNATURE: number})
         zenith = sun_zenith
-        if zenith is None and "sun_zenith" in one and np.isfinite(one["sun_zenith"].item()):
-            zenith = float(one["sun_zenith"].item())
-        if "diffuse_fraction" in one and not np.isfinite(one["diffuse_fraction"]).any():
-            one = one.drop_vars("diffuse_fraction")
-        split = split_of(one, diffuse, zenith, sky)
-        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(one, zenith)
-        view = one["view_zenith"].item() if view_zenith is None and "view_zenith" in one else view_zenith
+        if zenith is None and "sun_zenith" in paint and np.isfinite(paint["sun_zenith"].item()):
+            zenith = float(paint["sun_zenith"].item())
+        if "diffuse_fraction" in paint and not np.isfinite(paint["diffuse_fraction"]).any():
+            paint = paint.drop_vars("diffuse_fraction")
+        split = split_of(paint, diffuse, zenith, sky)
+        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, zenith)
+        view = paint["view_zenith"].item() if view_zenith is None and "view_zenith" in paint else view_zenith
         at = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
         rows.append(_shares(split, incidence, at, coat))
     return tuple(

@@ -278,10 +278,10 @@ def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: 
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
     }
-    said = {}
+    attrs = {}
     if name == "mirrored_sky_removed":
-        said = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
-    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
+        attrs = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
+    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **attrs})
     corrected = line.assign(done)
     if SIGNATURE in line["reflectance"].dims:
         before = line.attrs.get("corrections", "none")

@@ -278,8 +278,8 @@ def _flag_block(
     }
     bits = np.zeros(shape, np.uint16)
     added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
-    own = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
-    mirrored = added_glint > np.maximum(limits["glint"] * own, FLAGS.min_glint)
+    rest = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
+    mirrored = added_glint > np.maximum(limits["glint"] * rest, FLAGS.min_glint)
     lobe = model.lobe[start:stop]
     bits[mirrored & (lobe > 0)] |= np.uint16(Quality.GLINT)
     bits[_shaded(layers["blocked_direct"], model, slice(start, stop), limits["shadow"])] |= np.uint16(

@@ -151,28 +151,28 @@ def _match_glint(
     """Match segments to bodies under the mirror image of the sun; return whether any matched."""
     # the segments that are not matched yet, each with the bodies near it
     lit = state[near[1]] != SHADED
-    one, other = near[0][lit], body[near[1][lit]].astype(np.int64)
+    segment, body_near = near[0][lit], body[near[1][lit]].astype(np.int64)
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
-    open_ = (state[one] == LIT) & (one != other) & is_finite[one] & is_finite[other]
-    one, other = distinct_pairs(one[open_], other[open_], len(spectrum))
+    open_ = (state[segment] == LIT) & (segment != body_near) & is_finite[segment] & is_finite[body_near]
+    segment, body_near = distinct_pairs(segment[open_], body_near[open_], len(spectrum))
     amount, misfit, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
+        spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
     )
     fits = (
         (amount[:, 2] + amount[:, 4] > GLINT.min_glint)
         & (misfit < 1.0)
-        & (size[other] >= GLINT.min_body_share * size[one])
+        & (size[body_near] >= GLINT.min_body_share * size[segment])
     )
     # no glint where the darker segment could be the brighter one in shadow
-    one, other, misfit = one[fits], other[fits], misfit[fits]
-    fits = ~_could_be_shade(spectrum, other, one, light)
-    one, other, misfit = one[fits], other[fits], misfit[fits]
+    segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
+    fits = ~_could_be_shade(spectrum, body_near, segment, light)
+    segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
     # surfaces that lean towards the sun are brighter as well
     tilt, left, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
+        spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
     tilted = (left < 1.0) & (tilt[:, 0] < most)
-    return _assign(one[~tilted], other[~tilted], misfit[~tilted], state, body)
+    return _assign(segment[~tilted], body_near[~tilted], misfit[~tilted], state, body)
 
 
 def _assign(one: Ints, other: Ints, misfit: Floats, state: Array, body: Array) -> bool:
@@ -243,8 +243,8 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
         for part in in_parts(segment.size)
     ]
     if not alone:
-        none = np.empty(0)
-        return Mixtures(segment, body, none, none, none, none)
+        empty = np.empty(0)
+        return Mixtures(segment, body, empty, empty, empty, empty)
     amount, misfit = (np.concatenate(values) for values in zip(*alone, strict=True))
     possible = (amount[:, 0] < MIXTURES.max_direct) & (amount[:, 1] < MIXTURES.max_sky + 0.4) & (misfit < 0.6)
     segment, body, misfit = segment[possible], body[possible], misfit[possible]
@@ -291,13 +291,13 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
     here = np.repeat(centre.ravel().astype(np.int64), MIXTURES.neighbours_of_cell)
     nearest = labels.ravel().astype(np.int64)
     pairs, times = np.unique((here * size.size + nearest)[(here >= 0) & (nearest >= 0)], return_counts=True)
-    one, other = pairs // max(size.size, 1), pairs % max(size.size, 1)
-    order = np.lexsort((other, -times, one))
-    one, other = one[order], other[order]
-    rank = np.arange(one.size) - np.searchsorted(one, one)
+    segment, sender = pairs // max(size.size, 1), pairs % max(size.size, 1)
+    order = np.lexsort((sender, -times, segment))
+    segment, sender = segment[order], sender[order]
+    rank = np.arange(segment.size) - np.searchsorted(segment, segment)
     senders = np.full((size.size, MIXTURES.neighbours), -1, np.int64)
     first = rank < MIXTURES.neighbours
-    senders[one[first], rank[first]] = other[first]
+    senders[segment[first], rank[first]] = sender[first]
     return senders
 
 

@@ -94,18 +94,19 @@ class LightSplit:
         spread = np.sqrt((u**2).mean(over) + fraction.var(over))
         weight = cloud.mean() if hasattr(cloud, "mean") else cloud
         whole = fraction.mean(over)
-        known = np.isfinite(whole.values)
-        if not known.any():
+        has_value = np.isfinite(whole.values)
+        if not has_value.any():
             raise SchemaError(
                 "'diffuse_fraction' of the line, or of its irradiance record, has no value",
                 mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
                 option="give --diffuse",
                 code="diffuse-fraction-empty",
             )
-        if not known.all():  # bands without irradiance are interpolated
+        if not has_value.all():  # bands without irradiance are interpolated
             nm = self.wavelength
             whole, spread = (
-                each.copy(data=np.interp(nm, nm[known], each.values[known])) for each in (whole, spread)
+                array.copy(data=np.interp(nm, nm[has_value], array.values[has_value]))
+                for array in (whole, spread)
             )
         return LightSplit(
             self.wavelength, whole, spread, float(weight), self.source, self.sky, self.zenith,
@@ -167,9 +168,9 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         zenith = sun_zenith_of(line, sun_zenith) if has_sun or name == "clear" else float("nan")
         cloud = float(name == "overcast")
         return LightSplit(wavelength, fraction, 0.0 * fraction, cloud, "measured", name, zenith)
-    own = _own(line, sun_zenith) if diffuse is None else None
-    if own is not None:
-        return _recorded(line, own, wavelength, sun_zenith, sky)
+    declared = _own(line, sun_zenith) if diffuse is None else None
+    if declared is not None:
+        return _recorded(line, declared, wavelength, sun_zenith, sky)
     if diffuse is not None and diffuse not in SOURCES:
         raise SchemaError(
             f"diffuse={diffuse!r}",
@@ -205,8 +206,12 @@ def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
     """Return the declared split of a line, or the split from its record; None without either."""
     if SIGNATURE in line.dims or ALONG_TRACK not in line.dims:
         # small for paints; without any finite value there is no split
-        held = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
-        return _held(line) if held is not None and BAND in held.dims and np.isfinite(held).any() else None
+        declared = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
+        return (
+            _held(line)
+            if declared is not None and BAND in declared.dims and np.isfinite(declared).any()
+            else None
+        )
     if sun_zenith is not None and set(SUN_FROM) <= set(line.variables):
         clock = sun_zenith_of(line, None)
         if abs(clock - sun_zenith) > MAX_CLOCK_DEG:
@@ -232,12 +237,16 @@ def _held(line: xr.Dataset) -> xr.Dataset:
 
 
 def _recorded(
-    line: xr.Dataset, own: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
+    line: xr.Dataset, declared: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
 ) -> LightSplit:
-    fraction = own["diffuse_fraction"].astype(np.float64)
+    fraction = declared["diffuse_fraction"].astype(np.float64)
     if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
         fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
-    u = own["diffuse_fraction_u"].astype(np.float64) if "diffuse_fraction_u" in own else 0.0 * fraction
+    u = (
+        declared["diffuse_fraction_u"].astype(np.float64)
+        if "diffuse_fraction_u" in declared
+        else 0.0 * fraction
+    )
     try:
         zenith = sun_zenith_of(line, sun_zenith)
     except SchemaError:  # raised later where it is needed
@@ -246,8 +255,8 @@ def _recorded(
         zenith = float("nan")
     cloud: Any = float(sky == "overcast")
     state: Any = UNKNOWN_STATE
-    if "sky_state" in own:
-        state = own["sky_state"].reset_coords(drop=True)
+    if "sky_state" in declared:
+        state = declared["sky_state"].reset_coords(drop=True)
     if sky is None:
         middle = int(np.nanargmin(np.abs(wavelength - 550.0)))
         clear = float(diffuse_fraction(wavelength[[middle]], zenith if np.isfinite(zenith) else 45.0)[0])
@@ -256,7 +265,7 @@ def _recorded(
         # for unknown and broken skies the weight of overcast follows from the fraction
         clear_words = [SKY_STATES.index(word) for word in ("clear", "hazy")]
         overcast = SKY_STATES.index("overcast")
-        said = state if hasattr(state, "isin") else xr.full_like(share, state)
-        cloud = share.where(~said.isin(clear_words), 0.0).where(said != overcast, 1.0)
+        known_state = state if hasattr(state, "isin") else xr.full_like(share, state)
+        cloud = share.where(~known_state.isin(clear_words), 0.0).where(known_state != overcast, 1.0)
     source = "of the lines' own record"
     return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)

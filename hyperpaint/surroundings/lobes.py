@@ -124,7 +124,7 @@ def _half_width(core: Bools) -> float:
 
 def _sharp(level: Floats, on_coat: Bools) -> Bools:
     """Return the pixels that stand out from evenly bright surroundings (line, column)."""
-    found = np.zeros(level.shape, bool)
+    is_sharp = np.zeros(level.shape, bool)
     lines, columns = level.shape
     for first in range(0, lines, _LINES):
         here = level[first : first + _LINES]
@@ -136,9 +136,9 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
         for down, right in _RING:
             top, left = _MARGIN + down, _MARGIN + right
             darker += padded[top : top + len(here), left : left + columns] < below
-        found[first : first + _LINES] = darker >= _DARKER
+        is_sharp[first : first + _LINES] = darker >= _DARKER
         release(level)
-    y, x = np.nonzero(found & on_coat)
+    y, x = np.nonzero(is_sharp & on_coat)
     around = np.sort(
         [level[np.clip(y + down, 0, lines - 1), np.clip(x + right, 0, columns - 1)] for down, right in _RING],
         axis=0,
@@ -146,9 +146,9 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
     middle = 0.5 * (around[len(_RING) // 2 - 1] + around[len(_RING) // 2])
     fits = (level[y, x] > LOBES.min_contrast * middle) & (around[_LOWEST] > LOBES.min_evenness * middle)
     fits &= level[y, x] - middle > LOBES.min_excess
-    found[:] = False
-    found[y[fits], x[fits]] = True
-    return found
+    is_sharp[:] = False
+    is_sharp[y[fits], x[fits]] = True
+    return is_sharp
 
 
 def _add_sharp(
@@ -167,18 +167,18 @@ def _add_sharp(
     inside[top : top + core.shape[0], left : left + core.shape[1]] = core
     core, seen, body = inside, level[wide], picture.body[wide]
     far = _distance(core)
-    own = _body_around(body, (far > 2.5) & (far <= 4.5))
-    if own < 0 or picture.ground[own]:
+    surface_body = _body_around(body, (far > 2.5) & (far <= 4.5))
+    if surface_body < 0 or picture.ground[surface_body]:
         return
     peak = np.unravel_index(np.argmax(np.where(core, seen, -np.inf)), core.shape)
-    around = picture.channels[wide][(body == own) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
+    around = picture.channels[wide][(body == surface_body) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
     if np.isfinite(seen[peak]):
         added = (picture.channels[wide][peak] - np.nanmedian(around, axis=0)) / np.maximum(
             picture.light.direct, 1e-6
         )
         if not added.std() < LOBES.max_colour * added.mean():
             return
-    surface = (body == own) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
+    surface = (body == surface_body) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
     broad = _broad(seen, surface, surface & (far > max(2.0, 0.5 * reach)), reach + LOBES.around_px)
     if broad is None:
         lobe[wide] |= core
@@ -186,7 +186,7 @@ def _add_sharp(
     base, spread = broad
     with np.errstate(invalid="ignore"):
         more = seen - base > np.maximum(max(LOBES.min_share, LOBES.min_sd * spread) * base, LOBES.floor)
-    halo = ((body == own) | (far <= 2.5)) & (far <= reach) & more
+    halo = ((body == surface_body) | (far <= 2.5)) & (far <= reach) & more
     pieces, _ = label(halo | core, np.ones((3, 3)))
     lobe[wide] |= pieces == pieces[peak]
 
@@ -267,10 +267,10 @@ def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice,
     width = _half_width(core)
     if width < LOBES.min_wide_px:
         return
-    own = int(np.bincount(picture.body[window][core]).argmax())
-    if not picture.coloured[own] and lobe[window][core].any():
+    surface_body = int(np.bincount(picture.body[window][core]).argmax())
+    if not picture.coloured[surface_body] and lobe[window][core].any():
         return  # a sharp lobe, in that of flakes
-    reach = LOBES.max_wide_px if picture.coloured[own] else 1.5 + LOBES.wide_halo * width
+    reach = LOBES.max_wide_px if picture.coloured[surface_body] else 1.5 + LOBES.wide_halo * width
     wide = _padded(window, int(np.ceil(reach)))
     inside = np.zeros(level[wide].shape, bool)
     top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))

@@ -43,11 +43,11 @@ def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
     """Return the first two bodies of other paint among the segments nearest to pixels (..., rank)."""
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
-    own = paints[number]
+    own_paint = paints[number]
     nearest = np.full((*number.shape, 2), -1, np.int32)
     for rank in range(cells.shape[-1]):
         here = bodies[cells[..., rank]]
-        fresh = (here >= 0) & (paints[here] != own) & (here != nearest[..., 0])
+        fresh = (here >= 0) & (paints[here] != own_paint) & (here != nearest[..., 0])
         into_first = fresh & (nearest[..., 0] < 0)
         into_second = fresh & ~into_first & (nearest[..., 1] < 0)
         nearest[..., 0] = np.where(into_first, here, nearest[..., 0])

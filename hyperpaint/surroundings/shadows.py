@@ -135,16 +135,16 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
     level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
     largest = np.argsort(-size, kind="stable")[: SHADOWS.large_segments]
     near, bridged = beyond(pairs, size)
-    one = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
-    other = np.concatenate([bridged, np.tile(largest, count)])
+    segment = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
+    body = np.concatenate([bridged, np.tile(largest, count)])
     fits = (
-        is_finite[one]
-        & is_finite[other]
-        & (one != other)
-        & (level[one] < SHADOWS.max_brightness * level[other])
+        is_finite[segment]
+        & is_finite[body]
+        & (segment != body)
+        & (level[segment] < SHADOWS.max_brightness * level[body])
     )
-    fits &= (size[other] >= SHADOWS.min_body_share * size[one]) & (level[one] > 0)
-    return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
+    fits &= (size[body] >= SHADOWS.min_body_share * size[segment]) & (level[segment] > 0)
+    return mixtures_of(*distinct_pairs(segment[fits], body[fits], count), spectrum, senders, light)
 
 
 def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
@@ -307,9 +307,9 @@ def _ground(scene: Scene, state: Array, body: Array) -> Bools:
     is_ground = np.zeros(count, bool)
     largest = scene.size == scene.size.max()
     bright = np.nan_to_num(scene.spectrum).mean(axis=1) > SHADOWS.max_ground_level
-    for one in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
-        alike = _alike(scene.spectrum, np.arange(count), np.full(count, one))
-        if largest[one] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
+    for candidate in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
+        alike = _alike(scene.spectrum, np.arange(count), np.full(count, candidate))
+        if largest[candidate] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
             is_ground |= alike
     return is_ground
 
@@ -370,14 +370,14 @@ def _touched(which: Bools, scene: Scene) -> Floats:
 
 def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
     """Assign the best fitting lit body to segments; return whether any changed."""
-    any_ = False
+    any_assigned = False
     for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
         segment, parent = mixtures.segment[place], body[mixtures.body[place]]
         if state[segment] == LIT and state[parent] == LIT and parent != segment:
             state[segment] = SHADED
             body[body == segment] = parent
-            any_ = True
-    return any_
+            any_assigned = True
+    return any_assigned
 
 
 def shaded_pixels(

@@ -111,18 +111,20 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
     return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
 
 
-def measured_fraction(given: Any, wavelength: Floats) -> Floats:
+def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
     """Return a measured diffuse fraction at the bands' wavelengths; `SchemaError` where it does not fit them.
 
-    Takes ``given`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
+    Takes ``fraction`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
     disc over the reading in full light [1]; ``wavelength`` (band,): [nm].
     """
-    if hasattr(given, "coords") and "wavelength" in given.coords:
-        nm = np.asarray(given["wavelength"].values, np.float64)
+    if hasattr(fraction, "coords") and "wavelength" in fraction.coords:
+        nm = np.asarray(fraction["wavelength"].values, np.float64)
         order = np.argsort(nm, kind="stable")
-        values = np.interp(wavelength, nm[order], np.asarray(given.values, np.float64)[order], np.nan, np.nan)
+        values = np.interp(
+            wavelength, nm[order], np.asarray(fraction.values, np.float64)[order], np.nan, np.nan
+        )
     else:
-        values = np.asarray(given, np.float64)
+        values = np.asarray(fraction, np.float64)
     if values.shape != wavelength.shape:
         raise SchemaError(
             f"diffuse= has shape {values.shape}",
@@ -184,9 +186,9 @@ def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple
     Relative to the mean of the sky, one of `SKIES`; only a clear one has a brighter side. Takes
     ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
     """
-    none = np.zeros(wavelength.shape)
+    zero = np.zeros(wavelength.shape)
     if sky != "clear":
-        return none + (OVERCAST_ZENITH if sky == "overcast" else 1.0), none
+        return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero
     zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
     above = zenith_radiance(wavelength, zenith)
     cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))

@@ -29,7 +29,9 @@ def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
     """Return whether spectra (n, channel) [1] are those of leaves (n,); ``wavelength`` (channel,) [nm]."""
     rules = VEGETATION
     spans = (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm)
-    blue, green, red, edge, infrared = (_mean_over(np.nan_to_num(spectrum), wavelength, one) for one in spans)
+    blue, green, red, edge, infrared = (
+        _mean_over(np.nan_to_num(spectrum), wavelength, span) for span in spans
+    )
     return np.asarray(
         (edge > rules.min_edge * red) & (infrared < rules.max_rise * edge) & (green > blue) & (red > 0.0)
     )

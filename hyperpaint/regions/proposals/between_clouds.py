@@ -58,23 +58,23 @@ def sunny_lines(line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float
     """
     if "broken" not in str(model.attrs.get("sky_states", "")).split():
         return None
-    none = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
+    no_sun = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
     if zenith is None or not {"irradiance", "time", IRRADIANCE_TIME} <= set(line.variables):
-        return none
+        return no_sun
     nm = line["wavelength"].values.astype(np.float64)
     infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
     fraction = split_of(line, diffuse, zenith).fraction
     if ALONG_TRACK not in fraction.dims:
-        return none
+        return no_sun
     record = line["irradiance"]
     # a channel missing in some samples would shift their means
     level = record.mean([dim for dim in record.dims if dim != IRRADIANCE_TIME], skipna=False).values
     if not np.nanmin(level) < GAPS.max_dip * np.nanmax(level):
-        return none
-    seen = fraction.isel({BAND: infrared}).mean(BAND).values
+        return no_sun
+    infrared_fraction = fraction.isel({BAND: infrared}).mean(BAND).values
     clear = float(diffuse_fraction(nm[infrared], zenith).mean())
-    free = _stays(np.asarray(seen < clear + GAPS.max_above_clear), level, line)
-    return FreeSun(free, float(seen[free].mean())) if free.any() else none
+    free = _stays(np.asarray(infrared_fraction < clear + GAPS.max_above_clear), level, line)
+    return FreeSun(free, float(infrared_fraction[free].mean())) if free.any() else no_sun
 
 
 def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
@@ -84,8 +84,8 @@ def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
     )
     if not free.any():
         return free
-    known = np.isfinite(level)
-    stamps, level = stamps[known], level[known]
+    has_level = np.isfinite(level)
+    stamps, level = stamps[has_level], level[has_level]
     in_sun = np.median(np.interp(time[free], stamps, level))
     dark = stamps[level <= GAPS.min_of_free * in_sun]
     bounds = np.concatenate([[stamps[0]], dark, [stamps[-1]]])
@@ -112,8 +112,8 @@ def doubt_about_clouds(
         )
     shape = channels.shape[:2]
     near = tuple(
-        slice(max(one.start - GAPS.around_px, 0), min(one.stop + GAPS.around_px, size))
-        for one, size in zip(window, shape, strict=True)
+        slice(max(part.start - GAPS.around_px, 0), min(part.stop + GAPS.around_px, size))
+        for part, size in zip(window, shape, strict=True)
     )
     infrared = model.channel_wavelength >= min(GAPS.infrared_nm, float(model.channel_wavelength.max()))
     brightness = channels[near][..., infrared].mean(axis=2)

@@ -164,8 +164,8 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         "adjacency": ~(_smoothed(here["adjacency"], inside) <= limits.adjacency),
     }
     lit = inside & ~left_out["shadow"]
-    own, most = _brightness(seen, lit)
-    brightness = own if brightness is None else _smoothed(brightness, lit)
+    own_brightness, most = _brightness(seen, lit)
+    brightness = own_brightness if brightness is None else _smoothed(brightness, lit)
     # a tilt changes almost nothing on dark paint
     allowed = max(limits.brightness, SURFACES.min_change / max(most, 1e-6))
     left_out["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)

@@ -58,8 +58,8 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     sizes = [seen.size for seen in lot.certain]
     largest = CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
     again = lot.look([_Seen(piece) for piece in lot.drop(largest)], WAYS[:4], largest)
-    best = lot.look([one.unless_larger(largest) for one in best + again], WAYS[4:], largest)
-    for seen in sorted(best, key=lambda one: one.rank, reverse=True):
+    best = lot.look([candidate.unless_larger(largest) for candidate in best + again], WAYS[4:], largest)
+    for seen in sorted(best, key=lambda candidate: candidate.rank, reverse=True):
         if not lot.has(seen.piece):
             lot.add(seen)
     return lot.cars
@@ -127,12 +127,12 @@ class _Lot:
 
     def drop(self, largest: float) -> list[Piece]:
         """Remove the cars with more pixels, which are several side by side; return their pieces."""
-        kept = [seen.size <= largest for seen in self.certain]
-        numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)
+        is_kept = [seen.size <= largest for seen in self.certain]
+        numbers = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1).astype(np.int32)
         self._whole, self._paint = numbers[self._whole], numbers[self._paint]
-        dropped = [car for car, keep in zip(self.cars, kept, strict=True) if not keep]
-        self.cars = [car for car, keep in zip(self.cars, kept, strict=True) if keep]
-        self.certain = [seen for seen, keep in zip(self.certain, kept, strict=True) if keep]
+        dropped = [car for car, keep in zip(self.cars, is_kept, strict=True) if not keep]
+        self.cars = [car for car, keep in zip(self.cars, is_kept, strict=True) if keep]
+        self.certain = [seen for seen, keep in zip(self.certain, is_kept, strict=True) if keep]
         return [piece for car in dropped for piece in car.pieces]
 
     def has(self, piece: Piece) -> bool:
@@ -174,7 +174,7 @@ class _Lot:
         shared = np.bincount(numbers)
         number = int(shared.argmax())
         other = self.cars[number].footprint
-        least = min(int(one.whole.sum()) for one in (footprint, other) if one is not None)
+        least = min(int(item.whole.sum()) for item in (footprint, other) if item is not None)
         return number if shared[number] > CARS.min_overlap * least else len(self.cars)
 
 
@@ -193,28 +193,28 @@ def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float)
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
     """Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed."""
-    judged = []
+    roofs = []
     if car.roof is not None and car.footprint is not None:
-        one = _judge_roof(car.footprint, car.roof, picture, limits)
-        if one is not None:
-            judged.append(one)
+        judged_piece = _judge_roof(car.footprint, car.roof, picture, limits)
+        if judged_piece is not None:
+            roofs.append(judged_piece)
     parts = [_judge_part(piece, car, picture, limits) for piece in car.pieces]
-    for one in judged + parts:
-        doubt = doubt_about_clouds(one.piece.window, picture.channels, picture.model, picture.sun)
+    for judged_piece in roofs + parts:
+        doubt = doubt_about_clouds(judged_piece.piece.window, picture.channels, picture.model, picture.sun)
         if doubt:
-            one.verdict.objections.append(doubt)
-    best = next((one for one in judged if not one.verdict.objections), None)
-    if best is None and judged and judged[0].measures.pixels:
+            judged_piece.verdict.objections.append(doubt)
+    best = next((judged_piece for judged_piece in roofs if not judged_piece.verdict.objections), None)
+    if best is None and roofs and roofs[0].measures.pixels:
         # an error of the level part affects the others, too
-        for one in parts:
-            one.verdict.objections.append("the roof of the same car is refused")
+        for judged_piece in parts:
+            judged_piece.verdict.objections.append("the roof of the same car is refused")
     elif best is None:
-        good = [one for one in parts if not one.verdict.objections]
-        best = max(good, key=lambda one: one.verdict.score, default=None)
-    for one in parts:
-        if best is not None and one is not best and not one.verdict.objections:
-            one.verdict.objections.append(better_part(best))
-    return judged + parts
+        acceptable = [judged_piece for judged_piece in parts if not judged_piece.verdict.objections]
+        best = max(acceptable, key=lambda judged_piece: judged_piece.verdict.score, default=None)
+    for judged_piece in parts:
+        if best is not None and judged_piece is not best and not judged_piece.verdict.objections:
+            judged_piece.verdict.objections.append(better_part(best))
+    return roofs + parts
 
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Judged | None:
@@ -252,9 +252,9 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     # offset of the used pixels from the level part
     off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    known = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
-    judge_level(verdict, measures, picture, lean.sd, known)
-    judge_finish(verdict, measures, picture, known, difference_of(piece, picture, relative))
+    roof_level = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
+    judge_level(verdict, measures, picture, lean.sd, roof_level)
+    judge_finish(verdict, measures, picture, roof_level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
@@ -270,14 +270,14 @@ def _holds(mask: Bools, place: tuple[float, float]) -> bool:
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
     """Object where a window or a bed may be mistaken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
-    own = float(np.nanmedian(level[footprint.paint & footprint.whole]))
-    step = own - roof.window_level
-    if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * own):
+    paint_level = float(np.nanmedian(level[footprint.paint & footprint.whole]))
+    step = paint_level - roof.window_level
+    if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * paint_level):
         verdict.objections.append(
             f"windows beside it are darker by {step:.4f} only: it may be a window itself; draw a region "
             "by hand"
         )
-    if own >= SURFACES.dark:
+    if paint_level >= SURFACES.dark:
         return
     rest = footprint.paint & footprint.whole & ~roof.inside
     ratio = float(np.nanmedian(level[roof.inside]) / np.nanmedian(level[rest])) if rest.any() else np.nan
@@ -336,9 +336,12 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Jud
 def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
     """Return whether a spectrum is the ground's, lit or in shade."""
     ground = np.nan_to_num(model.reference[largest_body(model)])
-    own, other = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
-    cosine = float(spectrum @ ground) / max(own * other, 1e-9)
-    return cosine > FOOTPRINTS.min_cosine and own < float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * other
+    length, ground_length = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
+    cosine = float(spectrum @ ground) / max(length * ground_length, 1e-9)
+    return (
+        cosine > FOOTPRINTS.min_cosine
+        and length < float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * ground_length
+    )
 
 
 def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:
@@ -347,12 +350,14 @@ def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: P
     if footprint is None or not measures.pixels:
         return
     of = footprint.paint & footprint.whole if car.roof is None else car.roof.inside
-    other = np.nanmedian(picture.channels[footprint.window][of], axis=0)
-    own = measures.spectrum
-    cosine = float(own @ other) / max(float(np.linalg.norm(own) * np.linalg.norm(other)), 1e-9)
+    car_spectrum = np.nanmedian(picture.channels[footprint.window][of], axis=0)
+    spectrum = measures.spectrum
+    cosine = float(spectrum @ car_spectrum) / max(
+        float(np.linalg.norm(spectrum) * np.linalg.norm(car_spectrum)), 1e-9
+    )
     zenith = 45.0 if picture.zenith is None else picture.zenith
     slope = direct_share(picture) * float(np.tan(np.radians(zenith)))
-    ratio = float(own.mean() / other.mean())
+    ratio = float(spectrum.mean() / car_spectrum.mean())
     allowed = max(CARS.max_step, CARS.max_lean * slope)
     if cosine < FOOTPRINTS.min_cosine:
         verdict.objections.append(

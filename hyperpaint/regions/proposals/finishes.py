@@ -79,10 +79,10 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> Differenc
     seen = picture.channels[piece.window][chosen].astype(np.float64) - sky
     low, high = np.quantile(relative[chosen], [0.25, 0.75])
     difference = seen[relative[chosen] >= high].mean(axis=0) - seen[relative[chosen] <= low].mean(axis=0)
-    own, direct = seen.mean(axis=0), 1.0 - diffuse
-    coloured, flat = np.linalg.lstsq(np.stack([own * direct, direct], axis=1), difference, rcond=None)[0]
-    parts = float(coloured * (own * direct).mean()), float(flat * direct.mean())
-    contrast = float(np.linalg.norm(difference)) / max(float(np.linalg.norm(own)), 1e-9)
+    spectrum, direct = seen.mean(axis=0), 1.0 - diffuse
+    coloured, flat = np.linalg.lstsq(np.stack([spectrum * direct, direct], axis=1), difference, rcond=None)[0]
+    parts = float(coloured * (spectrum * direct).mean()), float(flat * direct.mean())
+    contrast = float(np.linalg.norm(difference)) / max(float(np.linalg.norm(spectrum)), 1e-9)
     return Difference(parts[1] / max(abs(sum(parts)), 1e-9), contrast)
 
 

@@ -138,19 +138,19 @@ class _Like(NamedTuple):
 def _like(colour: Floats, scene: Scene, window: tuple[slice, slice], wide: bool) -> _Like:
     seen = scene.without_sky(window)
     length = np.maximum(np.linalg.norm(seen, axis=2), 1e-9)
-    own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
-    brightness = (seen @ colour) / own**2
-    like = brightness * own / length
+    colour_length, ground_length = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
+    brightness = (seen @ colour) / colour_length**2
+    like = brightness * colour_length / length
     is_dark = float(colour.mean()) < SURFACES.dark
     least, most = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide]
     paint = (like > FOOTPRINTS.min_cosine) & (brightness > least) & (brightness < most)
-    as_ground = (seen @ scene.ground) / (length * ground)
-    near = np.abs(np.log(length / ground)) < FOOTPRINTS.max_ground_log_ratio
+    as_ground = (seen @ scene.ground) / (length * ground_length)
+    near = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
     paint &= (like > as_ground) | ~near
     return _Like(
         paint,
         ~paint & near & (as_ground > FOOTPRINTS.min_cosine),
-        ~paint & (length < least * own),
+        ~paint & (length < least * colour_length),
         brightness,
     )
 
@@ -169,8 +169,8 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
     joined = closed | like.dark if way.windows else closed
     parts, _ = label(joined, square)
-    own = np.unique(parts[seed])
-    filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
+    seed_parts = np.unique(parts[seed])
+    filled = binary_fill_holes(closed & np.isin(parts, seed_parts[seed_parts > 0]))
     depth = distance_transform_edt(filled)
     # depth at the seed: a wall that the car touches may be wider
     thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
@@ -188,14 +188,14 @@ def _gathered(
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
-    left = [int(one) for one in np.flatnonzero(sizes > thick * thick) if one not in (0, first)]
+    remaining = [int(core) for core in np.flatnonzero(sizes > thick * thick) if core not in (0, first)]
     gaps: dict[int, float] = {}
-    while left:
+    while remaining:
         if not gaps:
             away = distance_transform_edt(~whole)
-            gaps = dict(zip(left, minimum(away, cores, left).tolist(), strict=True))
-        nearest = min(left, key=lambda one: (gaps[one], one))
-        left.remove(nearest)
+            gaps = dict(zip(remaining, minimum(away, cores, remaining).tolist(), strict=True))
+        nearest = min(remaining, key=lambda core: (gaps[core], core))
+        remaining.remove(nearest)
         wider = whole | (cores == nearest)
         if gaps[nearest] > FOOTPRINTS.max_apart * float(depth[wider].max()):
             break
@@ -210,7 +210,9 @@ def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
     """Return the pixels of a mask within a distance [pixel] of its core."""
     reach = int(np.ceil(thick))
     lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
-    near = tuple(slice(max(int(one[0]) - reach, 0), int(one[-1]) + reach + 1) for one in (lines, columns))
+    near = tuple(
+        slice(max(int(places[0]) - reach, 0), int(places[-1]) + reach + 1) for places in (lines, columns)
+    )
     grown = np.zeros_like(core)
     grown[near] = (distance_transform_edt(~core[near]) <= thick) & filled[near]
     return grown

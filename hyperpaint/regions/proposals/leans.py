@@ -65,10 +65,10 @@ def height_model_of(line: xr.Dataset) -> HeightModel | None:
         return None
     east, north, height = dask.compute(*(line[name].transpose(*dims).data for name in names))
     steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
-    known = np.concatenate([step[np.isfinite(step)] for step in steps])
-    if not known.size or not float(np.median(known)) > 0.0:
+    spacings = np.concatenate([step[np.isfinite(step)] for step in steps])
+    if not spacings.size or not float(np.median(spacings)) > 0.0:
         return None
-    return HeightModel(np.asarray(height, np.float64), float(np.median(known)))
+    return HeightModel(np.asarray(height, np.float64), float(np.median(spacings)))
 
 
 def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
@@ -135,6 +135,8 @@ def measured_lean(
 
 def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
     """Return whether heights are those of a car's roof, not of the ground below it."""
-    around = tuple(slice(max(one.start - LEANS.around_px, 0), one.stop + LEANS.around_px) for one in window)
+    around = tuple(
+        slice(max(part.start - LEANS.around_px, 0), part.stop + LEANS.around_px) for part in window
+    )
     low = np.nanquantile(model.height[around], 0.1)
     return bool(np.median(roof) - low > LEANS.min_above_m)

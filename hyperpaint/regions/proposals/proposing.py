@@ -129,10 +129,11 @@ class Proposals(Regions):
     def table(self) -> str:
         """Return a line of text for every proposed and every refused region."""
         rows = [
-            f"{one.name}  score {one.properties['score']:.2f}  {'; '.join(one.properties['reasons'])}"
-            for one in self.regions
+            f"{region.name}  score {region.properties['score']:.2f}  "
+            f"{'; '.join(region.properties['reasons'])}"
+            for region in self.regions
         ]
-        rows += [f"{one.name}  {'; '.join(one.properties['refused'])}" for one in self.refused]
+        rows += [f"{region.name}  {'; '.join(region.properties['refused'])}" for region in self.refused]
         return "\n".join(rows)
 
 
@@ -330,7 +331,9 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     before = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
     numbers = dask.delayed(model.channel)
-    blocks = [dask.delayed(to_channels, pure=True)(one, numbers) for one in np.ravel(cube.data.to_delayed())]
+    blocks = [
+        dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
+    ]
     planes = [flagged[name].data for name in _LAYERS[:3]]
     results = dask.compute(*blocks, *planes)
     channels = np.concatenate(results[: len(blocks)])
@@ -340,20 +343,25 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
 
 
 def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
-    good = [one for one in judged if not one.verdict.objections]
-    bad = sorted((one for one in judged if one.verdict.objections), key=lambda one: one.verdict.scenery)
-    good.sort(key=lambda one: (-one.verdict.score, one.piece.first, one.piece.body))
-    accepted_candidates = good[:most]
-    digits = len(str(max(len(accepted_candidates), len(bad), 10)))
+    accepted_pieces = [piece for piece in judged if not piece.verdict.objections]
+    refused_pieces = sorted(
+        (piece for piece in judged if piece.verdict.objections), key=lambda piece: piece.verdict.scenery
+    )
+    accepted_pieces.sort(key=lambda piece: (-piece.verdict.score, piece.piece.first, piece.piece.body))
+    accepted_candidates = accepted_pieces[:most]
+    digits = len(str(max(len(accepted_candidates), len(refused_pieces), 10)))
     accepted = [
         _region(
-            *one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one.verdict.score, 4)}
+            *piece,
+            f"{name}_{rank:0{digits}}",
+            flightline,
+            {"rank": rank, "score": round(piece.verdict.score, 4)},
         )
-        for rank, one in enumerate(accepted_candidates, start=1)
+        for rank, piece in enumerate(accepted_candidates, start=1)
     ]
     refused = [
-        _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one.verdict.objections})
-        for rank, one in enumerate(bad, start=1)
+        _region(*piece, f"refused_{rank:0{digits}}", flightline, {"refused": piece.verdict.objections})
+        for rank, piece in enumerate(refused_pieces, start=1)
     ]
     return Proposals(tuple(accepted), refused=Regions(tuple(refused)))
 

@@ -97,8 +97,8 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
 
 
 def _glass(car: Footprint, level: Floats) -> Bools:
-    own = float(np.median(level[car.paint & car.whole]))
-    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * own), own)
+    paint_level = float(np.median(level[car.paint & car.whole]))
+    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
     return np.asarray(~car.paint & car.whole & (level < limit))
 
 
@@ -155,10 +155,11 @@ def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Aro
         return float(beside[run.first : run.last].mean())
 
     windows, beyond = (
-        [runs[one] for one in (number - step, number + step) if 0 <= one < len(runs)] for step in (1, 2)
+        [runs[section] for section in (number - step, number + step) if 0 <= section < len(runs)]
+        for step in (1, 2)
     )
-    long = [one for one in beyond if one.length > ROOFS.min_bonnet * frame.length]
-    has_bonnet = any(sided(one) < ROOFS.sided for one in long)
+    long = [section for section in beyond if section.length > ROOFS.min_bonnet * frame.length]
+    has_bonnet = any(sided(section) < ROOFS.sided for section in long)
     return _Around(sided(runs[number]), windows, has_bonnet, len(long) == 2)
 
 
@@ -238,7 +239,7 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
             continue
         window = runs[number + step].length
         edge = float(run.first if step < 0 else run.last)
-        beyond = sum(one.length for one in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
+        beyond = sum(section.length for section in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
         if beyond < ROOFS.min_tail * unit:
             continue
         if window > ROOFS.min_sunroof * unit:
@@ -276,8 +277,8 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
     if np.isnan(left) and np.isnan(right):
         left = right = ROOFS.roof_width
     left, right = (
-        2 * ROOFS.roof_width - other if np.isnan(one) else one
-        for one, other in ((left, right), (right, left))
+        2 * ROOFS.roof_width - opposite if np.isnan(side) else side
+        for side, opposite in ((left, right), (right, left))
     )
     return _Sides(0.5 * (right - left), 0.5 * (right + left), unsure, seen)
 
@@ -303,13 +304,13 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
     )
     # a window, and no seam: it stays dark
     drop = inner - np.max(outer, axis=0)
-    found = (drop > ROOFS.min_step).any(axis=1)
-    if found.sum() < ROOFS.min_seen * found.size:
+    has_drop = (drop > ROOFS.min_step).any(axis=1)
+    if has_drop.sum() < ROOFS.min_seen * has_drop.size:
         return np.nan
-    first = (drop[found] > ROOFS.min_step).argmax(axis=1)
+    first = (drop[has_drop] > ROOFS.min_step).argmax(axis=1)
     steepest = [
-        int((one[at : at + span] - one[at + span : at + 2 * span]).argmax())
-        for one, at in zip(seen[found], first, strict=True)
+        int((profile[at : at + span] - profile[at + span : at + 2 * span]).argmax())
+        for profile, at in zip(seen[has_drop], first, strict=True)
     ]
     return float(np.median(out[first + steepest] + 0.5)) / half
 
