@@ -296,12 +296,9 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
         raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
     if not isinstance(rings, list | tuple) or not rings:
         raise SchemaError(f"{subject} without a list of rings", code="geometry-wrong")
-    return [_positions(ring, subject) for ring in rings]
-
-
-def _positions(ring: Any, subject: str) -> Any:
-    corners = []
-    for position in ring if isinstance(ring, list | tuple) else (None,):
+    for position in (
+        corner for ring in rings for corner in (ring if isinstance(ring, list | tuple) else [ring])
+    ):
         if (
             not isinstance(position, list | tuple)
             or len(position) < 2
@@ -310,9 +307,8 @@ def _positions(ring: Any, subject: str) -> Any:
             raise SchemaError(
                 f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
             )
-        # heights are not used
-        corners.append((float(position[0]), float(position[1])))
-    return np.array(corners, np.float64).reshape(-1, 2)
+    # heights are not used
+    return [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
 
 
 def _is_number(value: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -228,14 +228,18 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
     if not first.any() and (step == 1.0).all():
         return regions
 
-    def moved(ring: Floats) -> Floats:
-        return np.asarray((ring - first) / step if back else ring * step + first)
+    return _with_rings(
+        regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+    )
 
+
+def _with_rings(regions: RegionsT, move: Callable[[Floats], Floats], **changes: Any) -> RegionsT:
+    """Return regions with every ring moved."""
     members = (
-        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
+        replace(region, polygon=move(region.polygon), holes=tuple(move(hole) for hole in region.holes))
         for region in regions
     )
-    return replace(regions, regions=tuple(members))
+    return replace(regions, regions=tuple(members), **changes)
 
 
 def _by_place(
@@ -329,11 +333,7 @@ def _moved(regions: Regions, crs: str) -> Regions:
             )
         return corners
 
-    members = (
-        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
-        for region in regions
-    )
-    return Regions(tuple(members), regions.coordinates, crs)
+    return _with_rings(regions, moved, crs=crs)
 
 
 def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:

@@ -59,7 +59,14 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     near_x, near_y = x[near], y[near]
     rings = [polygon, *holes]
     runs = [_runs(ring, near_y) for ring in rings]
-    _check_effort(sum(int((last - first).clip(0).sum()) for first, last in runs), near.size)
+    comparisons = sum(int((last - first).clip(0).sum()) for first, last in runs)
+    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * near.size:
+        raise SchemaError(
+            f"{comparisons / near.size:.0f} edges pass each of {near.size} pixels on average",
+            expected=f"at most {MAX_EDGES_PER_PIXEL}",
+            mend="split the polygon, or give it fewer corners",
+            code="polygon-too-complex",
+        )
     inside = np.ones(near.size, bool)
     for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
         # only points beside a ring can be in it
@@ -71,16 +78,6 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     belongs: Bools = np.zeros(x.size, bool)
     belongs[near] = inside
     return belongs
-
-
-def _check_effort(comparisons: int, points: int) -> None:
-    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * points:
-        raise SchemaError(
-            f"{comparisons / points:.0f} edges pass each of {points} pixels on average",
-            expected=f"at most {MAX_EDGES_PER_PIXEL}",
-            mend="split the polygon, or give it fewer corners",
-            code="polygon-too-complex",
-        )
 
 
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
@@ -119,12 +116,9 @@ def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.i
     doubtful = np.abs(cross) <= _ROUNDING * (np.abs(left) + np.abs(right)) + _TINIEST
     # a difference of zero is exact, and so is a product with it
     doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
-    for k in np.flatnonzero(doubtful).tolist():
-        side[k] = _exact_side(start, stop, float(x[k]), float(y[k]))
-    return side
-
-
-def _exact_side(start: Floats, stop: Floats, x: float, y: float) -> int:
+    # in rational numbers, exactly
     x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
-    cross = (x1 - x0) * (Fraction(y) - y0) - (y1 - y0) * (Fraction(x) - x0)
-    return (cross > 0) - (cross < 0)
+    for k in np.flatnonzero(doubtful).tolist():
+        exact = (x1 - x0) * (Fraction(float(y[k])) - y0) - (y1 - y0) * (Fraction(float(x[k])) - x0)
+        side[k] = (exact > 0) - (exact < 0)
+    return side

@@ -36,7 +36,15 @@ class Surfaces:
         reference = np.nan_to_num(model.reference)
         length = np.linalg.norm(reference, axis=1, keepdims=True)
         direction = reference / np.maximum(length, 1e-9)
-        ground = _like_the_largest(model, direction, length[:, 0])
+        ground = np.zeros(0, bool)
+        if model.segments:
+            # ground: the largest body, and segments with its spectrum in any light
+            largest = largest_body(model)
+            level = length[:, 0] / max(float(length[largest, 0]), 1e-9)
+            like = (direction @ direction[largest] > SURFACES.min_ground_cosine) & (
+                np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
+            )
+            ground = np.asarray(like | (model.body == largest))
         leaves = is_vegetation(model.spectrum, model.channel_wavelength)
         return cls(spectrum.mean(axis=1), ground, leaves)
 
@@ -44,18 +52,6 @@ class Surfaces:
 def largest_body(model: SceneModel) -> int:
     """Return the number of the body with most pixels, which is taken for the ground."""
     return int(np.argmax(np.bincount(model.body, weights=model.size, minlength=model.segments)))
-
-
-def _like_the_largest(model: SceneModel, direction: Floats, length: Floats) -> Bools:
-    """Return whether segments belong to the largest body, or have its spectrum in any light (segment,)."""
-    if not model.segments:
-        return np.zeros(0, bool)
-    largest = largest_body(model)
-    level = length / max(float(length[largest]), 1e-9)
-    like = (direction @ direction[largest] > SURFACES.min_ground_cosine) & (
-        np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
-    )
-    return np.asarray(like | (model.body == largest))
 
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
@@ -176,12 +172,6 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         usable &= ~mask
     usable = _largest(usable)
     lost = {name: share for name, share in lost.items() if share}
-    return _measures(usable, seen, brightness, here, lost)
-
-
-def _measures(
-    usable: Bools, seen: Floats, brightness: Floats, here: Mapping[str, Array], lost: Mapping[str, float]
-) -> Measures:
     count = int(usable.sum())
     if not count:
         return Measures(usable, np.full(seen.shape[2], np.nan), lost)
@@ -190,20 +180,24 @@ def _measures(
     length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
     angles = np.degrees(np.arccos(np.clip(values @ middle / np.maximum(length, 1e-12), -1.0, 1.0)))
     low, high = np.quantile(brightness[usable], [0.05, 0.95])
-    steps = [np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)]
-    joined = np.concatenate(steps)
+    # steps between neighbouring pixels along both axes
+    both = (usable[1:] & usable[:-1], usable[:, 1:] & usable[:, :-1])
+    joined = np.concatenate([np.abs(np.diff(brightness, axis=axis))[both[axis]] for axis in (0, 1)])
     glint, shadow, adjacency = (
         float(here[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")
     )
     return Measures(
-        usable, middle, lost, pixels=count, angle=float(np.median(angles)), spread=0.5 * float(high - low),
-        slope=float(np.median(joined)) if joined.size else 0.0, glint=glint, shadow=shadow,
+        usable,
+        middle,
+        lost,
+        pixels=count,
+        angle=float(np.median(angles)),
+        spread=0.5 * float(high - low),
+        slope=float(np.median(joined)) if joined.size else 0.0,
+        glint=glint,
+        shadow=shadow,
         adjacency=adjacency,
-    )  # fmt: skip
-
-
-def _both(mask: Bools, axis: int) -> Bools:
-    return np.asarray(mask[1:] & mask[:-1] if axis == 0 else mask[:, 1:] & mask[:, :-1])
+    )
 
 
 def _smoothed(values: Array, valid: Bools) -> Floats:

@@ -65,7 +65,7 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     return lot.cars
 
 
-#: Rank of a roof between windows, or behind a windscreen, on what has the proportions of one car.
+#: Rank of a roof between windows, or behind a windscreen, on a footprint of one car.
 _CERTAIN = 5
 
 
@@ -324,24 +324,18 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Jud
     unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture), is_seen=False)
     judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
     _compare_with_car(verdict, measures, car, picture)
-    if measures.pixels and _is_as_ground(measures.spectrum, picture.model):
+    # a spectrum like the ground's, lit or in shade
+    ground = np.nan_to_num(picture.model.reference[largest_body(picture.model)])
+    length, ground_length = float(np.linalg.norm(measures.spectrum)), float(np.linalg.norm(ground))
+    cosine = float(measures.spectrum @ ground) / max(length * ground_length, 1e-9)
+    max_length = float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * ground_length
+    if measures.pixels and cosine > FOOTPRINTS.min_cosine and length < max_length:
         verdict.objections.append(
             "its colour is that of the ground, and it is no brighter; draw a region by hand"
         )
     if _mean_level(measures) < SURFACES.dark:
         verdict.objections.append("as dark as a window, and not known to be the roof")
     return Judged(piece, measures, verdict)
-
-
-def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
-    """Return whether a spectrum is the ground's, lit or in shade."""
-    ground = np.nan_to_num(model.reference[largest_body(model)])
-    length, ground_length = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
-    cosine = float(spectrum @ ground) / max(length * ground_length, 1e-9)
-    return (
-        cosine > FOOTPRINTS.min_cosine
-        and length < float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * ground_length
-    )
 
 
 def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:

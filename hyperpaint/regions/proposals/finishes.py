@@ -60,8 +60,8 @@ FINISHES = FinishRules()
 class Difference(NamedTuple):
     """Difference of the bright and the dark part of a roof."""
 
-    flat_share: float  #: Flat part of the difference over the mean of what has the panel's own colour [1].
-    contrast: float  #: Length of the difference over that of the panel's spectrum [1].
+    flat_share: float  #: Flat part of the difference over the whole difference [1].
+    contrast: float  #: Length of the difference over the length of the mean spectrum [1].
 
 
 def difference_of(piece: Piece, picture: Picture, relative: Floats) -> Difference | None:

@@ -47,7 +47,7 @@ class Scene(NamedTuple):
     """The whole picture, prepared for footprints."""
 
     channels: Array  #: (line, column, channel): Reflectance [1].
-    sky: Array  #: (channel,): What a level clear coat mirrors of the sky [1].
+    sky: Array  #: (channel,): Sky mirrored by a level clear coat, in reflectance [1].
     level: Array  #: (line, column): Mean reflectance [1].
     ground: Floats  #: (channel,): Reflectance of the largest body [1].
 
@@ -67,7 +67,7 @@ class Footprint(NamedTuple):
     """A car seen from above."""
 
     first: tuple[int, int]  #: Line and column of the first pixel of the masks.
-    #: (line, column): Pixels of its colour; these and what they enclose, without what is thin.
+    #: (line, column): Pixels of its colour; these and the area they enclose, without thin parts.
     paint: Bools
     whole: Bools
     brightness: Floats  #: (line, column): Relative to the piece it was found from.

@@ -21,7 +21,7 @@ class Verdict:
     """Verdict on a piece."""
 
     kind: str = ""  #: "roof", "panel", "metallic"; empty where it may not belong to a car.
-    score: float = 0.0  #: 0 to 1, from what is measured.
+    score: float = 0.0  #: 0 to 1, from the measures.
     #: Reasons for it and objections against it; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
@@ -74,8 +74,8 @@ def change_with_lean(zenith: float) -> float:
 def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:
     """State the uncertainty of the level of a part, and visible flakes; object where it is too uncertain.
 
-    A small lean b towards the sun changes a body's light by some f_dir tan(zenith) b, and that of flakes by
-    more. The change of brightness over a roof, whose crown leans by known angles, shows by how much more.
+    A small lean b towards the sun changes a body's light by some f_dir tan(zenith) b, and the light of flakes
+    by more. The change of brightness over a roof, whose crown leans by known angles, shows by how much more.
     Takes ``rake``: standard deviation of a lean that no brightness shows [degree].
     """
     if not measures.pixels:

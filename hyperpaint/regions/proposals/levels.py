@@ -76,8 +76,8 @@ class Place(NamedTuple):
 class Levelled(NamedTuple):
     """Brightness of a roof where it is level."""
 
-    middle: float  #: There, relative to what brightness is given in [1].
-    sd: float  #: What that may be off by for its fit and its place, relative [1].
+    middle: float  #: Brightness there, in the unit of the brightness passed [1].
+    sd: float  #: Its relative standard uncertainty from the fit and the place [1].
     #: Its relative change a radian of lean along and across the car, as far as the roof's crown shows it [1].
     along_change: float
     across_change: float

@@ -270,7 +270,15 @@ def propose_regions(
     """
     line = schema.rename_to_roles(line)
     limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
-    _check(limits, most)
+    problems = Problems("regions cannot be proposed", SchemaError)
+    for key in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
+        value = getattr(limits, key)
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{key}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+    for key, count in (("min_pixels", min_pixels), ("most", most)):
+        if count is not None and count < 1:
+            problems.add(f"{key}={count!r}", expected="1 or more", code="value-out-of-range")
+    problems.raise_if_any()
     unknown = sorted(set(options) - set(signature(survey).parameters))
     if unknown:
         raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
@@ -279,7 +287,12 @@ def propose_regions(
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     if not scene.segments:
         return Proposals(())
-    zenith = _zenith(line, options.get("sun_zenith", scene.attrs.get("sun_zenith")))
+    zenith = options.get("sun_zenith", scene.attrs.get("sun_zenith"))
+    try:
+        zenith = sun_zenith_of(line, zenith)
+    except SchemaError:  # unknown
+        if zenith is not None:
+            raise
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
     picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
@@ -297,29 +310,6 @@ def propose_regions(
         judged += judge_car(car, picture, limits)
     proposals = _ranked(judged, most, flightline, name)
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
-
-
-def _check(limits: Limits, most: int | None) -> None:
-    problems = Problems("regions cannot be proposed", SchemaError)
-    for name in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
-        value = getattr(limits, name)
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
-    if limits.min_pixels < 1:
-        problems.add(f"min_pixels={limits.min_pixels!r}", expected="1 or more", code="value-out-of-range")
-    if most is not None and most < 1:
-        problems.add(f"most={most!r}", expected="1 or more, or None for all", code="value-out-of-range")
-    problems.raise_if_any()
-
-
-def _zenith(line: xr.Dataset, given: float | None) -> float | None:
-    """Return the zenith angle of the sun [degree]; None where it is unknown."""
-    try:
-        return sun_zenith_of(line, given)
-    except SchemaError:
-        if given is not None:
-            raise
-        return None
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:

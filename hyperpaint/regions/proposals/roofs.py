@@ -67,26 +67,15 @@ class _Around(NamedTuple):
     is_between: bool  #: Whether there is paint beyond both.
 
 
-class _Grounds(NamedTuple):
-    """Reason why a section is a roof, and its worth."""
-
-    reason: str
-    worth: float
-
-
-class _LevelPlace(NamedTuple):
-    """Where along the car a roof is level, and how far that may be off [pixel]."""
-
-    along: float
-    unsure: float
-
-
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     """Return the roof of a car, or the reason why none is found.
 
     Takes ``car``: its footprint; ``level`` (line, column): mean reflectance in its window [1].
     """
-    glass = _glass(car, level)
+    # pixels as dark as windows
+    paint_level = float(np.median(level[car.paint & car.whole]))
+    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
+    glass = np.asarray(~car.paint & car.whole & (level < limit))
     roof = _roof_along(car, glass, level, _frame(car, car.axis, car.length, car.width))
     if isinstance(roof, NoRoof) and car.cut:
         # of a car that is cut off, the longer side may be its width
@@ -94,12 +83,6 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
         other = _roof_along(car, glass, level, _frame(car, aside, car.width, car.length))
         return roof if isinstance(other, NoRoof) else other
     return roof
-
-
-def _glass(car: Footprint, level: Floats) -> Bools:
-    paint_level = float(np.median(level[car.paint & car.whole]))
-    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
-    return np.asarray(~car.paint & car.whole & (level < limit))
 
 
 def _aside(frame: _Frame) -> Floats:
@@ -130,20 +113,32 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
             continue
         around = _around(runs, number, beside, frame)
         grounds = _judge_run(car, runs, number, around, frame)
-        if grounds is None or (best is not None and best.worth >= grounds.worth):
+        if grounds is None or (best is not None and best.worth >= grounds[1]):
             continue
-        place = _level_place(car, runs, number, frame)
+        along, unsure = _level_place(car, runs, number, frame)
         sides = _sides(car, glass, level, frame, run)
-        inside = _roof(car, frame, run, sides)
-        if inside is not None:
-            middle = _place_of(car, place.along, sides.centre, frame)
+        here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
+        inside = here & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
+        # the sides of a car at the picture's edge must be visible
+        if inside.any() and not (car.cut and not sides.seen):
+            line, column = (
+                car.middle
+                + (along - 0.5 * frame.length) * frame.axis
+                + 0.5 * frame.width * sides.centre * _aside(frame)
+            )
+            middle = float(line), float(column)
             complete = 1 < number < len(runs) - 2
             best = Roof(
-                inside, middle, frame.axis, place.unsure, sides.unsure, *grounds,
+                inside,
+                middle,
+                frame.axis,
+                unsure,
+                sides.unsure,
+                *grounds,
                 complete and (around.is_between or (around.has_bonnet and around.sided > ROOFS.sided)),
                 around.has_bonnet and around.sided > ROOFS.surely_sided,
                 _window_level(glass, around.windows, frame, level),
-            )  # fmt: skip
+            )
     if best is not None:
         return best
     is_car = car.is_one_car and float(beside.mean()) > ROOFS.van_sided
@@ -174,7 +169,7 @@ def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Float
 
 def _judge_run(
     car: Footprint, runs: list[_Run], number: int, around: _Around, frame: _Frame
-) -> _Grounds | None:
+) -> tuple[str, float] | None:
     """Return reason and worth of a section as the roof; None where it may be another part."""
     run, sided = runs[number], around.sided
     share = run.length / frame.length
@@ -184,7 +179,7 @@ def _judge_run(
     worth = share + sided + (ROOFS.between_worth if around.is_between else 0.0)
     if car.cut:
         if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * frame.width:
-            return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
+            return f"a roof: windows end it on both sides, {evidence}", worth
         return None
     if share < ROOFS.min_roof:
         return None
@@ -194,26 +189,22 @@ def _judge_run(
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
-    # what lies before a windscreen may end at its own shadow, as if at a window
+    # a section before a windscreen may end at its own shadow, as if at a window
     if ends == 2 and not around.is_between and (share < ROOFS.short_roof or sided < ROOFS.van_sided):
         return None
     if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
-        return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
+        return f"a roof: windows end it on both sides, {evidence}", worth
     if ends == 1 and sided > ROOFS.surely_sided:
-        return _Grounds(f"a roof: a window ends it, {evidence}", worth)
+        return f"a roof: a window ends it, {evidence}", worth
     if ends == 1 and ROOFS.min_van_roof < share < ROOFS.max_van_roof and _has_face(runs, number, frame):
-        return _Grounds(
-            f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}",
-            worth,
-        )
+        reason = f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}"
+        return reason, worth
     if (
         ends == 1
         and ROOFS.max_bonnet < share < ROOFS.max_van_roof
         and sided > (ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided)
     ):
-        return _Grounds(
-            f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
-        )
+        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
     return None
 
 
@@ -226,7 +217,7 @@ def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
     return ROOFS.min_bonnet < bonnet < ROOFS.max_bonnet and window < ROOFS.max_windscreen
 
 
-def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> _LevelPlace:
+def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
     """Return the position along the car where a roof is level, and its possible error [pixel].
 
     A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
@@ -243,10 +234,10 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
         if beyond < ROOFS.min_tail * unit:
             continue
         if window > ROOFS.min_sunroof * unit:
-            return _LevelPlace(edge, ROOFS.unsure_beside * unit)
+            return edge, ROOFS.unsure_beside * unit
         if window > ROOFS.max_windscreen * unit:
-            return _LevelPlace(middle, abs(middle - edge))
-    return _LevelPlace(middle, ROOFS.unsure * unit)
+            return middle, abs(middle - edge)
+    return middle, ROOFS.unsure * unit
 
 
 class _Sides(NamedTuple):
@@ -313,23 +304,6 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
         for profile, at in zip(seen[has_drop], first, strict=True)
     ]
     return float(np.median(out[first + steepest] + 0.5)) / half
-
-
-def _roof(car: Footprint, frame: _Frame, run: _Run, sides: _Sides) -> Bools | None:
-    """Return the pixels of a roof; None for a car at the picture's edge without visible sides."""
-    if car.cut and not sides.seen:
-        return None
-    here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
-    inside = here & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
-    return inside if inside.any() else None
-
-
-def _place_of(car: Footprint, along: float, centre: float, frame: _Frame) -> tuple[float, float]:
-    """Return line and column of a place along a car [pixel] and across it [half widths]."""
-    line, column = (
-        car.middle + (along - 0.5 * frame.length) * frame.axis + 0.5 * frame.width * centre * _aside(frame)
-    )
-    return float(line), float(column)
 
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
