@@ -14,7 +14,15 @@ from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 
-from .corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, as_fractions, sky_above, with_correction
+from .corrections import (
+    LEVELS,
+    NORMAL_REFLECTANCE,
+    WIDTHS,
+    as_fractions,
+    note_unusable,
+    sky_above,
+    with_correction,
+)
 from .light_split import LightSplit, split_of
 from .sun_and_sky import sun_zenith_of
 
@@ -98,7 +106,26 @@ def correct_coat(
     array([0.508, 0.504], dtype=float32)
     """
     line = schema.rename_to_roles(line)
-    _check(line, index=(index, 1.0, 3.0), index_u=(index_u, 0.0, 1.0), lean_u=(lean_u, 0.0, 45.0))
+    problems = Problems("the coat's share cannot be corrected", SchemaError)
+    numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
+    note_unusable(problems, line, numbers)
+    if "reflectance" in line.variables:
+        before = line["reflectance"].attrs
+        if COAT_CORRECTED in before:
+            problems.add(
+                f"the coat was corrected before: {COAT_CORRECTED} is {before[COAT_CORRECTED]!r}",
+                mend="start from reflectance without this correction",
+                code="corrected-before",
+            )
+        elif mirror_reflection(line) != EXCLUDED:
+            problems.add(
+                "the reflectance includes the sky that the coat mirrors, or does not say that it excludes it",
+                mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
+                f"{EXCLUDED!r} where there is none",
+                option="give --specular-sky",
+                code="mirrored-sky-included",
+            )
+    problems.raise_if_any()
     line = as_fractions(line)
     coat = (float(index), float(index_u), float(lean_u))
     if SIGNATURE in line["reflectance"].dims:
@@ -127,33 +154,6 @@ def correct_coat(
     return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
 
 
-def _check(line: xr.Dataset, **numbers: tuple[float, float, float]) -> None:
-    problems = Problems("the coat's share cannot be corrected", SchemaError)
-    for name in ("reflectance", "wavelength"):
-        if name not in line.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
-    for name, (value, least, most) in numbers.items():
-        if not least <= value <= most:
-            problems.add(f"{name}={value!r}", expected=f"{least:g} to {most:g}", code="value-out-of-range")
-    if "reflectance" in line.variables:
-        attrs = line["reflectance"].attrs
-        if COAT_CORRECTED in attrs:
-            problems.add(
-                f"the coat was corrected before: {COAT_CORRECTED} is {attrs[COAT_CORRECTED]!r}",
-                mend="start from reflectance without this correction",
-                code="corrected-before",
-            )
-        elif mirror_reflection(line) != EXCLUDED:
-            problems.add(
-                "the reflectance includes the sky that the coat mirrors, or does not say that it excludes it",
-                mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
-                f"{EXCLUDED!r} where there is none",
-                option="give --specular-sky",
-                code="mirrored-sky-included",
-            )
-    problems.raise_if_any()
-
-
 def _shares(
     split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
 ) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
@@ -168,8 +168,10 @@ def _shares(
         return transmitted_share(fraction, sky, float(np.clip(angle, 0.0, 89.9)), view, n)
 
     whole = share(split.fraction, index, incidence)
-    by_index = 0.5 * (share(split.fraction, index + index_u, incidence)
-                      - share(split.fraction, max(1.0, index - index_u), incidence))  # fmt: skip
+    by_index = 0.5 * (
+        share(split.fraction, index + index_u, incidence)
+        - share(split.fraction, max(1.0, index - index_u), incidence)
+    )
     leans = [abs(share(split.fraction, index, incidence + turn) - whole) for turn in (-lean_u, lean_u)]
     by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
     whole_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)

@@ -6,7 +6,7 @@ Made on request only; each is recorded in the attributes of ``reflectance``.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -111,7 +111,8 @@ def remove_mirrored_sky(
     """
     line = schema.rename_to_roles(line)
     # the sky mirrored by a tilted surface is subtracted before the division by its light
-    _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
+    numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
+    _check(line, CORRECTIONS, numbers)
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     above = sky_above(split)
@@ -194,7 +195,8 @@ def correct_light(
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
-    _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
+    numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}
+    _check(line, ("light_corrected", "tilt"), {name: (value, 0.0, 10.0) for name, value in numbers.items()})
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
@@ -215,14 +217,23 @@ def correct_light(
     return with_correction(line, corrected, "light_corrected", text)
 
 
-def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
-    problems = Problems("reflectance cannot be corrected", SchemaError)
+def note_unusable(
+    problems: Problems, line: xr.Dataset, numbers: Mapping[str, tuple[float, float, float]]
+) -> None:
+    """Note missing variables of a line, and numbers (value, least, most) out of range."""
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
             problems.add(f"{name!r} is missing", code="variable-missing")
-    for name, value in numbers.items():
-        if not 0.0 <= value <= most:
-            problems.add(f"{name}={value!r}", expected=f"0 to {most:g}", code="value-out-of-range")
+    for name, (value, least, most) in numbers.items():
+        if not least <= value <= most:
+            problems.add(f"{name}={value!r}", expected=f"{least:g} to {most:g}", code="value-out-of-range")
+
+
+def _check(
+    line: xr.Dataset, done: tuple[str, ...], numbers: Mapping[str, tuple[float, float, float]]
+) -> None:
+    problems = Problems("reflectance cannot be corrected", SchemaError)
+    note_unusable(problems, line, numbers)
     before = line["reflectance"].attrs if "reflectance" in line.variables else {}
     for name in done:
         if name in before:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Progress
+from hyperpaint.base.arrays import Array, Bools, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
@@ -144,7 +144,12 @@ def flag(
     """
     line = schema.rename_to_roles(line)
     cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
-    _check(glint=glint, shadow=shadow, adjacency=adjacency, edge=edge)
+    limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
+    problems = Problems("thresholds cannot be used", SchemaError)
+    for name, value in limits.items():
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+    problems.raise_if_any()
     if model is None:
         model = survey(line, progress=progress, **options)
     elif options:
@@ -155,16 +160,7 @@ def flag(
         )
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     _check_model(scene, cube, line["wavelength"])
-    limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": float(edge)}
     return _lazily(line, cube, scene, limits)
-
-
-def _check(**limits: float) -> None:
-    problems = Problems("thresholds cannot be used", SchemaError)
-    for name, value in limits.items():
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
-    problems.raise_if_any()
 
 
 def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray) -> None:
@@ -195,9 +191,15 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     shared = dask.delayed(model, traverse=False, pure=False)
     blocks = da.map_blocks(
-        _flag_block, data, shared, starts=starts, limits=limits, dtype=object, name=None,
+        _flag_block,
+        data,
+        shared,
+        starts=starts,
+        limits=limits,
+        dtype=object,
+        name=None,
         meta=np.empty((0, 0, 0), object),
-    )  # fmt: skip
+    )
     pixel = (ALONG_TRACK, CROSS_TRACK)
     layout = {name: ("lx", schema.dtype_of(name)) for name in (*LAYERS, "quality")}
     layers = {
@@ -214,27 +216,9 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
     if "quality" in line.variables:
         before = schema.require(line, ["quality"], "flags")["quality"].variable
         bits = bits.copy(data=(bits.variable | before.transpose(*pixel)).data)
-    layers["quality"] = schema.label(bits, "quality", flags_from=_origin(model))
+    origin = f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
+    layers["quality"] = schema.label(bits, "quality", flags_from=origin)
     return line.assign(layers)
-
-
-def _origin(model: SceneModel) -> str:
-    return f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
-
-
-def _most(model: SceneModel) -> Floats:
-    """Return the largest amounts (part,): no surface gets more direct light than one that faces the sun."""
-    most = most_amounts()
-    zenith = float(model.attrs.get("sun_zenith", np.nan))
-    if np.isfinite(zenith):
-        most[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
-    return most
-
-
-def _lean(model: SceneModel) -> float:
-    """Return the excess of direct light, over level ground, on a surface that mirrors the sun upwards."""
-    zenith = np.radians(min(float(model.attrs.get("sun_zenith", np.nan)), 80.0))
-    return float(np.cos(zenith / 2) / np.cos(zenith) - 1.0) if np.isfinite(zenith) else 0.0
 
 
 def _flag_block(
@@ -256,6 +240,14 @@ def _flag_block(
     amount = np.empty((*shape, PARTS), np.float32)
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
+    # no surface gets more direct light than one that faces the sun
+    max_amounts, lean = most_amounts(), 0.0
+    zenith = float(model.attrs.get("sun_zenith", np.nan))
+    if np.isfinite(zenith):
+        max_amounts[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
+        # excess of direct light, over level ground, on a surface that mirrors the sun upwards
+        angle = np.radians(min(zenith, 80.0))
+        lean = float(np.cos(angle / 2) / np.cos(angle) - 1.0)
     unmix_lines(
         seen,
         arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
@@ -263,9 +255,9 @@ def _flag_block(
             *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
         ),
         arguments.ChannelErrors(np.hypot(model.noise, FLAGS.relative_error), FLAGS.floor),
-        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, _most(model)),
+        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, max_amounts),
         FLAGS.evidence_sd2,
-        arguments.Glinting(_lean(model), MIRROR.coat),
+        arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
     most = np.argmax(added, axis=2)[..., None]
@@ -338,14 +330,12 @@ def flag_line(
     ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with lines surveyed
     and to do; flags are lazy. Raises as `flag` and `survey`.
     """
-    seen = to_nominal(line) if _has_smile(line) else line
+    has_smile = (
+        "wavelength_shift" in line.variables
+        and (np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any()
+    )
+    seen = to_nominal(line) if has_smile else line
     limits = {name: options.pop(name) for name in _LIMITS if name in options}
     model = survey(seen, progress=progress, **options)
     flagged = flag(seen, model, **limits)
     return Flagged(line.assign({name: flagged[name] for name in ("quality", *LAYERS)}), seen, model)
-
-
-def _has_smile(line: xr.Dataset) -> bool:
-    if "wavelength_shift" not in line.variables:
-        return False
-    return bool((np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any())

@@ -214,13 +214,17 @@ class Mixtures(NamedTuple):
     direct: Floats
     sky: Floats
     sent: Floats
-    misfit: Floats  #: (n,): Root mean square of what remains, relative to what is seen [1].
+    misfit: Floats  #: (n,): Root mean square of the residual, relative to the reflectance [1].
 
     def subset(self, chosen: Bools) -> Mixtures:
         return Mixtures(
-            self.segment[chosen], self.body[chosen], self.direct[chosen], self.sky[chosen],
-            self.sent[chosen], self.misfit[chosen],
-        )  # fmt: skip
+            self.segment[chosen],
+            self.body[chosen],
+            self.direct[chosen],
+            self.sky[chosen],
+            self.sent[chosen],
+            self.misfit[chosen],
+        )
 
 
 def without_sun(mixtures: Mixtures) -> Bools:

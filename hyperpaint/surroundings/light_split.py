@@ -109,9 +109,16 @@ class LightSplit:
                 for array in (whole, spread)
             )
         return LightSplit(
-            self.wavelength, whole, spread, float(weight), self.source, self.sky, self.zenith,
-            state=int(numbers[np.argmax(counts)]), states=words,
-        )  # fmt: skip
+            self.wavelength,
+            whole,
+            spread,
+            float(weight),
+            self.source,
+            self.sky,
+            self.zenith,
+            state=int(numbers[np.argmax(counts)]),
+            states=words,
+        )
 
     def mirrored(self) -> tuple[Floats, Floats]:
         """Return `mirrored_radiances` of a mean (band,) [1]."""

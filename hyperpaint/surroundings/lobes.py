@@ -101,13 +101,24 @@ def _components(chosen: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slic
 
     pieces, _ = label(chosen, np.ones((3, 3)))
     for number, place in enumerate(find_objects(pieces), 1):
-        window = _padded(place, pad)
+        window = padded(place, pad)
         yield pieces[window] == number, window
 
 
-def _padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
+def padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
+    """Return a window that is some pixels wider on all sides."""
     rows, columns = (slice(max(part.start - pad, 0), part.stop + pad) for part in window)
     return rows, columns
+
+
+def _placed(
+    core: Bools, window: tuple[slice, slice], wide: tuple[slice, slice], shape: tuple[int, ...]
+) -> Bools:
+    """Return the mask of a core in a wider window of the given shape."""
+    inside = np.zeros(shape, bool)
+    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
+    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    return inside
 
 
 def _distance(chosen: Bools) -> Floats:
@@ -161,11 +172,9 @@ def _add_sharp(
     if reach > LOBES.max_sharp_px:
         return
     pad = int(np.ceil(reach)) + LOBES.around_px
-    wide = _padded(window, pad)
-    inside = np.zeros(level[wide].shape, bool)
-    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
-    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
-    core, seen, body = inside, level[wide], picture.body[wide]
+    wide = padded(window, pad)
+    seen, body = level[wide], picture.body[wide]
+    core = _placed(core, window, wide, seen.shape)
     far = _distance(core)
     surface_body = _body_around(body, (far > 2.5) & (far <= 4.5))
     if surface_body < 0 or picture.ground[surface_body]:
@@ -269,12 +278,10 @@ def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice,
         return
     surface_body = int(np.bincount(picture.body[window][core]).argmax())
     if not picture.coloured[surface_body] and lobe[window][core].any():
-        return  # a sharp lobe, in that of flakes
+        return  # a sharp lobe inside the lobe of flakes
     reach = LOBES.max_wide_px if picture.coloured[surface_body] else 1.5 + LOBES.wide_halo * width
-    wide = _padded(window, int(np.ceil(reach)))
-    inside = np.zeros(level[wide].shape, bool)
-    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
-    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    wide = padded(window, int(np.ceil(reach)))
+    inside = _placed(core, window, wide, level[wide].shape)
     body = picture.body[wide]
     asked = np.append(_distinct(picture), False)[body] & np.isfinite(level[wide])
     asked &= _distance(inside) <= reach

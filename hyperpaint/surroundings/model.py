@@ -55,7 +55,7 @@ def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
     return nearest
 
 
-#: States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image.
+#: States of a segment: in full light; another body's cast shadow; another body under the sun's mirror image.
 LIT, SHADED, GLINTED = 0, 1, 2
 
 #: Field to its dims, dtype, units and meaning.
@@ -134,17 +134,18 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
             )
     if not np.isfinite(fields.get("shift", np.empty(0))).all():
         problems.add("'shift' is not finite", code="not-finite")
-    for name, least in (("noise", 0.0), ("tilt", 1e-6)):
-        spread = fields.get(name, np.empty(0))
-        if not (np.isfinite(spread) & (spread >= least)).all():
-            problems.add(f"{name!r} is not finite, or below {least:g}", code="value-out-of-range")
-    fraction = fields.get("diffuse_fraction", np.empty(0))
-    if not ((fraction >= 0) & (fraction <= 1)).all():
-        problems.add("'diffuse_fraction' is not finite, or outside 0 to 1", code="value-out-of-range")
-    for name in ("zenith_radiance", "sunward_radiance"):
-        radiance = fields.get(name, np.empty(0))
-        if not (np.isfinite(radiance) & (radiance >= 0)).all():
-            problems.add(f"{name!r} is not finite, or below 0", code="value-out-of-range")
+    for name, least, most in (
+        ("noise", 0.0, np.inf),
+        ("tilt", 1e-6, np.inf),
+        ("diffuse_fraction", 0.0, 1.0),
+        ("zenith_radiance", 0.0, np.inf),
+        ("sunward_radiance", 0.0, np.inf),
+    ):
+        values = fields.get(name, np.empty(0))
+        if not (np.isfinite(values) & (values >= least) & (values <= most)).all():
+            problems.add(
+                f"{name!r} is not finite, or outside {least:g} to {most:g}", code="value-out-of-range"
+            )
 
 
 @dataclass(frozen=True, eq=False)

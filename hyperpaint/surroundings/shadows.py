@@ -21,7 +21,8 @@ from .full_light import (
     senders_of,
     solve,
     without_sun,
-)  # fmt: skip
+)
+from .lobes import padded
 from .model import LIT, SHADED
 from .scratch import line_parts, release
 from .segments import Touching, beyond, distinct_pairs
@@ -119,7 +120,11 @@ def match_shade(
         < SHADOWS.sided_direct.open + SHADOWS.sided_direct.hidden * (SHADOWS.open_sky - mixtures.sky)
     )
     beside = (length >= SHADOWS.min_contact_sides) & (way >= SHADOWS.beside_way * length) & _clear(mixtures)
-    best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
+    # candidates that fit about as well as the best on the ground
+    least = np.full(count, np.inf)
+    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
+    best = np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
+    best &= ~ground[mixtures.segment]
     _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
     _assign(mixtures, _turned_away(mixtures, length, way, scene) & ~on_ground, state, body)
     _grow(mixtures, ground, best, length, way, scene, state, body)
@@ -248,17 +253,11 @@ def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]
     fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
     places = find_objects(number + 1) if fits.any() else []
     for row in np.flatnonzero(fits):
-        window = around(places[mixtures.segment[row]], SHADOWS.beside_px)
+        window = padded(places[mixtures.segment[row]], SHADOWS.beside_px)
         here = number[window]
         near = binary_dilation(here == mixtures.segment[row], iterations=SHADOWS.beside_px)
         fits[row] = (here[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
     return np.asarray(fits)
-
-
-def around(place: tuple[slice, ...], pixels: int) -> tuple[slice, slice]:
-    """Return a window that is some pixels wider on all sides."""
-    rows, columns = (slice(max(part.start - pixels, 0), part.stop + pixels) for part in place)
-    return rows, columns
 
 
 def penumbrae(
@@ -275,7 +274,7 @@ def penumbrae(
     chosen = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
     places = find_objects(number + 1) if chosen.size else []
     for segment in chosen:
-        window = around(places[segment], SHADOWS.penumbra_px)
+        window = padded(places[segment], SHADOWS.penumbra_px)
         here, lit = number[window], matches.body[segment]
         near = binary_dilation(here == segment, iterations=SHADOWS.penumbra_px)
         near &= (here >= 0) & (here != segment) & (here != lit)
@@ -312,13 +311,6 @@ def _ground(scene: Scene, state: Array, body: Array) -> Bools:
         if largest[candidate] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
             is_ground |= alike
     return is_ground
-
-
-def _best_on_ground(mixtures: Mixtures, on_ground: Bools, count: int) -> Bools:
-    """Return whether candidates fit their segments about as well as any candidate on the ground."""
-    least = np.full(count, np.inf)
-    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
-    return np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
 
 
 def _grow(

@@ -66,9 +66,13 @@ def read_channels(
     count = int(channel.max()) + 1
     out, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
     blocks = da.map_blocks(
-        to_channels, cube.data, channel, dtype=np.float32, chunks=(cube.data.chunks[0], (columns,), (count,)),
+        to_channels,
+        cube.data,
+        channel,
+        dtype=np.float32,
+        chunks=(cube.data.chunks[0], (columns,), (count,)),
         meta=np.empty((0, 0, 0), np.float32),
-    )  # fmt: skip
+    )
     if quality is None:
         compute_into([blocks], [out], progress)
     else:
@@ -262,10 +266,21 @@ def survey(
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
-    divided = _divided(diffuse, line, sun_zenith)
+    try:
+        divided = split_of(line, diffuse, sun_zenith).mean()
+    except SchemaError as error:
+        if not (isinstance(diffuse, str) and diffuse == "shadow"):
+            raise
+        found = "diffuse='shadow' starts from the light of a clear sky"
+        raise SchemaError(found, problems=[error.problem]) from error
     fraction, zenith = divided.fraction.values, divided.zenith
     channel = channel_numbers(wavelength, good)
-    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), _quality(line))
+    bits = None
+    if "quality" in line.variables:
+        bits = schema.require(line, ["quality"], "a scene model")["quality"].transpose(
+            ALONG_TRACK, CROSS_TRACK
+        )
+    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
     bands = (wavelength, fraction, divided.u.values, *divided.mirrored())
     centre, split, split_u, *sky = (_mean_of(values, channel) for values in bands)
@@ -320,34 +335,57 @@ def survey(
     noise = channel_noise(channels, segments.number, is_inside)
     del is_inside
     trim_memory()
-    level = ground & (matches.state == LIT)
-    shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
-    shaded = shaded_pixels(channels, segments.number, level, reference, light)
-    own_level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
-    deep = np.empty_like(shaded)
-    for part, seen in line_parts(channels):
-        bright = own_level[segments.number[part]]
-        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * bright)
-    shade_distance[of_shadows(shaded, (shade_distance == 0) | deep)] = 0
+    shade_distance = _shade_distance(channels, segments.number, matches, ground, reference, light)
     trim_memory()
     return SceneModel(
-        wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
-        zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
-        shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
-        lobe=lobe, neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body,
-        ground=ground[matches.body].astype(np.int8), paint=paints.first, tilt=tilt, spectrum=spectrum,
+        wavelength=wavelength,
+        channel=channel,
+        channel_wavelength=centre,
+        diffuse_fraction=split,
+        zenith_radiance=sky[0],
+        sunward_radiance=sky[1],
+        shift=shift,
+        noise=noise,
+        segment=segments.number,
+        shade_distance=shade_distance,
+        edge_distance=edge_distance(segments, matches.body, paints.first),
+        lobe=lobe,
+        neighbour=neighbour,
+        size=segments.size,
+        state=matches.state,
+        body=matches.body,
+        ground=ground[matches.body].astype(np.int8),
+        paint=paints.first,
+        tilt=tilt,
+        spectrum=spectrum,
         reference=reference,
         attrs={
-            "diffuse_fraction_from": _source_text(diffuse, divided), "diffuse_fraction_u": split_u.tolist(),
-            "sky_states": " ".join(divided.states), "reach": reach, "sun_zenith": zenith,
+            "diffuse_fraction_from": _source_text(diffuse, divided),
+            "diffuse_fraction_u": split_u.tolist(),
+            "sky_states": " ".join(divided.states),
+            "reach": reach,
+            "sun_zenith": zenith,
         },
-    )  # fmt: skip
+    )
 
 
-def _quality(line: xr.Dataset) -> xr.DataArray | None:
-    if "quality" not in line.variables:
-        return None
-    return schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
+def _shade_distance(
+    channels: Floats32,
+    number: npt.NDArray[np.int32],
+    matches: Matches,
+    ground: Bools,
+    reference: Floats,
+    light: Light,
+) -> npt.NDArray[np.uint8]:
+    """Return the distance of every pixel from any shadow (line, column) [pixel]."""
+    distance = distance_to(np.append(matches.state == SHADED, False)[number])
+    shaded = shaded_pixels(channels, number, ground & (matches.state == LIT), reference, light)
+    level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
+    deep = np.empty_like(shaded)
+    for part, seen in line_parts(channels):
+        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * level[number[part]])
+    distance[of_shadows(shaded, (distance == 0) | deep)] = 0
+    return distance
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
@@ -380,18 +418,6 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
         )
     problems.raise_if_any()
     return good
-
-
-def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightSplit:
-    """Return the initial split, mean over lines."""
-    try:
-        return split_of(line, diffuse, sun_zenith).mean()
-    except SchemaError as error:
-        if not (isinstance(diffuse, str) and diffuse == "shadow"):
-            raise
-        raise SchemaError(
-            "diffuse='shadow' starts from the light of a clear sky", problems=[error.problem]
-        ) from error
 
 
 def _source_text(diffuse: Any, split: LightSplit) -> str:
