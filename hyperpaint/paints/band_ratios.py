@@ -145,7 +145,7 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
 
     ratio = x / y
     variance = of(p, p) - 2.0 * ratio * of(p, q) + ratio**2 * of(q, q)
-    # what cancels may leave less than nothing by rounding
+    # rounding may make the difference negative
     u = np.sqrt(variance.clip(min=0.0)) / abs(y)
     return xr.Dataset(
         {

@@ -95,7 +95,20 @@ def search_library(
     >>> search_library(paints, name="*white")["signature"].values.tolist()
     ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
     """
-    _check(name, colour, like, maximum_colour_difference, maximum_angle, limit)
+    problems = Problems("the library cannot be searched", SchemaError)
+    for key, value, needed, argument in (
+        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
+        ("maximum_angle", maximum_angle, "like", like),
+    ):
+        if value is not None and argument is None:
+            problems.add(f"{key}= needs {needed}=", code="argument-missing")
+        if value is not None and not value >= 0.0:
+            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
+    if limit is not None and limit < 1:
+        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
+    if name is not None and not name.strip():
+        problems.add("name= is empty", expected="part of a name", code="empty-input")
+    problems.raise_if_any()
     names = [SIGNATURE, "reflectance", "wavelength"]
     variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
@@ -117,31 +130,6 @@ def search_library(
         coordinates["spectral_angle"] = (SIGNATURE, angle, attrs)
     order = order[is_match[order]][:limit]
     return library.assign_coords(coordinates).isel({SIGNATURE: order})
-
-
-def _check(
-    name: str | None,
-    colour: str | None,
-    like: Any,
-    maximum_colour_difference: float | None,
-    maximum_angle: float | None,
-    limit: int | None,
-) -> None:
-    problems = Problems("the library cannot be searched", SchemaError)
-    limits = (
-        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
-        ("maximum_angle", maximum_angle, "like", like),
-    )
-    for key, value, needed, argument in limits:
-        if value is not None and argument is None:
-            problems.add(f"{key}= needs {needed}=", code="argument-missing")
-        if value is not None and not value >= 0.0:
-            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
-    if limit is not None and limit < 1:
-        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
-    if name is not None and not name.strip():
-        problems.add("name= is empty", expected="part of a name", code="empty-input")
-    problems.raise_if_any()
 
 
 # --- names -------------------------------------------------------------------------------------------------

@@ -102,26 +102,41 @@ def starter_library(
     elif not (np.diff(nm) > 0.0).all():
         problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
     problems.raise_if_any()
-    specs = _specs()
+    generated = [generate_paint(family, number) for family, number in GENERATED]
+    specs = [*map(paint_spec, FOURTEEN), *generated]
     values: dict[str, Array] = {
-        "reflectance": np.stack([_body(spec, nm) for spec in specs]),
+        # outside the flakes, without mirrored light
+        "reflectance": np.stack([spec.reflectance(nm) * (1.0 - _share(spec)) for spec in specs]),
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
         values["member_reflectance"] = np.stack(
             [_variants(spec, nm, members, np.random.default_rng([seed, at])) for at, spec in enumerate(specs)]
         )
-    return _library(specs, nm, values, seed)
-
-
-def _specs() -> list[PaintSpec]:
-    generated = [generate_paint(family, number) for family, number in GENERATED]
-    return [*map(paint_spec, FOURTEEN), *generated]
-
-
-def _body(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return the reflectance of the paint outside its flakes (band,) [1], without mirrored light."""
-    return spec.reflectance(nm) * (1.0 - _share(spec))
+    bands = xr.Dataset(
+        {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
+        {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
+        {"title": "parameters of pigments, hyperpaint.simulation"},
+    )
+    names = [f"Synthetic {spec.trade_name}" for spec in specs]
+    parents = [{spec.name: 1.0} for spec in specs]
+    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
+    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
+    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
+    families = [spec.name.split(":")[1] if ":" in spec.name else "catalogue" for spec in specs]
+    about = {
+        "finish": ("Finish", [spec.finish for spec in specs]),
+        "colour": ("Colour in words", [spec.colour for spec in specs]),
+        "srgb": ("sRGB of the body in daylight", swatches),
+        "family": ("Family of pigments", families),
+    }
+    texts = {
+        name: (SIGNATURE, text_column(column), {"long_name": meaning})
+        for name, (meaning, column) in about.items()
+    }
+    roughness = np.array([spec.coat.roughness for spec in specs])
+    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
+    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
 
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
@@ -148,33 +163,3 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
         varied = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
         row[:] = np.clip(light * interface.seen(varied) * (1.0 - _share(spec)), 0.0, 1.0)
     return variants
-
-
-def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed: int) -> xr.Dataset:
-    bands = xr.Dataset(
-        {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
-        {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
-        {"title": "parameters of pigments, hyperpaint.simulation"},
-    )
-    names = [f"Synthetic {spec.trade_name}" for spec in specs]
-    parents = [{spec.name: 1.0} for spec in specs]
-    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
-    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
-    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
-    about = {
-        "finish": ("Finish", [spec.finish for spec in specs]),
-        "colour": ("Colour in words", [spec.colour for spec in specs]),
-        "srgb": ("sRGB of the body in daylight", swatches),
-        "family": ("Family of pigments", [_family(spec) for spec in specs]),
-    }
-    texts = {
-        name: (SIGNATURE, text_column(column), {"long_name": meaning})
-        for name, (meaning, column) in about.items()
-    }
-    roughness = np.array([spec.coat.roughness for spec in specs])
-    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
-    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
-
-
-def _family(spec: PaintSpec) -> str:
-    return spec.name.split(":")[1] if ":" in spec.name else "catalogue"

@@ -48,9 +48,12 @@ MAX_OTHER_SPECTRA = 20_000
 JOINED_PARTS = 16
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
 _DETECTOR_FIELDS = {
-    "score_threshold": "threshold", "distance_limit": "distance_limit", "checked_rate": "checked_rate",
-    "checked_rate_u": "checked_rate_u", "explained_share": "explained_share",
-}  # fmt: skip
+    "score_threshold": "threshold",
+    "distance_limit": "distance_limit",
+    "checked_rate": "checked_rate",
+    "checked_rate_u": "checked_rate_u",
+    "explained_share": "explained_share",
+}
 
 
 @takes_quantities()
@@ -174,23 +177,7 @@ def detect(
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a detection")
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
-    _check(line, variables["reflectance"], method, false_alarm_rate, rate, shrinkage)
-    if "wavelength_shift" in line.variables:
-        variables["reflectance"] = to_nominal(line)["reflectance"]
-    paints, bands, unknown = _spectra(line, variables["wavelength"].values, library, others)
-    cube, clear = _blocks(line, variables["reflectance"], exclude)
-    detector = _lazy_detector(
-        line, cube, clear if background is None else clear & _mask(background, clear), bands, paints, unknown,
-        DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None), sky,
-    )  # fmt: skip
-    names = [str(name) for name in library[SIGNATURE].values]
-    attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
-    return _search(line, cube, clear, detector, names, attrs)
-
-
-def _check(
-    line: xr.Dataset, cube: xr.DataArray, method: str, alarms: float, unknown: float, shrinkage: float
-) -> None:
+    cube = variables["reflectance"]
     problems = Problems("paints cannot be looked for in this line", SchemaError)
     if set(cube.dims) != set(CUBE) or not cube.size:
         problems.add(
@@ -198,19 +185,41 @@ def _check(
         )
     if method not in METHODS:
         problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
-    if not 0.0 < alarms < 1.0:
-        problems.add(
-            f"false_alarm_rate={alarms!r}", expected="a share between 0 and 1", code="value-out-of-range"
-        )
-    if not 0.0 < unknown <= 1.0:
-        problems.add(
-            f"unknown_rate={unknown!r}", expected="a share above 0, at most 1", code="value-out-of-range"
-        )
-    if not 0.0 <= shrinkage <= 1.0:
-        problems.add(f"shrinkage={shrinkage!r}", expected="0 to 1", code="value-out-of-range")
+    for found, is_valid, expected in (
+        (f"false_alarm_rate={false_alarm_rate!r}", 0.0 < false_alarm_rate < 1.0, "a share between 0 and 1"),
+        (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
+        (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
     if "good" in line.variables and line["good"].dims != (BAND,):
         problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     problems.raise_if_any()
+    if "wavelength_shift" in line.variables:
+        variables["reflectance"] = to_nominal(line)["reflectance"]
+    paints, bands, unknown = _spectra(line, variables["wavelength"].values, library, others)
+    # blocks of 32 whole lines
+    cube = variables["reflectance"].transpose(*CUBE)
+    cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
+    if "quality" in line.variables:
+        bits = schema.require(line, ["quality"], "a detection")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
+        flags = np.uint16(int(EXCLUDED if exclude is None else exclude))
+        clear = (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
+    else:
+        clear = da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
+    detector = _lazy_detector(
+        line,
+        cube,
+        clear if background is None else clear & _mask(background, clear),
+        bands,
+        paints,
+        unknown,
+        DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None),
+        sky,
+    )
+    names = [str(name) for name in library[SIGNATURE].values]
+    attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
+    return _search(line, cube, clear, detector, names, attrs)
 
 
 def _spectra(
@@ -264,16 +273,6 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
     )
 
 
-def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int | None) -> tuple[Any, Any]:
-    """Return the cube and the mask of pixels without flags as dask arrays in blocks of 32 whole lines."""
-    cube = reflectance.transpose(*CUBE).chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
-    if "quality" not in line.variables:
-        return cube, da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
-    bits = schema.require(line, ["quality"], "a detection")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
-    flags = np.uint16(int(EXCLUDED if exclude is None else exclude))
-    return cube, (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
-
-
 def _mask(background: Any, clear: Any) -> Any:
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
@@ -293,9 +292,15 @@ def _mask(background: Any, clear: Any) -> Any:
 
 
 def _lazy_detector(
-    line: xr.Dataset, cube: Any, clear: Any, bands: Ints, paints: Floats, unknown: Floats,
-    settings: DetectorSettings, sky: Any,
-) -> Any:  # fmt: skip
+    line: xr.Dataset,
+    cube: Any,
+    clear: Any,
+    bands: Ints,
+    paints: Floats,
+    unknown: Floats,
+    settings: DetectorSettings,
+    sky: Any,
+) -> Any:
     """Return the delayed detector: sums over blocks in their order, then thresholds."""
     blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
@@ -376,9 +381,18 @@ def _search(
 
     cube = _after(detector, cube)
     blocks = da.blockwise(
-        search_block, "lbx", cube, "lbx", clear, "lx", detector=detector, dtype=object, concatenate=True,
-        meta=np.empty((0, 0, 0), object), adjust_chunks={"b": 1},
-    )  # fmt: skip
+        search_block,
+        "lbx",
+        cube,
+        "lbx",
+        clear,
+        "lx",
+        detector=detector,
+        dtype=object,
+        concatenate=True,
+        meta=np.empty((0, 0, 0), object),
+        adjust_chunks={"b": 1},
+    )
     layout = {number: ("lx", schema.dtype_of(name)) for number, name in enumerate(_LAYERS)}
     pixel = (ALONG_TRACK, CROSS_TRACK)
     arrays = {

@@ -191,9 +191,18 @@ def make_detector(
     threshold = _score_thresholds(values, settings.rate)
     checked, half = _checked_rate(values, part.block[is_background], settings.rate)
     return Detector(
-        settings.method, bands, paints, sky, project, np.median(values, axis=0), threshold, limit, checked,
-        half, explained,
-    )  # fmt: skip
+        settings.method,
+        bands,
+        paints,
+        sky,
+        project,
+        np.median(values, axis=0),
+        threshold,
+        limit,
+        checked,
+        half,
+        explained,
+    )
 
 
 def _joint_rank(ranks: Ints, allowed: float) -> int:

@@ -6,7 +6,8 @@ A layer so thick that nothing shines through, with absorption K and scattering S
 
 (Kubelka & Munk, Z. techn. Phys. 12, 593, 1931). Under an interface that mirrors k1 of the light from outside
 and k2 of the diffuse light from inside, light is thrown back at the layer again and again. The sum over the
-returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, is what leaves beside the mirror image:
+returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, leaves the surface beside the mirror
+image:
 
 .. math:: R = k_1 + \frac{(1 - k_1) (1 - k_2) R_\infty}{1 - k_2 R_\infty}
 

@@ -115,7 +115,13 @@ def mix_paints(
     settings: dict[str, Any] = {}
     if method == "linear":
         areas = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
-        mix = {name: _clipped(array) for name, array in areas.items()}
+        for array in areas.values():
+            outside = int(((array < 0.0) | (array > 1.0)).sum())
+            if outside:
+                finite_count = int(np.isfinite(array).sum())
+                msg = f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale"
+                warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
+        mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
         scatter = np.array([(scattering or {}).get(name, 1.0) for name in parents])
@@ -266,15 +272,6 @@ def _warn_of_unpaired(taken: Bools, members: Floats) -> None:
             "no partner and were left out; draw equally many of each parent with sample_paints first"
         )
         warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=3)
-
-
-def _clipped(reflectance: Floats) -> Floats:
-    outside = int(((reflectance < 0.0) | (reflectance > 1.0)).sum())
-    if outside:
-        finite_count = int(np.isfinite(reflectance).sum())
-        msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped; check the scale"
-        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
-    return np.clip(reflectance, 0.0, 1.0)
 
 
 def _checked(

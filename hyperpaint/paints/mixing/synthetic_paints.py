@@ -221,9 +221,20 @@ def sample_paints(
     >>> drawn["signature"].item(), dict(drawn.member_reflectance.sizes)
     ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
-    members = _members(library, count, form, bandwidth)
-    names = [str(name) for name in library[SIGNATURE].values]
+    required = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
+    variables, wrong = schema.find(library, required, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
+    for problem in wrong:
+        problems.add(problem, code="variable-unusable")
+    if count < 1:
+        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
+    if form not in ("members", "paints"):
+        problems.add(f"form={form!r}", expected="members or paints", code="choice-unknown")
+    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
+        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
+    problems.raise_if_any()
+    members = np.asarray(variables["member_reflectance"].values)
+    names = [str(name) for name in library[SIGNATURE].values]
     drawn = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
     left_out = outside = 0
     for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
@@ -257,7 +268,10 @@ def draw_variants(
 
     See `sample_paints`.
     """
-    below, above = _margins(members)
+    # margins of the logit below 0 and above 1, from the robust standard deviation
+    middle = np.median(members, axis=0)
+    deviation = 1.4826 * np.median(np.abs(members - middle), axis=0)
+    below, above = (np.maximum(_MARGIN, _NOISE * deviation - away) for away in (middle, 1.0 - middle))
     inside = np.clip(members, -0.8 * below, 1.0 + 0.8 * above)
     logit = np.log((inside + below) / (1.0 + above - inside))
     mean = logit.mean(axis=0)
@@ -280,32 +294,6 @@ def draw_variants(
     low = centre + wider * (inside.min(axis=0) - centre) - beyond
     high = centre + wider * (inside.max(axis=0) - centre) + beyond
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
-
-
-def _margins(members: Floats) -> tuple[Floats, Floats]:
-    """Return the margins of the logit below 0 and above 1 (band,) [1]."""
-    middle = np.median(members, axis=0)
-    # robust standard deviation, which single members do not change
-    spread = 1.4826 * np.median(np.abs(members - middle), axis=0)
-    below, above = (np.maximum(_MARGIN, _NOISE * spread - away) for away in (middle, 1.0 - middle))
-    return below, above
-
-
-def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> Floats32:
-    """Return the population (signature, member, band) after a check of all options."""
-    names = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
-    variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
-    problems = Problems("variants cannot be drawn", SchemaError)
-    for problem in wrong:
-        problems.add(problem, code="variable-unusable")
-    if count < 1:
-        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
-    if form not in ("members", "paints"):
-        problems.add(f"form={form!r}", expected="members or paints", code="choice-unknown")
-    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
-        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
-    problems.raise_if_any()
-    return np.asarray(variables["member_reflectance"].values)
 
 
 def _whole(spectra: Floats) -> tuple[Bools, Floats]:

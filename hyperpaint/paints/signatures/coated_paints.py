@@ -11,12 +11,26 @@ from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 
 #: Words of a region's ``kind`` or ``material`` that say it has no clear coat.
-_NO_PAINT = frozenset({
-    "asphalt", "concrete", "glass", "grass", "ground", "leaf", "line", "soil", "target", "tyre", "vegetation",
-    "wall", "white panel", "window",
-})  # fmt: skip
+_NO_PAINT = frozenset(
+    {
+        "asphalt",
+        "concrete",
+        "glass",
+        "grass",
+        "ground",
+        "leaf",
+        "line",
+        "soil",
+        "target",
+        "tyre",
+        "vegetation",
+        "wall",
+        "white panel",
+        "window",
+    }
+)
 
-#: Words of a region's ``finish``, or ``kind``: what these send holds at its geometry, the coat included.
+#: Words of ``finish`` or ``kind`` of paints whose signature holds at one geometry, the coat included.
 _AT_A_GEOMETRY = frozenset({"metallic", "pearl"})
 
 

@@ -275,14 +275,13 @@ class _Options:
                 expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
                 code="choice-unknown",
             )
-        if self.members < 0:
-            problems.add(f"members={self.members}", expected="0 or more", code="value-out-of-range")
+        for name, value, least in (("members", self.members, 0), ("min_pixels", self.min_pixels, 1)):
+            if value < least:
+                problems.add(f"{name}={value}", expected=f"{least} or more", code="value-out-of-range")
         if self.centre not in CENTRES:
             problems.add(
                 f"centre={self.centre!r:.40}", expected=f"one of {', '.join(CENTRES)}", code="choice-unknown"
             )
-        if self.min_pixels < 1:
-            problems.add(f"min_pixels={self.min_pixels}", expected="1 or more", code="value-out-of-range")
         problems.raise_if_any()
 
     @property
@@ -301,9 +300,13 @@ class _Round:
 
 
 def _reduce(
-    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, excluded: Sequence[int],
+    part: _Round,
+    source: Source,
+    drafts: Sequence[Draft],
+    options: _Options,
+    excluded: Sequence[int],
     progress: Progress | None,
-) -> None:  # fmt: skip
+) -> None:
     """Gather and reduce the pixels of some regions; ``excluded`` holds the excluded flags of every draft."""
     batch = [drafts[position] for position in part.batch]
     along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
@@ -357,24 +360,20 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
     for name, (_, positions) in lines.items():
         part = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
         line = sources[name].line
+        # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
+        corners = np.abs(np.concatenate([region.polygon for region in part]))
+        could_be_degrees = part.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
         for position, place in zip(positions, shown_pixels(line, pixels_of(part, line)), strict=True):
             places[position] = place
             if not place.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
                 problems.add(
                     f"region {regions[position].name!r} holds no pixel of the line ({size})",
-                    mend=_DEGREES_WITHOUT_CRS if _could_be_degrees(part) else "",
+                    mend=_DEGREES_WITHOUT_CRS if could_be_degrees else "",
                     code="region-empty",
                 )
     problems.raise_if_any()
     return places
-
-
-def _could_be_degrees(regions: Regions) -> bool:
-    """Return whether all sensor coordinates are valid longitudes and latitudes, as in RFC 7946."""
-    low, high = np.array([-180.0, -90.0]), np.array([180.0, 90.0])
-    corners = np.concatenate([region.polygon for region in regions])
-    return regions.coordinates == "sensor" and bool(((corners >= low) & (corners <= high)).all())
 
 
 def _rounds(

@@ -28,7 +28,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smooth,
     smoothing_matrix,
     to_nominal,
-)  # fmt: skip
+)
 from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions

@@ -186,7 +186,7 @@ class Draft:
 def _mean(values: Array, there: Array, power: float) -> Array:
     """Return the mean of a power over pixels that have a reflectance (band,); NaN without such pixels."""
     means = np.full(values.shape[1], np.nan)
-    # one band after the other: the order of the sum is then that of the pixels, however many bands there are
+    # band by band: the sum then runs in the order of the pixels for any number of bands
     for band, column in enumerate(values.T):
         finite_values = column[there[:, band] & np.isfinite(column)].astype(np.float64)
         if finite_values.size:
@@ -260,7 +260,13 @@ def paint_library(
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
     library = xr.Dataset()
-    components = _components(drafts, sources)
+    components = {}
+    for k, name in enumerate(UNCERTAINTIES):
+        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
+        texts += [
+            source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
+        ]
+        components[name] = {"components": _joined(texts)}
     for name, row in LIBRARY_VARIABLES.items():
         if name not in values:  # of a correction, which comes after
             continue
@@ -278,16 +284,22 @@ def paint_library(
         for name, column in _properties(regions).items()
     }
     library = library.assign_coords(properties)
+    # attributes of corrections prevent a second one
+    corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     library["reflectance"].attrs |= {
         "centre": notes["centre"],
         **_quantity(sources),
-        **_corrections(sources),
+        **{
+            name: _joined(source.corrections.get(name, "none") for source in sources.values())
+            for name in corrections
+        },
         "geometry": "sun and sky on a level surface, camera above: sun_zenith, view_zenith, "
         "relative_azimuth, diffuse_fraction of every paint",
     }
+    files = dict.fromkeys(str(source.line.attrs.get("source", "")) for source in sources.values())
     library.attrs = {
         "title": "Paint signatures",
-        "source": _sources(sources),
+        "source": ", ".join(text for text in files if text),
         "flightlines": list(sources),
         "regions": regions.digest,
         "coordinates_of_regions": regions.coordinates,
@@ -314,26 +326,6 @@ def _padded(values: Array, size: int, fill: float) -> Array:
     return padded
 
 
-def _components(drafts: Sequence[Draft], sources: Mapping[str, Source]) -> dict[str, dict[str, str]]:
-    """Return the attribute ``components`` of both uncertainties: the error sources included."""
-    attrs = {}
-    for k, name in enumerate(UNCERTAINTIES):
-        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
-        texts += [
-            source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
-        ]
-        attrs[name] = {"components": _joined(texts)}
-    return attrs
-
-
-def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
-    """Return the attributes of corrections, which prevent a second correction."""
-    names = dict.fromkeys(name for source in sources.values() for name in source.corrections)
-    return {
-        name: _joined(source.corrections.get(name, "none") for source in sources.values()) for name in names
-    }
-
-
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
     """Return the attributes of the coat's share in spectra; the line with the largest share decides."""
 
@@ -347,11 +339,6 @@ def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
     quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in lines)
     word = INCLUDED if quantity == OUTSIDE else EXCLUDED
     return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
-
-
-def _sources(sources: Mapping[str, Source]) -> str:
-    names = (str(source.line.attrs.get("source", "")) for source in sources.values())
-    return ", ".join(dict.fromkeys(text for text in names if text))
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
@@ -371,10 +358,7 @@ def _column(values: Sequence[Any]) -> Array:
         if len(present) == len(values) and all(isinstance(value, int) for value in present):
             return np.array(values, np.int64)
         return np.array([np.nan if value is None else value for value in values], np.float64)
-    return np.array([_text(value) for value in values], object)
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    texts = ["" if value is None else value for value in values]
+    return np.array(
+        [text if isinstance(text, str) else json.dumps(text, ensure_ascii=False) for text in texts], object
+    )
