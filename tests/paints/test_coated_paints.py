@@ -124,9 +124,9 @@ def test_refusals() -> None:
     body = hp.surroundings.correct_coat(bare, diffuse="model")
     with pytest.raises(SchemaError, match="corrected-before"):
         hp.surroundings.correct_coat(body)
-    with pytest.raises(SchemaError, match=r"coat_corrected.*corrected-before"):
+    with pytest.raises(SchemaError, match="correct the coat last"):
         hp.surroundings.remove_mirrored_sky(body)
-    with pytest.raises(SchemaError, match=r"index=0.9.*value-out-of-range"):
+    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
         hp.surroundings.correct_coat(bare, index=0.9)
 
 

@@ -246,7 +246,7 @@ def test_rate_says_nothing_of_what_is_like_a_paint(red: xr.Dataset) -> None:
     noise = rng.normal(1.0, 0.005, (30, NM.size, 64))
     line["reflectance"].values[:30] = like[:, None] * rng.uniform(0.7, 1.1, (30, 1, 64)) * noise
     options = {"method": "spectral_angle", "false_alarm_rate": 1e-3, "sky": None}
-    with pytest.warns(PaintWarning, match="19 % .*background-resembles-paints"):
+    with pytest.warns(PaintWarning, match=r"19 % .*resembles-paints"):
         alarms = hp.paints.detect(line, red, **options).compute()
     assert alarms["explained_share"].item() == pytest.approx(30 / 160, abs=0.01)
     assert alarms["detected"].values[:30].mean() > 0.5  # what the warning is for
@@ -382,7 +382,7 @@ def test_regions_of_another_line_are_refused(red: xr.Dataset) -> None:
     corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
     own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
     assert own["signature"].item() == RED
-    with pytest.raises(SchemaError, match=r"'raw_1'.*flightline-unknown"):
+    with pytest.raises(SchemaError, match="flightline-unknown"):
         hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")])
 
 

@@ -98,7 +98,7 @@ def test_a_region_of_the_sensor_names_its_line(mosaic: xr.Dataset, flightline: s
     regions = Regions((square("hood", 4.5, 15.5, flightline=flightline),))
     with pytest.raises(SchemaError, match="flightline-unknown"):
         hp.extract_signatures(mosaic, regions)
-    with pytest.raises(SchemaError, match=r"one of a, b; .*flightline-unknown"):
+    with pytest.raises(SchemaError, match="one of a, b;"):
         pixels(regions[0], mosaic)
 
 

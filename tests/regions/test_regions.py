@@ -224,7 +224,7 @@ def test_degrees_are_not_metres() -> None:
     )
     region = Region("a", [(-78, 47), (-76, 47), (-77, 48)])
     assert pixels(region, both, coordinates="map", crs="OGC:CRS84")[0].size > 50
-    with pytest.raises(SchemaError, match=r"\(EPSG:32618\).*crs-missing"):
+    with pytest.raises(SchemaError, match="crs-missing"):
         pixels(region, both, coordinates="map")
     # of another map: brought to that of the line, where it lies elsewhere
     assert not pixels(region, both, coordinates="map", crs="EPSG:2225")[0].size
@@ -235,7 +235,7 @@ def test_degrees_are_not_metres() -> None:
 
 
 def test_a_line_without_pixels_is_refused() -> None:
-    with pytest.raises(SchemaError, match=r"'cross_track'.*dim-missing"):
+    with pytest.raises(SchemaError, match=r"cross_track.*dim-missing"):
         pixels(Region("a", SQUARE), xr.Dataset({"time": ("along_track", [1.0])}))
 
 
@@ -280,7 +280,7 @@ def test_regions_are_a_sequence() -> None:
     assert three[1:].names == ("b", "c")
     assert three[1:].crs == "EPSG:32618"
     assert three.flightlines == ("a", "b", "c")
-    with pytest.raises(SchemaError, match=r"'a'.*region-name-duplicate"):
+    with pytest.raises(SchemaError, match="region-name-duplicate"):
         Regions((Region("a", SQUARE), Region("a", SQUARE)))
     with pytest.raises(SchemaError, match="option-conflict"):
         Regions((), "sensor", "EPSG:4326")
