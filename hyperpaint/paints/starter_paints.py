@@ -152,7 +152,6 @@ def _share(spec: PaintSpec) -> float:
 
 
 def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
-    """Return members (member, band) [1]."""
     interface = Interface()
     load = np.exp(_LOAD * rng.standard_normal(count))
     shift = _HUE_NM * rng.standard_normal(count)

@@ -266,7 +266,6 @@ def _drawn(region: Region, coordinates: str) -> str:
 
 
 def _number(value: float) -> int | float:
-    """Return a coordinate for writing: whole numbers without a decimal point."""
     whole = int(value)
     return whole if whole == value else float(value)
 
@@ -304,7 +303,6 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
 
 
 def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
-    """Return a copy of properties as JSON values."""
     if not isinstance(properties, Mapping):
         problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
         return {}

@@ -234,7 +234,6 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
 
 
 def _with_rings(regions: RegionsT, move: Callable[[Floats], Floats], **changes: Any) -> RegionsT:
-    """Return regions with every ring moved."""
     members = (
         replace(region, polygon=move(region.polygon), holes=tuple(move(hole) for hole in region.holes))
         for region in regions

@@ -186,7 +186,6 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
 
 
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
-    """Return the line with lazy layers and bits."""
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     shared = dask.delayed(model, traverse=False, pure=False)

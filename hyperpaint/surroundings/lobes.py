@@ -270,7 +270,6 @@ def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
 
 
 def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools) -> None:
-    """Set the pixels of ``lobe`` that belong to a wide core."""
     from scipy.ndimage import label
 
     width = _half_width(core)

@@ -323,7 +323,6 @@ def _grow(
     state: Array,
     body: Array,
 ) -> None:
-    """Extend shadows to touching segments."""
     around, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
     sunny = (way < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * around)
     fits = best & ~sunny & without_sun(mixtures)

@@ -389,7 +389,6 @@ def _shade_distance(
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
-    """Return the good bands (band,) of a line that can be surveyed."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
         problems.add(

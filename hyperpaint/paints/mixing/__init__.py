@@ -3,8 +3,6 @@
 A paint library comes in, a library of synthetic paints goes out. For the accessor and workflows.
 """
 
-from __future__ import annotations
-
 from .recipes import mix_paints, shade_paints
 from .synthetic_paints import sample_paints
 

@@ -306,7 +306,6 @@ def _whole(spectra: Floats) -> tuple[Bools, Floats]:
 
 
 def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
-    """Return the drawn variants as a library, with the coordinates of the paints."""
     count = drawn.shape[1]
     repeats = 1 if form == "members" else count
     which = np.repeat(np.arange(library.sizes[SIGNATURE]), repeats)

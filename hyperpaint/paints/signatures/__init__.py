@@ -4,8 +4,6 @@ Flight lines and regions come in, a paint library with spread and uncertainties 
 report, workflows and the accessor.
 """
 
-from __future__ import annotations
-
 from .extraction import EXCLUDED, extract_signatures
 
 __all__ = ["EXCLUDED", "extract_signatures"]

@@ -255,8 +255,6 @@ def extract_signatures(
 
 @dataclass(frozen=True)
 class _Options:
-    """Settings of the extraction; see `extract_signatures`."""
-
     exclude: int
     members: int
     centre: str

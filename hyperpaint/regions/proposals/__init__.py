@@ -4,8 +4,6 @@ A line and its scene model come in; `Proposals`, regions with reasons and the re
 accessor and workflows. `proposal_rules` holds the thresholds.
 """
 
-from __future__ import annotations
-
 from .proposing import Proposals, propose_regions
 
 __all__ = ["Proposals", "propose_regions"]

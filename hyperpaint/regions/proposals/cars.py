@@ -70,15 +70,12 @@ _CERTAIN = 5
 
 
 class _Seen(NamedTuple):
-    """Car and roof found around a piece."""
-
     piece: Piece
     footprint: Footprint | None = None
     roof: Roof | NoRoof = NoRoof(Car.reason, False)
 
     @property
     def size(self) -> int:
-        """Pixels of the car."""
         return 0 if self.footprint is None else int(self.footprint.whole.sum())
 
     @property
@@ -101,8 +98,6 @@ class _Seen(NamedTuple):
 
 
 class _Lot:
-    """Cars, and the car of every pixel."""
-
     def __init__(self, scene: Scene) -> None:
         self.cars: list[Car] = []
         self.certain: list[_Seen] = []  #: Certain cars, the first of `cars`.

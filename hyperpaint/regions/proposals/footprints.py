@@ -254,7 +254,6 @@ class _Rectangle(NamedTuple):
 
 
 def _rectangle(mask: Bools) -> _Rectangle:
-    """Return the smallest rectangle around a mask."""
     points = _border(mask)
     turn = np.radians(np.arange(0.0, 90.0, FOOTPRINTS.turn_deg))
     axes = np.stack([np.sin(turn), np.cos(turn)], axis=1)

@@ -59,8 +59,6 @@ class _Frame(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """Surroundings of a section of a car."""
-
     sided: float  #: Share with side windows.
     windows: list[_Run]  #: Those that end it.
     has_bonnet: bool  #: Whether one of them has a bonnet or a boot beyond.
@@ -91,7 +89,6 @@ def _aside(frame: _Frame) -> Floats:
 
 
 def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
-    """Return the places of pixels along and across a car."""
     y, x = np.indices(car.whole.shape, np.float64)
     y, x = y - car.middle[0], x - car.middle[1]
     across = (y * axis[1] - x * axis[0]) / (0.5 * width)
