@@ -74,7 +74,7 @@ class Region:
             if not isinstance(value, str):
                 problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
             elif not value and label == "name":
-                problems.add("the name is empty", expected="text", code="region-name-missing")
+                problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
             elif len(value) > MAX_NAME_CHARS:
                 problems.add(
                     f"{subject} has {len(value)} characters",
