@@ -198,7 +198,7 @@ class FormatError(PaintError, ValueError):
     >>> hp.regions.regions_from({"type": "Feature"})
     Traceback (most recent call last):
     hyperpaint.base.errors.FormatError: these regions: no regions can be made of it:
-      feature 0: it has no property 'name', which names the paint
+      feature 0: no property 'name', which names the paint [region-name-missing]
     """
 
 

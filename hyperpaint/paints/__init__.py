@@ -1,4 +1,4 @@
-"""Paints: their signatures, mixtures of them, their colours, searching them, and a library to begin with.
+"""Paints: their signatures, mixtures, colours, search, and a library to begin with.
 
 Reflectance and regions come in, paint libraries go out. For validation, pictures and workflows.
 """

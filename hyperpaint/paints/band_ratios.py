@@ -1,4 +1,4 @@
-"""How bands of a signature are uncertain together: covariance, and ratios of two bands."""
+"""Covariance of the bands of a signature, and ratios of two bands."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     Parameters
     ----------
     signatures
-        A paint library, of any number of paints, or a mean as `hyperpaint.radiometry.mean_uncertainty` makes
-        it.
+        A paint library, of any number of paints, or a mean from `hyperpaint.radiometry.mean_uncertainty`.
 
     Returns
     -------
@@ -35,17 +34,17 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     Raises
     ------
     SchemaError
-        No uncertainty is known.
+        The signatures have no uncertainty.
 
     Notes
     -----
     .. math:: C_{bc} = u_{r,b} u_{r,c} R_{bc} + \sum_k e_{kb} e_{kc}
 
-    with :math:`R` the ``error_correlation`` of what bands do not share as one, and :math:`e_k` the
-    ``reflectance_errors`` of each source that all bands share, signs included: an error of wavelength raises
-    one flank of a peak and lowers the other. Where sources are not told apart, random errors are taken for
-    independent and the systematic one for common; random errors also where bands were picked since, so that
-    neighbours are not known. What the coat's correction leaves open is common.
+    with :math:`R` the ``error_correlation`` of errors that bands do not share, and :math:`e_k` the
+    ``reflectance_errors`` of each source that all bands share, with their signs: a wavelength error raises
+    one flank of a peak and lowers the other. Without separate sources, random errors are taken as independent
+    and the systematic error as common to all bands; random errors also where bands were selected, so that
+    neighbours are unknown. The uncertainty of the coat correction is common to all bands.
 
     Examples
     --------
@@ -61,7 +60,11 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     problems = Problems("the covariance of bands cannot be computed", SchemaError)
     for name in names:
         if name not in signatures.variables:
-            problems.add(f"{name!r} is missing; extract signatures of reflectance with uncertainty")
+            problems.add(
+                f"{name!r} is missing",
+                mend="extract signatures of reflectance with uncertainty",
+                code="variable-missing",
+            )
     problems.raise_if_any()
     random, systematic = (_last(signatures[name]) for name in names)
     rest = [dim for dim in signatures[names[0]].dims if dim != BAND]
@@ -99,16 +102,16 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
 
 @takes_quantities(numerator="nm", denominator="nm")
 def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> xr.Dataset:
-    """Return the ratio of two bands of every signature, and how sure it is.
+    """Return the ratio of two bands of every signature, with its uncertainty.
 
-    What both bands share as one, such as the level of the irradiance, takes itself out of a ratio.
+    Errors that both bands share, such as the level of the irradiance, cancel in a ratio.
 
     Parameters
     ----------
     signatures
         See `covariance`.
     numerator, denominator
-        Wavelengths of the bands that are divided [nm].
+        Wavelengths of the two bands [nm].
 
     Returns
     -------
@@ -118,7 +121,7 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
     Raises
     ------
     SchemaError
-        There is no such band, or no uncertainty is known.
+        There is no such band, or the signatures have no uncertainty.
 
     Examples
     --------
@@ -137,12 +140,12 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
     level = signatures["mean" if "mean" in signatures.variables else "reflectance"]
     x, y = (level.isel({BAND: place}, drop=True).astype(np.float64) for place in (p, q))
 
-    def of(one: int, other: int) -> Any:
-        return bands.isel({BAND: one, OTHER_BAND: other}, drop=True)
+    def of(first: int, second: int) -> Any:
+        return bands.isel({BAND: first, OTHER_BAND: second}, drop=True)
 
     ratio = x / y
     variance = of(p, p) - 2.0 * ratio * of(p, q) + ratio**2 * of(q, q)
-    # what cancels may leave less than nothing by rounding
+    # rounding may make the difference negative
     u = np.sqrt(variance.clip(min=0.0)) / abs(y)
     return xr.Dataset(
         {
@@ -153,5 +156,4 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
 
 
 def _last(array: xr.DataArray) -> Floats:
-    """Return values with the bands last."""
     return np.array(array.transpose(..., BAND).values, np.float64)

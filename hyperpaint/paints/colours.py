@@ -1,22 +1,19 @@
-"""Colours: sRGB of reflectance spectra in daylight, CIE Lab, CIEDE2000, and words for colours of cars."""
+"""Colours: sRGB of reflectance spectra in daylight, CIE Lab, CIEDE2000, and names of car colours."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.responses import band_spacing
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
 _BRADFORD_E_TO_D65 = np.array(
@@ -64,7 +61,7 @@ def colour_matching(wavelength: npt.ArrayLike) -> Array:
 def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     """Return the colours of reflectance spectra in daylight (..., 3), sRGB from 0 to 1, white being 1.
 
-    ``spectra`` (..., band): reflectance [1]; where it is NaN the neighbours stand in; ``wavelength`` (band,):
+    ``spectra`` (..., band): reflectance [1], NaN is interpolated from the neighbours; ``wavelength`` (band,):
     increasing [nm]. NaN where no visible band has a value.
 
     Raises `SchemaError`: there are fewer than three bands between 380 and 780 nm.
@@ -78,22 +75,26 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     nm = np.asarray(wavelength, np.float64)
     visible = np.flatnonzero((nm > 380) & (nm < 780))
     if visible.size < 3:
-        raise SchemaError(f"a colour needs three bands between 380 and 780 nm, found {visible.size}")
+        raise SchemaError(
+            f"{visible.size} bands between 380 and 780 nm",
+            expected="at least 3 for a colour",
+            code="visible-bands-missing",
+        )
     nm = nm[visible]
     values = np.asarray(spectra, np.float64)[..., visible]
     flat = values.reshape(-1, visible.size)
     filled = np.full_like(flat, np.nan)
-    for own, spectrum in zip(filled, flat, strict=True):
+    for row, spectrum in zip(filled, flat, strict=True):
         is_finite = np.isfinite(spectrum)
         if is_finite.any():
-            own[:] = np.interp(nm, nm[is_finite], spectrum[is_finite])
+            row[:] = np.interp(nm, nm[is_finite], spectrum[is_finite])
     linear = filled @ srgb_weights(nm, None)[..., 0].T.astype(np.float64)
     return encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
 
 
 @takes_quantities()
 def paint_colours(paints: xr.Dataset) -> Floats32:
-    """Return the colour of every paint in daylight, (signature, 3), sRGB from 0 to 1; NaN where it has none.
+    """Return the colour of every paint in daylight, (signature, 3), sRGB 0 to 1; NaN without visible bands.
 
     Bands that are not ``good`` are left out.
 
@@ -116,21 +117,22 @@ def paint_colours(paints: xr.Dataset) -> Floats32:
 
 
 def encode_srgb(linear: Array) -> Array:
-    """Return linear values 0 to 1 as the sRGB standard encodes them."""
+    """Return linear values 0 to 1 in the encoding of the sRGB standard."""
     curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), np.float32)
 
 
 def srgb_weights(wavelength: Array, shift: Array | None) -> Array:
-    """Return what turns reflectance into linear sRGB, (rgb, band, 1 or column): each column its own smile."""
-    own = wavelength[:, None]
+    """Return the weights of bands in linear sRGB, (rgb, band, 1 or column), per column where it has smile."""
+    centres = wavelength[:, None]
     if shift is not None:
-        own = own + np.atleast_2d(shift)
-    matching = colour_matching(own) * band_spacing(wavelength)[:, None]
+        centres = centres + np.atleast_2d(shift)
+    matching = colour_matching(centres) * band_spacing(wavelength)[:, None]
     matching = matching / matching.sum(axis=1, keepdims=True)
     return np.asarray(np.tensordot(_XYZ_TO_SRGB @ _BRADFORD_E_TO_D65, matching, 1), np.float32)
 
 
+#: sRGB of typical paints by the words for their colours.
 COLOURS = {
     "white": "#eeeeec", "ivory": "#ece2c6", "beige": "#cdbb98", "silver": "#b4b7b9", "grey": "#7c7f82",
     "anthracite": "#3c4044", "black": "#141416", "yellow": "#f2c61f", "gold": "#b8963f", "orange": "#e8742a",
@@ -138,17 +140,16 @@ COLOURS = {
     "light blue": "#86b7dc", "blue": "#27509e", "dark blue": "#18264d", "turquoise": "#25959a",
     "light green": "#9bc98f", "green": "#2f7d43", "dark green": "#1d4030",
 }  # fmt: skip
-"""sRGB of typical paints by the words for their colours."""
 
 _HEX = re.compile(r"#?([0-9a-f]{6})")
+#: Linear sRGB to XYZ (IEC 61966-2-1).
 _TO_XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 )
-"""Of linear sRGB (IEC 61966-2-1)."""
 
 
 def parse_colour(colour: str) -> Floats:
-    """Return sRGB (rgb,) from 0 to 1 of a colour's name or hexadecimal digits; `SchemaError` for others.
+    """Return sRGB (rgb,) from 0 to 1 of a colour name or hexadecimal digits; `SchemaError` for other text.
 
     Examples
     --------
@@ -161,13 +162,16 @@ def parse_colour(colour: str) -> Floats:
         close = difflib.get_close_matches(word, COLOURS, 1)
         hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}"
         raise SchemaError(
-            f"colour {colour!r:.60} is no name known here and no sRGB such as '#a3222a'; {hint}"
+            f"colour {colour!r:.60} is unknown",
+            expected="a name or sRGB such as '#a3222a'",
+            mend=hint,
+            code="colour-unknown",
         )
     return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0
 
 
 def srgb_hex(colour: npt.ArrayLike) -> str:
-    """Return sRGB (rgb,) from 0 to 1 as hexadecimal digits; nothing for what is no colour.
+    """Return sRGB (rgb,) from 0 to 1 as hexadecimal digits; empty for NaN.
 
     Examples
     --------
@@ -199,7 +203,7 @@ def lab_of(srgb: npt.ArrayLike) -> Floats:
 
 
 def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
-    """Return the CIEDE2000 difference of colours in CIE Lab (..., 3); about 1 can just be seen.
+    """Return the CIEDE2000 difference of colours in CIE Lab (..., 3); a difference of 1 is just visible.
 
     CIE 142-2001, as in Sharma, Wu & Dalal, Color Res. Appl. 30, 21 (2005).
 
@@ -209,7 +213,7 @@ def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
     array([2.0425])
     """
     (light, a, b), (light2, a2, b2) = (
-        np.moveaxis(np.asarray(one, np.float64), -1, 0) for one in (lab, other)
+        np.moveaxis(np.asarray(colour, np.float64), -1, 0) for colour in (lab, other)
     )
     mean_chroma = (np.hypot(a, b) + np.hypot(a2, b2)) / 2.0
     stretch = 1.0 + 0.5 * (1.0 - np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7)))
@@ -217,7 +221,7 @@ def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
     hue, hue2 = (np.degrees(np.arctan2(y, stretch * x)) % 360.0 for x, y in ((a, b), (a2, b2)))
     grey = chroma * chroma2 == 0.0
     turn = np.where(grey, 0.0, (hue2 - hue + 180.0) % 360.0 - 180.0)
-    # halfway along the shorter way round; a grey has no hue of its own
+    # halfway along the shorter arc; a grey has no hue
     mean_hue = np.where(grey, hue + hue2, (hue + turn / 2.0) % 360.0)
     mean_light, mean_chroma = (light + light2) / 2.0, (chroma + chroma2) / 2.0
     of_hue = 1.0 + sum(

@@ -1,12 +1,13 @@
-"""Finding paints of a library: by name, by colour, by the shape of their spectra."""
+"""Search of paints in a library: by name, by colour, by the shape of their spectra."""
 
 from __future__ import annotations
 
 import fnmatch
 import unicodedata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
@@ -16,12 +17,10 @@ from hyperpaint.base.units import convert, takes_quantities
 
 from .colours import ciede2000, lab_of, paint_colours, parse_colour
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_FEWEST_BANDS = 5
-_WIDEST_STEP = 4.0
-"""Between two samples that are interpolated, in steps of those beside them."""
+#: Minimum number of common bands of two spectra that are compared.
+MIN_BANDS = 5
+#: Widest gap that is interpolated, in steps of the samples beside it.
+MAX_GAP_STEPS = 4.0
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
 
 
@@ -43,36 +42,36 @@ def search_library(
     library
         A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm].
     name
-        Part of a paint's name, or a pattern with ``*``, ``?`` or ``[...]`` that is all of it. Upper and lower
-        case are alike; "grun" and "gruen" find "Grün".
+        Part of a paint's name, or a pattern for the whole name with ``*``, ``?`` or ``[...]``. Case is
+        ignored; "grun" and "gruen" find "Grün".
     colour
-        A word such as "dark red", or sRGB as "#701a20". Paints come in the order of how different they look
-        from it in daylight.
+        A word such as "dark red", or sRGB as "#701a20". Paints are sorted by their colour difference from it
+        in daylight.
     like
-        A spectrum: the name of a paint of the library; a library with one paint; what a spectrometer's reader
-        returns, with one spectrum; a DataArray with a coordinate ``wavelength``, in nm where it has no units;
-        or plain numbers, one a band. Paints come in the order of their spectral angle to it.
+        A spectrum: the name of a paint of the library; a library with one paint; one spectrum from a
+        spectrometer reader; a DataArray with a coordinate ``wavelength``, in nm where it has no units; or
+        plain numbers, one a band. Paints are sorted by their spectral angle to it.
     maximum_colour_difference
-        Leave out what differs more [1], as CIEDE2000; 1 can just be seen, 10 is another shade. Needs
+        Largest CIEDE2000 difference from ``colour`` [1]; 1 is just visible, 10 is another shade. Needs
         ``colour``.
     maximum_angle
-        Leave out what is at a larger spectral angle [rad]. Needs ``like``.
+        Largest spectral angle to ``like`` [rad]. Needs ``like``.
     limit
-        Paints at the most.
+        Maximum number of paints.
 
     Returns
     -------
     Dataset
-        The paints that meet every condition, maybe none, otherwise as they were; by ``like`` ascending, else
-        by ``colour``, else in the order of the library. Coordinates ``colour_difference`` [1] and
-        ``spectral_angle`` [rad] (signature) say how far off they are.
+        The paints that meet every condition, which may be none; sorted by the angle to ``like``, else by the
+        difference from ``colour``, else in the order of the library. With the coordinates
+        ``colour_difference`` [1] and ``spectral_angle`` [rad] (signature).
 
     Raises
     ------
     SchemaError
-        It is no paint library, an option is out of range, ``like`` is not one spectrum or has under five
-        bands in common with the library, or the library sees too little of the visible to have colours. All
-        of a kind are listed.
+        The library lacks variables, an option is out of range, ``like`` is not one spectrum or has fewer than
+        five bands in common with the library, or the library has too few visible bands for colours. All of a
+        kind are listed.
     UnitsError
         Units cannot be read.
 
@@ -83,9 +82,9 @@ def search_library(
     .. math:: \theta = \arccos \frac{\sum_b x_b y_b}{\sqrt{\sum_b x_b^2 \sum_b y_b^2}}
 
     over the good bands in which both have a value (Kruse et al., Remote Sens. Environ. 44, 145, 1993); it
-    does not see by how much one is brighter. ``like`` is interpolated to the wavelengths of the library, as
-    far as it reaches, and not across holes of more than four of its steps. Colours outside of sRGB are
-    compared as what a screen would show.
+    does not depend on brightness. ``like`` is interpolated to the wavelengths of the library within its
+    range, except across gaps of more than four of its steps. Colours outside of sRGB are clipped to it, as
+    on a screen.
 
     Examples
     --------
@@ -96,12 +95,25 @@ def search_library(
     >>> search_library(paints, name="*white")["signature"].values.tolist()
     ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
     """
-    _check(name, colour, like, maximum_colour_difference, maximum_angle, limit)
+    problems = Problems("the library cannot be searched", SchemaError)
+    for key, value, needed, argument in (
+        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
+        ("maximum_angle", maximum_angle, "like", like),
+    ):
+        if value is not None and argument is None:
+            problems.add(f"{key}= needs {needed}=", code="argument-missing")
+        if value is not None and not value >= 0.0:
+            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
+    if limit is not None and limit < 1:
+        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
+    if name is not None and not name.strip():
+        problems.add("name= is empty", expected="part of a name", code="empty-input")
+    problems.raise_if_any()
     names = [SIGNATURE, "reflectance", "wavelength"]
     variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
-        is_match &= [_is_named(str(each), name) for each in variables[SIGNATURE].values]
+        is_match &= [_is_named(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
     order = np.arange(is_match.size)
     coordinates: dict[str, Any] = {}
     if colour is not None:
@@ -120,46 +132,21 @@ def search_library(
     return library.assign_coords(coordinates).isel({SIGNATURE: order})
 
 
-def _check(
-    name: str | None,
-    colour: str | None,
-    like: Any,
-    maximum_colour_difference: float | None,
-    maximum_angle: float | None,
-    limit: int | None,
-) -> None:
-    problems = Problems("the library cannot be searched", SchemaError)
-    limits = (
-        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
-        ("maximum_angle", maximum_angle, "like", like),
-    )
-    for key, value, needed, given in limits:
-        if value is not None and given is None:
-            problems.add(f"{key}= needs {needed}=")
-        if value is not None and not value >= 0.0:
-            problems.add(f"{key}={value!r}, expected 0 or more")
-    if limit is not None and limit < 1:
-        problems.add(f"limit={limit!r}, expected 1 or more")
-    if name is not None and not name.strip():
-        problems.add("name= is empty, expected part of a name")
-    problems.raise_if_any()
-
-
 # --- names -------------------------------------------------------------------------------------------------
 
 
 def _is_named(name: str, wanted: str) -> bool:
     pattern = any(sign in wanted for sign in "*?[")
-    for own, asked in zip(_spellings(name), _spellings(wanted.strip()), strict=True):
-        if fnmatch.fnmatchcase(own, asked) if pattern else asked in own:
+    for spelling, wanted_spelling in zip(_spellings(name), _spellings(wanted.strip()), strict=True):
+        if fnmatch.fnmatchcase(spelling, wanted_spelling) if pattern else wanted_spelling in spelling:
             return True
-    # "gruen" for what is written with an umlaut
+    # "gruen" finds a name written with an umlaut
     plain, spelled = _spellings(name)[1], _spellings(wanted.strip())[0]
     return fnmatch.fnmatchcase(plain, spelled) if pattern else spelled in plain
 
 
 def _spellings(text: str) -> tuple[str, str]:
-    """Return a text without accents, and with two letters for an umlaut, in lower case."""
+    """Return a text in lower case without accents, and the same with umlauts as two letters."""
     folded = unicodedata.normalize("NFC", text).casefold()
     return _bare(folded), _bare(folded.translate(_UMLAUTS))
 
@@ -179,7 +166,9 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
     if len(colours) and not np.isfinite(colours).any():
         raise SchemaError(
-            "no paint of the library has a colour: it needs three good bands between 380 and 780 nm"
+            "no paint of the library has a colour",
+            expected="at least 3 good bands between 380 and 780 nm",
+            code="visible-bands-missing",
         )
     different = ciede2000(lab_of(colours), wanted)
     return np.where(np.isfinite(different), different, np.inf)
@@ -194,16 +183,18 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
         spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
-    if np.isfinite(spectrum).sum() < _FEWEST_BANDS:
+    if np.isfinite(spectrum).sum() < MIN_BANDS:
         raise SchemaError(
-            f"like= has a value in {int(np.isfinite(spectrum).sum())} good bands of the library "
-            f"({nm.min():g} to {nm.max():g} nm), expected at least {_FEWEST_BANDS}"
+            f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+            f"({nm.min():g} to {nm.max():g} nm)",
+            expected=f"at least {MIN_BANDS}",
+            code="bands-not-shared",
         )
     paints = np.asarray(reflectance.values, np.float64)
     both = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
     lengths = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
-    usable = (both.sum(axis=1) >= _FEWEST_BANDS) & (lengths > 0.0)
+    usable = (both.sum(axis=1) >= MIN_BANDS) & (lengths > 0.0)
     # the chord is exact where the cosine is too close to 1
     unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
     unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
@@ -212,55 +203,61 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
 
 
 def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
-    """Return a spectrum at the wavelengths of the library (band,); NaN beyond its ends."""
-    import xarray as xr
-
+    """Return the searched spectrum at the wavelengths of the library (band,); NaN outside its range."""
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:
             raise SchemaError(
-                f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
+                f"{names.count(like)} paints of the library are named like={like!r:.60}",
+                expected="1",
+                code="paint-ambiguous" if like in names else "paint-unknown",
             )
         like = library.isel({SIGNATURE: names.index(like)})
     if isinstance(like, xr.Dataset):
         if "reflectance" not in like.variables:
             raise SchemaError(
-                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}, expected reflectance"
+                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
+                expected="reflectance",
+                code="variable-missing",
             )
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
         if values.shape != nm.shape:
             raise SchemaError(
-                f"like= has shape {values.shape}, expected ({nm.size},), or a DataArray with wavelengths"
+                f"like= has shape {values.shape}",
+                expected=f"({nm.size},), or a DataArray with wavelengths",
+                code="length-mismatch",
             )
         return values
     spectrum = like.squeeze()
     if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
         raise SchemaError(
-            f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
+            f"like= has dims {like.dims} of sizes {like.shape}",
+            expected="one spectrum with its wavelength",
+            code="dims-wrong",
         )
     axis = spectrum["wavelength"]
-    # what has no units is in nanometres, as the table has it
+    # without units the wavelengths are in nm
     axis = convert(axis, "nm") if "units" in axis.attrs else axis
     return interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
 
 
-def interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
-    """Return values at other wavelengths; NaN beyond their ends, and where they have a hole."""
-    order = np.argsort(own, kind="stable")
-    own, values = own[order], values[order]
-    usual = np.diff(own[np.isfinite(own)])
-    is_finite = np.isfinite(own) & np.isfinite(values)
-    at, values = own[is_finite], values[is_finite]
+def interpolated(nm: Floats, wavelength: Floats, values: Floats) -> Floats:
+    """Return values at other wavelengths; NaN beyond their ends, and within their gaps."""
+    order = np.argsort(wavelength, kind="stable")
+    wavelength, values = wavelength[order], values[order]
+    usual = np.diff(wavelength[np.isfinite(wavelength)])
+    is_finite = np.isfinite(wavelength) & np.isfinite(values)
+    at, values = wavelength[is_finite], values[is_finite]
     if at.size < 2:
         return np.full(nm.size, np.nan)
     interpolated = np.interp(nm, at, values, left=np.nan, right=np.nan)
     steps = np.diff(at)
-    # detectors differ in their steps: a hole is wide beside its neighbours, on both sides
+    # detectors differ in their steps: a gap is wide compared with the steps on both sides
     padded = np.pad(steps, 1, constant_values=np.inf)
     beside = np.minimum(padded[:-2], padded[2:])
     beside = np.maximum(np.where(np.isfinite(beside), beside, 0.0), np.median(usual))
     step = np.clip(np.searchsorted(at, nm, side="left") - 1, 0, steps.size - 1)
-    inside_hole = (steps > _WIDEST_STEP * beside)[step] & (nm > at[step]) & (nm < at[step + 1])
+    inside_hole = (steps > MAX_GAP_STEPS * beside)[step] & (nm > at[step]) & (nm < at[step + 1])
     return np.where(inside_hole, np.nan, interpolated)

@@ -1,31 +1,35 @@
-"""A library to begin with: forty car paints from a few parameters each, none of them measured."""
+"""A library to begin with: forty synthetic car paints, each from a few parameters."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.simulation.rendering.materials import fresnel_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import (
+    FOURTEEN,
+    PaintSpec,
+    generate_paint,
+    paint_spec,
+    spectrum_of,
+)
 
 from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
-
+#: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
+#: infrared.
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
-"""Of a pushbroom camera for the visible and near infrared [nm]."""
 
-MOST_MEMBERS = 10_000
+MAX_MEMBERS = 10_000
 
+#: Family and number of the paints beside the built-in fourteen, see `hyperpaint.simulation`.
 GENERATED = (
     ("white", 1), ("white", 9), ("grey", 2), ("grey", 7), ("carbon_black", 0), ("ir_black", 4),
     ("ir_black", 16), ("solid", 3), ("solid", 4), ("solid", 5), ("solid", 2), ("solid", 8), ("solid", 9),
@@ -33,34 +37,33 @@ GENERATED = (
     ("tinted", 22), ("metallic", 17), ("metallic", 23), ("metallic", 5), ("metallic", 15), ("pearl", 3),
     ("pearl", 13),
 )  # fmt: skip
-"""Family and number of the paints beside the built-in fourteen, see `hyperpaint.simulation`."""
 
+#: Standard deviations of the members: of pigment (relative), of the wavelengths at which it absorbs [nm], and
+#: of the light that reaches a spot of the car (relative).
 _LOAD, _HUE_NM, _LEVEL = 0.08, 0.8, 0.02
-"""Standard deviations of the members: of pigment (relative), of the wavelengths at which it absorbs [nm],
-and of the light that reaches a spot of the car (relative)."""
 
 
 @takes_quantities(wavelength="nm")
 def starter_library(
     *, members: int = 24, seed: int = 0, wavelength: npt.ArrayLike | None = None
 ) -> xr.Dataset:
-    r"""Return a library of forty synthetic car paints, to begin with.
+    r"""Return a library of forty synthetic car paints.
 
     Parameters
     ----------
     members
         Variants of each paint; 0 for none.
     seed
-        Another seed varies them otherwise. The paints themselves are always the same.
+        Seed of the variants. The paints themselves are always the same.
     wavelength
-        Of the bands, ascending, 300 to 2500 nm; by default 272 bands from 400 to 1000 nm.
+        Wavelengths of the bands, ascending, 300 to 2500 nm; by default 272 bands from 400 to 1000 nm.
 
     Returns
     -------
     Dataset
-        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without what
-        is mirrored (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature, band),
-        what clear coat and flakes reflect about the mirror direction; ``member_reflectance`` (signature,
+        A paint library: ``reflectance`` (signature, band) of the body of the paint, float32 [1], without
+        mirrored light (attribute ``mirror_reflection`` "excluded"); ``specular_reflectance`` (signature,
+        band) of clear coat and flakes around the mirror direction; ``member_reflectance`` (signature,
         member, band) with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates of the paints:
         ``finish``, ``colour`` in words, ``srgb`` of the body in daylight, ``family``, ``roughness`` of the
         coat [1], ``provenance`` ("synthetic"), ``parents`` (the spectrum's name in the simulator) and
@@ -73,12 +76,12 @@ def starter_library(
 
     Notes
     -----
-    No spectrum was measured, and names are make-believe: nothing here is the colour of a maker. K/S of a
-    paint is a few edges and bands (see `hyperpaint.simulation`), from which Kubelka and Munk's thick layer
-    under a coat of index 1.5 follows. In metallic and pearl paints a share of the light meets flakes; what
-    these reflect about the mirror direction is with the specular part, so that the body is their dark "flop"
-    colour. Members differ in pigment, in the wavelengths at which it absorbs, and in light: 8 %, 0.8 nm and
-    2 %, standard deviations.
+    No spectrum was measured, and names are invented: no paint is the colour of a maker. K/S of a paint
+    consists of a few edges and bands (see `hyperpaint.simulation`), from which its reflectance follows as
+    Kubelka and Munk's thick layer under a coat of index 1.5. In metallic and pearl paints a share of the
+    light meets flakes; their reflectance around the mirror direction belongs to the specular part, so that
+    the body is their dark "flop" colour. Members differ in pigment, in the wavelengths at which it absorbs,
+    and in light: standard deviations 8 %, 0.8 nm and 2 %.
 
     Examples
     --------
@@ -87,47 +90,57 @@ def starter_library(
     ((40, 5, 272), 'synthetic')
     """
     nm = np.linspace(FIRST, LAST, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
-    _check(members, nm)
-    specs = _specs()
+    problems = Problems("the starter library cannot be made", SchemaError)
+    if not 0 <= members <= MAX_MEMBERS:
+        problems.add(f"members={members!r}", expected=f"0 to {MAX_MEMBERS}", code="value-out-of-range")
+    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
+        problems.add(
+            f"wavelength={wavelength!r:.40}",
+            expected="one number a band, from 300 to 2500 nm",
+            code="value-out-of-range",
+        )
+    elif not (np.diff(nm) > 0.0).all():
+        problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
+    problems.raise_if_any()
+    generated = [generate_paint(family, number) for family, number in GENERATED]
+    specs = [*map(paint_spec, FOURTEEN), *generated]
     values: dict[str, Array] = {
-        "reflectance": np.stack([_body(spec, nm) for spec in specs]),
+        # outside the flakes, without mirrored light
+        "reflectance": np.stack([spec.reflectance(nm) * (1.0 - _share(spec)) for spec in specs]),
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
         values["member_reflectance"] = np.stack(
             [_variants(spec, nm, members, np.random.default_rng([seed, at])) for at, spec in enumerate(specs)]
         )
-    return _library(specs, nm, values, seed)
-
-
-def _check(members: int, nm: Floats) -> None:
-    problems = Problems("the starter library cannot be made", SchemaError)
-    if not 0 <= members <= MOST_MEMBERS:
-        problems.add(f"members={members!r}, expected 0 to {MOST_MEMBERS}")
-    if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
-        problems.add("wavelength= leaves 300 to 2500 nm, or is none; expected one number a band [nm]")
-    elif not (np.diff(nm) > 0.0).all():
-        problems.add("wavelength= does not ascend; sort it")
-    problems.raise_if_any()
-
-
-def _specs() -> list[PaintSpec]:
-    from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, generate_paint, paint_spec
-
-    generated = [generate_paint(family, number) for family, number in GENERATED]
-    return [*map(paint_spec, FOURTEEN), *generated]
-
-
-def _body(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return the reflectance of what is no flake (band,) [1], without mirrored light."""
-    return spec.reflectance(nm) * (1.0 - _share(spec))
+    bands = xr.Dataset(
+        {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
+        {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
+        {"title": "parameters of pigments, hyperpaint.simulation"},
+    )
+    names = [f"Synthetic {spec.trade_name}" for spec in specs]
+    parents = [{spec.name: 1.0} for spec in specs]
+    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
+    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
+    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
+    families = [spec.name.split(":")[1] if ":" in spec.name else "catalogue" for spec in specs]
+    about = {
+        "finish": ("Finish", [spec.finish for spec in specs]),
+        "colour": ("Colour in words", [spec.colour for spec in specs]),
+        "srgb": ("sRGB of the body in daylight", swatches),
+        "family": ("Family of pigments", families),
+    }
+    texts = {
+        name: (SIGNATURE, text_column(column), {"long_name": meaning})
+        for name, (meaning, column) in about.items()
+    }
+    roughness = np.array([spec.coat.roughness for spec in specs])
+    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
+    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
 
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return what coat and flakes reflect about the mirror direction (band,) [1]."""
-    from hyperpaint.simulation.rendering.materials import fresnel_reflectance
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-
+    """Return the reflectance of coat and flakes around the mirror direction (band,) [1]."""
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:
         return np.full(nm.size, coat)
@@ -139,7 +152,6 @@ def _share(spec: PaintSpec) -> float:
 
 
 def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
-    """Return members (member, band) [1]."""
     interface = Interface()
     load = np.exp(_LOAD * rng.standard_normal(count))
     shift = _HUE_NM * rng.standard_normal(count)
@@ -150,35 +162,3 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
         varied = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
         row[:] = np.clip(light * interface.seen(varied) * (1.0 - _share(spec)), 0.0, 1.0)
     return variants
-
-
-def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed: int) -> xr.Dataset:
-    import xarray as xr
-
-    bands = xr.Dataset(
-        {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
-        {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
-        {"title": "parameters of pigments, hyperpaint.simulation"},
-    )
-    names = [f"Synthetic {spec.trade_name}" for spec in specs]
-    parents = [{spec.name: 1.0} for spec in specs]
-    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
-    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
-    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
-    about = {
-        "finish": ("Finish", [spec.finish for spec in specs]),
-        "colour": ("Colour in words", [spec.colour for spec in specs]),
-        "srgb": ("sRGB of the body in daylight", swatches),
-        "family": ("Family of pigments", [_family(spec) for spec in specs]),
-    }
-    texts = {
-        name: (SIGNATURE, text_column(column), {"long_name": meaning})
-        for name, (meaning, column) in about.items()
-    }
-    roughness = np.array([spec.coat.roughness for spec in specs])
-    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
-    return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
-
-
-def _family(spec: PaintSpec) -> str:
-    return spec.name.split(":")[1] if ":" in spec.name else "catalogue"

@@ -1,4 +1,4 @@
-"""Regions of a flight line: named polygons, their GeoJSON files, the pixels in them, and proposals.
+"""Regions of a flight line: named polygons, their GeoJSON files, their pixels, and proposals.
 
 Outlines and flight lines come in; positions of pixels and masks go out. For paints and every room above.
 """

@@ -1,7 +1,7 @@
-"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line.
+"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line of text.
 
-Beside what the format has, the collection says what its numbers are: ``"coordinates": "sensor"`` or
-``"map"``, and ``"crs"`` as GeoJSON had it before 2016. Without either they are of the sensor.
+Two members beyond the format define the coordinates: ``"coordinates": "sensor"`` or ``"map"``, and ``"crs"``
+as in GeoJSON before 2016. Without either they are sensor coordinates.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from hyperpaint.io.files.publishing import publish_file
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
-MOST_BYTES = 16 * 2**20
-"""Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB."""
+#: Maximum size of a file of regions [byte]: a thousand regions of a hundred corners have 4 MB.
+MAX_FILE_BYTES = 16 * 2**20
 
-MOST_REGIONS = 10_000
+MAX_REGIONS = 10_000
 
-#: Lists and mappings in it, and separators: each costs memory many times its own size.
-_MOST_CONTAINERS = 500_000
-_MOST_SEPARATORS = 1_500_000
-_MOST_TOLD = 20
+#: Maximum numbers of lists and mappings, and of separators in a file: each costs much memory.
+MAX_CONTAINERS = 500_000
+MAX_SEPARATORS = 1_500_000
+MAX_LISTED_FEATURES = 20
 
 
 def read_regions(path: str | os.PathLike[str]) -> Regions:
@@ -38,9 +38,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     Parameters
     ----------
     path
-        The file; others than GeoJSON need pyogrio or fiona, and are in coordinates of a map. Features are
-        polygons with a property ``name``, and ``flightline`` where the collect has several; every other
-        property is kept, other members of features are not.
+        The file; formats other than GeoJSON need pyogrio or fiona, and are in coordinates of a map. Features
+        are polygons with a property ``name``, and ``flightline`` where the collect has several; all other
+        properties are kept, other members of features are not.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     Raises
     ------
     FormatError
-        The file is not GeoJSON, or holds what is no region; all features that are not are listed.
+        The file is not GeoJSON, or some features are no regions; all of these are listed.
     MissingExtraError
         Neither pyogrio nor fiona is installed.
 
@@ -63,13 +63,17 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     """
     place = Path(path)
     if "\0" in str(place):
-        raise FormatError(f"{place!s:.200}: no path has a NUL in it; check the path")
-    if place.suffix.lower() in VECTOR_FILES:
-        return _collection(features_of(place, MOST_REGIONS), str(place))
-    raw = read_limited(place, MOST_BYTES, "GeoJSON")
-    if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
         raise FormatError(
-            f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
+            f"the path {place!s:.200} holds a NUL character", mend="check the path", code="path-invalid"
+        )
+    if place.suffix.lower() in VECTOR_FILES:
+        return _collection(features_of(place, MAX_REGIONS), str(place))
+    raw = read_limited(place, MAX_FILE_BYTES, "GeoJSON")
+    if raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS:
+        raise FormatError(
+            f"{place}: more values than {MAX_REGIONS} regions have",
+            expected="GeoJSON of regions",
+            code="file-too-large",
         )
     try:
         text = raw.decode("utf-8-sig")
@@ -77,7 +81,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
-            f"{place}: no GeoJSON ({reason:.200}); expected a FeatureCollection of polygons in UTF-8"
+            f"{place}: not GeoJSON ({reason:.200})",
+            expected="a FeatureCollection of polygons in UTF-8",
+            code="text-unreadable",
         ) from error
     return _collection(document, str(place))
 
@@ -87,16 +93,16 @@ def write_regions(
 ) -> Path:
     """Write regions as GeoJSON.
 
-    Equal regions give equal bytes, and what `read_regions` reads is what was written.
+    Equal regions give equal bytes, and `read_regions` returns equal regions.
 
     Parameters
     ----------
     regions
-        What to write.
+        Regions to write.
     path
         The file.
     overwrite
-        Replace a file that holds something else.
+        Replace a file with other content.
 
     Returns
     -------
@@ -105,7 +111,7 @@ def write_regions(
     Raises
     ------
     StoreError
-        The file holds something else, or cannot be written. It is as it was.
+        The file has other content, or cannot be written. It is unchanged.
 
     Examples
     --------
@@ -128,12 +134,12 @@ def write_regions(
 
 
 def regions_from(source: Any) -> Regions:
-    """Return regions, however they are given.
+    """Return regions from any of their forms.
 
     Parameters
     ----------
     source
-        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or what has a
+        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or an object with
         ``__geo_interface__``, as of geopandas.
 
     Returns
@@ -145,7 +151,7 @@ def regions_from(source: Any) -> Regions:
     FormatError
         A file or mapping is not GeoJSON of regions.
     SchemaError
-        It is nothing that regions can be made of, or names occur twice.
+        The object has another type, or names occur twice.
 
     Examples
     --------
@@ -165,11 +171,12 @@ def regions_from(source: Any) -> Regions:
         return _collection(document, "these regions")
     if isinstance(source, Iterable):
         members = tuple(source)
-        if all(isinstance(each, Region) for each in members):
+        if all(isinstance(member, Region) for member in members):
             return Regions(members)
     raise SchemaError(
-        f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
-        "or its content"
+        f"regions are {type(source).__name__}",
+        expected="hyperpaint.Regions, the path of a GeoJSON file, or its content",
+        code="type-wrong",
     )
 
 
@@ -188,17 +195,21 @@ def _no_constant(text: str) -> None:
     raise ValueError(f"{text} is no number of JSON")
 
 
-# --- what a document says ----------------------------------------------------------------------------------
+# --- content of a document ---------------------------------------------------------------------------------
 
 
 def _collection(document: Any, subject: str) -> Regions:
     problems = Problems(f"{subject}: no regions can be made of it", FormatError)
     features = _features(document, problems)
     crs = _crs(document, problems) if isinstance(document, Mapping) else None
-    given = document.get("coordinates") if isinstance(document, Mapping) else None
-    coordinates = ("sensor" if crs is None else "map") if given is None else given
+    declared = document.get("coordinates") if isinstance(document, Mapping) else None
+    coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     if coordinates not in COORDINATES:
-        problems.add(f"coordinates {str(coordinates)[:80]!r}, expected one of {', '.join(COORDINATES)}")
+        problems.add(
+            f"coordinates {str(coordinates)[:80]!r}",
+            expected=f"one of {', '.join(COORDINATES)}",
+            code="choice-unknown",
+        )
     problems.raise_if_any()
     regions, wrong = [], 0
     for number, feature in enumerate(features):
@@ -206,29 +217,34 @@ def _collection(document: Any, subject: str) -> Regions:
             regions.append(_region(feature))
         except PaintError as error:
             wrong += 1
-            if wrong <= _MOST_TOLD:
-                problems.add(f"feature {number}: {error}")
-    if wrong > _MOST_TOLD:
-        problems.add(f"and {wrong - _MOST_TOLD} features more")
+            if wrong <= MAX_LISTED_FEATURES:
+                problems.add_error(f"feature {number}", error)
+    if wrong > MAX_LISTED_FEATURES:
+        problems.add(f"{wrong - MAX_LISTED_FEATURES} more features are invalid", code="features-invalid")
     problems.raise_if_any()
     try:
         return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
-        raise FormatError(f"{subject}: {error}") from error
+        raise FormatError(subject, problems=[error.problem]) from error
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
-    """Return the features of a collection, or the one that stands for itself."""
+    """Return the features of a collection, or a single Feature as a list."""
     kind = document.get("type") if isinstance(document, Mapping) else None
     if kind == "Feature":
         return [document]
     features = document.get("features") if kind == "FeatureCollection" else None
     if not isinstance(features, list | tuple):
         description = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
-        problems.add(f"{description}, expected a FeatureCollection with a list of features")
+        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
         return []
-    if len(features) > MOST_REGIONS:
-        problems.add(f"{len(features)} features, expected at most {MOST_REGIONS}; split the file")
+    if len(features) > MAX_REGIONS:
+        problems.add(
+            f"{len(features)} features",
+            expected=f"at most {MAX_REGIONS}",
+            mend="split the file",
+            code="regions-too-many",
+        )
         return []
     return list(features)
 
@@ -242,19 +258,22 @@ def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
         return None
     if isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable():
         return crs
-    problems.add("the crs has no name; expected text such as 'EPSG:32618', or an object with properties.name")
+    problems.add(
+        "the crs has no name",
+        expected="text such as 'EPSG:32618', or an object with properties.name",
+        code="crs-missing",
+    )
     return None
 
 
 def _region(feature: Any) -> Region:
-    """Return a feature as a region; `SchemaError` where it is none."""
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
-        raise SchemaError(f"{type(feature).__name__}, expected a Feature")
+        raise SchemaError(type(feature).__name__, expected="a Feature", code="type-wrong")
     properties = feature.get("properties")
     properties = dict(properties) if isinstance(properties, Mapping) else {}
     name, flightline = properties.pop("name", None), properties.pop("flightline", None)
     if name is None:
-        raise SchemaError("it has no property 'name', which names the paint")
+        raise SchemaError("no property 'name', which names the paint", code="region-name-missing")
     polygon, *holes = _rings(feature.get("geometry"), name)
     return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
 
@@ -267,30 +286,31 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
     if kind == "MultiPolygon" and isinstance(rings, list | tuple):
         if len(rings) != 1:
             raise SchemaError(
-                f"{subject} with {len(rings)} polygons; expected one, give each a name of its own"
+                f"{subject} with {len(rings)} polygons",
+                expected="one",
+                mend="make each a region with its own name",
+                code="geometry-wrong",
             )
         kind, rings = "Polygon", rings[0]
     if kind != "Polygon":
-        raise SchemaError(f"{subject}, expected a Polygon")
+        raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
     if not isinstance(rings, list | tuple) or not rings:
-        raise SchemaError(f"{subject} without a list of rings")
-    return [_positions(ring, subject) for ring in rings]
-
-
-def _positions(ring: Any, subject: str) -> Any:
-    corners = []
-    for position in ring if isinstance(ring, list | tuple) else (None,):
+        raise SchemaError(f"{subject} without a list of rings", code="geometry-wrong")
+    for position in (
+        corner for ring in rings for corner in (ring if isinstance(ring, list | tuple) else [ring])
+    ):
         if (
             not isinstance(position, list | tuple)
             or len(position) < 2
             or not all(map(_is_number, position[:2]))
         ):
-            raise SchemaError(f"{subject} with a corner {position!r:.60}, expected [x, y]")
-        # heights are of no use here
-        corners.append((float(position[0]), float(position[1])))
-    return np.array(corners, np.float64).reshape(-1, 2)
+            raise SchemaError(
+                f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
+            )
+    # heights are not used
+    return [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
 
 
 def _is_number(value: Any) -> bool:
-    # whole numbers of JSON have no end, those of float64 do
+    # integers of JSON may exceed float64
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300

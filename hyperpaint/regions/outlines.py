@@ -1,4 +1,4 @@
-"""Regions as data: named polygons with whatever is known of what they outline."""
+"""Regions as data: named polygons with their properties."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
+#: Coordinate systems of regions: column and line of the cube, or a place on the ground.
 COORDINATES = ("sensor", "map")
-"""What x and y of regions are: column and line of the cube, or a place on the ground."""
 
-MOST_VERTICES = 10_000
-"""Corners of one ring."""
+#: Maximum number of corners of a ring.
+MAX_VERTICES = 10_000
 
-LARGEST = 1e9
-"""Coordinate that no pixel and no place has."""
+#: Largest absolute coordinate; no pixel and no place on a map has a larger one.
+MAX_COORDINATE = 1e9
 
-_LONGEST_NAME = 200
-_MOST_SHOWN = 60
-_MOST_LISTED = 10
+MAX_NAME_CHARS = 200
+MAX_DRAWN_REGIONS = 60
+MAX_LISTED_REGIONS = 10
 _COLOUR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -37,21 +37,21 @@ class Region:
     Attributes
     ----------
     name
-        Names the region, and the paint that is found in it.
+        Name of the region, and of its paint.
     polygon : (vertex, 2), float64
         x (cross_track) and y (along_track) of its corners, whole numbers at pixel centres; or x and y on the
         map. The last corner is joined to the first.
     holes
         Rings cut out of it, as ``polygon``.
     flightline
-        The flight line that the coordinates are of; empty where there is one only.
+        The flight line of the coordinates; empty where there is only one.
     properties
-        Anything else that is known of it: make, model, year, colour, finish, reference ... in terms of JSON.
+        Other facts about it: make, model, year, colour, finish, reference ... as JSON values.
 
     Raises
     ------
     SchemaError
-        A name, ring or property that cannot be used; all are listed.
+        A name, ring or property cannot be used; all are listed.
 
     Examples
     --------
@@ -70,8 +70,22 @@ class Region:
         problems = Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError)
         for label in ("name", "flightline"):
             value = getattr(self, label)
-            if wrong := _name_problem(value, may_be_empty=label == "flightline"):
-                problems.add(f"{label} {str(value)[:80]!r} {wrong}")
+            subject = f"{label} {str(value)[:80]!r}"
+            if not isinstance(value, str):
+                problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
+            elif not value and label == "name":
+                problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
+            elif len(value) > MAX_NAME_CHARS:
+                problems.add(
+                    f"{subject} has {len(value)} characters",
+                    expected=f"at most {MAX_NAME_CHARS}",
+                    code="name-too-long",
+                )
+            elif not value.isprintable() or value.strip() != value:
+                problems.add(
+                    f"{subject} has blanks at an end, or characters that cannot be printed",
+                    code="name-unprintable",
+                )
         rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
         properties = _plain(self.properties, problems)
         problems.raise_if_any()
@@ -89,10 +103,10 @@ class Region:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
         texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
-        said = "".join(f", {text}" for text in texts)
+        properties = "".join(f", {text}" for text in texts)
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
-        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{said}>"
+        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
 
     def feature(self) -> dict[str, Any]:
         """Return the region as a Feature of GeoJSON."""
@@ -109,7 +123,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Regions(Sequence[Region]):
-    """An immutable sequence of regions, and what their coordinates are.
+    """An immutable sequence of regions with their coordinate system.
 
     Attributes
     ----------
@@ -117,15 +131,15 @@ class Regions(Sequence[Region]):
         The regions; no two have the same name.
     coordinates
         "sensor": x is cross_track and y along_track, by their index coordinates where a line has them, which
-        a crop keeps, else counted from 0; or "map".
+        survive a crop, else counted from 0; or "map".
     crs
-        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not given.
+        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is undeclared.
 
     Raises
     ------
     SchemaError
-        Names that occur twice, unknown coordinates, or a reference system that is no text or of a sensor; all
-        are listed.
+        Names occur twice, ``coordinates`` is unknown, or ``crs`` is no text or given for a sensor; all are
+        listed.
 
     Examples
     --------
@@ -146,22 +160,37 @@ class Regions(Sequence[Region]):
         seen: set[str] = set()
         for name in (region.name for region in self.regions):
             if name in seen:
-                problems.add(f"the name {name!r} occurs twice; it names the paint, give each its own")
+                problems.add(
+                    f"the name {name!r} occurs twice",
+                    mend="give each region its own name",
+                    code="region-name-duplicate",
+                )
             seen.add(name)
         if self.coordinates not in COORDINATES:
-            problems.add(f"coordinates {self.coordinates!r}, expected one of {', '.join(COORDINATES)}")
+            problems.add(
+                f"coordinates {self.coordinates!r}",
+                expected=f"one of {', '.join(COORDINATES)}",
+                code="choice-unknown",
+            )
         crs: object = self.crs
         if crs is not None and not isinstance(crs, str):
-            problems.add(f"a crs that is {type(crs).__name__}, expected text such as 'EPSG:32618'")
+            problems.add(
+                f"the crs is {type(crs).__name__}", expected="text such as 'EPSG:32618'", code="type-wrong"
+            )
         elif crs is not None and self.coordinates == "sensor":
-            problems.add(f"a crs ({crs[:80]!r}) is of map coordinates, these are of the sensor")
+            problems.add(
+                f"sensor coordinates have the crs {crs[:80]!r}",
+                expected="none",
+                mend='pass coordinates="map" or no crs',
+                code="option-conflict",
+            )
         problems.raise_if_any()
 
     def __repr__(self) -> str:
         kind = self.crs or self.coordinates
-        shown = [f"  {region!r}" for region in self.regions[:_MOST_LISTED]]
-        if len(self) > _MOST_LISTED:
-            shown.append(f"  ... and {len(self) - _MOST_LISTED} more")
+        shown = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
+        if len(self) > MAX_LISTED_REGIONS:
+            shown.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
         return "\n".join([f"<Regions: {len(self)} ({str(kind)[:40]})>", *shown])
 
     def __len__(self) -> int:
@@ -200,8 +229,8 @@ class Regions(Sequence[Region]):
     def _repr_html_(self) -> str:
         """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
         kind = self.crs or self.coordinates
-        more = f", of which {_MOST_SHOWN} are shown" if len(self) > _MOST_SHOWN else ""
-        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:_MOST_SHOWN])
+        more = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
+        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
         title = f"{len(self)} regions ({kind}){more}"
         return (
             f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
@@ -210,17 +239,17 @@ class Regions(Sequence[Region]):
 
     @property
     def digest(self) -> str:
-        """Digest of all that the regions say: equal digests, equal regions."""
+        """Digest of the content: equal digests mean equal regions."""
         text = json.dumps(self.__geo_interface__, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _drawn(region: Region, coordinates: str) -> str:
-    """Return a region's outline, filled with its property ``colour``, its name and its flight line."""
+    """Return a region as HTML: its outline, filled with its property ``colour``, its name and flight line."""
     rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     scale = 20.0 / max((high - low).max(), 1e-12)
-    # lines of a sensor count downwards, as a screen's do, and north is up
+    # sensor lines count downwards as on a screen, north is up
     turned = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
     corners = [((ring - (low + high) / 2.0) * scale * turned + 12.0).round(1) for ring in rings]
     step = max(1, len(corners[0]) // 100)
@@ -237,58 +266,64 @@ def _drawn(region: Region, coordinates: str) -> str:
 
 
 def _number(value: float) -> int | float:
-    """Return a coordinate as it is written: whole numbers without a point."""
     whole = int(value)
     return whole if whole == value else float(value)
 
 
-def _name_problem(value: object, *, may_be_empty: bool) -> str | None:
-    if not isinstance(value, str):
-        return f"is {type(value).__name__}, expected text"
-    if not value and not may_be_empty:
-        return "is empty, expected text"
-    if len(value) > _LONGEST_NAME:
-        return f"has {len(value)} characters, expected at most {_LONGEST_NAME}"
-    if not value.isprintable() or value.strip() != value:
-        return "has blanks at an end, or characters that cannot be printed"
-    return None
-
-
 def _ring(ring: Any, index: int, problems: Problems) -> Floats:
-    called = "polygon" if index == 0 else f"hole {index}"
+    ring_name = "polygon" if index == 0 else f"hole {index}"
     try:
         corners = np.array(ring, np.float64)
     except (TypeError, ValueError):
         corners = np.empty((0,))
     if corners.ndim != 2 or corners.shape[1] != 2:
-        problems.add(f"the {called} has shape {corners.shape}, expected (vertex, 2): x and y of its corners")
+        problems.add(
+            f"the {ring_name} has shape {corners.shape}",
+            expected="(vertex, 2): x and y of its corners",
+            code="dims-wrong",
+        )
         return corners
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
         corners = corners[:-1]
-    if not 3 <= len(corners) <= MOST_VERTICES:
-        problems.add(f"the {called} has {len(corners)} corners, expected 3 to {MOST_VERTICES}")
-    if not (np.abs(corners) <= LARGEST).all():
-        problems.add(f"the {called} has corners that are not numbers from {-LARGEST:g} to {LARGEST:g}")
+    if not 3 <= len(corners) <= MAX_VERTICES:
+        problems.add(
+            f"the {ring_name} has {len(corners)} corners",
+            expected=f"3 to {MAX_VERTICES}",
+            code="corner-count",
+        )
+    if not (np.abs(corners) <= MAX_COORDINATE).all():
+        problems.add(
+            f"the {ring_name} has missing or too large coordinates",
+            expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
+            code="corner-wrong",
+        )
     corners = corners + 0.0  # no negative zero
     corners.flags.writeable = False
     return corners
 
 
 def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
-    """Return properties as JSON holds them, copied."""
     if not isinstance(properties, Mapping):
-        problems.add(f"properties are {type(properties).__name__}, expected a mapping")
+        problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
         return {}
     if reserved := {"name", "flightline"} & set(properties):
-        problems.add(f"properties hold {', '.join(sorted(reserved))}, which the region has itself")
+        problems.add(
+            f"properties hold {', '.join(sorted(reserved))}",
+            mend="pass them as arguments of Region",
+            code="property-reserved",
+        )
     if odd := [key for key in properties if not isinstance(key, str)]:
-        problems.add(f"properties have names that are not text: {odd[:3]!r:.80}")
+        problems.add(f"properties have the names {odd[:3]!r:.80}", expected="text", code="type-wrong")
         return {}
     try:
         text = json.dumps(dict(properties), allow_nan=False, ensure_ascii=False)
         text.encode()
     except (TypeError, ValueError, RecursionError) as error:
-        problems.add(f"properties are not text, finite numbers, lists or mappings of them ({error!s:.80})")
+        problems.add(
+            f"properties cannot be written as JSON ({error!s:.80})",
+            expected="text, finite numbers, lists or mappings of them",
+            code="property-not-json",
+        )
         return {}
     copied: dict[str, Any] = json.loads(text)
     return copied

@@ -1,39 +1,40 @@
-"""Which pixels of a flight line lie in a region."""
+"""Pixels of a flight line inside regions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
+from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.geometry.georeference.poses import POSE
 
 from .geojson import regions_from
 from .outlines import Region, Regions
 from .polygons import contains
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 RegionsT = TypeVar("RegionsT", bound=Regions)
+#: Positions along and across the track, line by line.
 Pixels = tuple[Ints, Ints]
-"""Positions along and across the track, line by line."""
 
+#: Pixels whose places are processed together.
 _BLOCK_PIXELS = 2**20
-"""Pixels whose place is looked at together."""
 
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
 _DEGREES = "EPSG:4326"
+#: Variables of a map: column and line of the flight line that every cell shows.
 _SHOWN = ("nearest_sample", "nearest_line")
-"""Of a map: column and line of the flight line that every cell shows."""
+#: Variable of a map of several flight lines: the flight line that a cell shows.
 _OF_LINE = "flightline"
-"""Of a map of several flight lines: which of them a cell shows."""
 
 
 def pixels(
@@ -48,11 +49,11 @@ def pixels(
     line
         A flight line, or a map. Coordinates of a map need the place of every pixel on the ground, as
         ``longitude`` and ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y``
-        of a map; a line that has poses and the attribute ``ground`` alone is located for it. Coordinates of
-        the sensor are those of the pixels that a map shows, where it says so (``nearest_line`` and
-        ``nearest_sample``); of a map of several flight lines those of the region's own line.
+        of a map; a line with poses and the attribute ``ground`` only is located first. Sensor coordinates in
+        a map are the coordinates of the pixels that its cells show (``nearest_line`` and ``nearest_sample``,
+        where present); in a map of several flight lines, of the region's own flight line.
     coordinates, crs
-        What the region's coordinates are, see `Regions`.
+        Coordinate system of the region, see `Regions`.
 
     Returns
     -------
@@ -63,9 +64,9 @@ def pixels(
     Raises
     ------
     SchemaError
-        The line has no along_track and cross_track; or, for a map, no place of its pixels in that reference
-        system; for a map of several flight lines, none of these named by a region in coordinates of the
-        sensor; or the polygon has too many long edges.
+        The line has no along_track and cross_track; it has no place of its pixels in the region's reference
+        system; a region in sensor coordinates names none of a map's several flight lines; or the polygon has
+        too many long edges.
 
     Examples
     --------
@@ -79,7 +80,7 @@ def pixels(
 
 
 def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
-    """Return which region every pixel of a flight line lies in.
+    """Return the region of every pixel of a flight line.
 
     Parameters
     ----------
@@ -110,8 +111,6 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
            [ 0,  0, -1, -1],
            [-1, -1, -1, -1]], dtype=int16)
     """
-    import xarray as xr
-
     region_list = regions_from(regions)
     dims = "yx" if {"y", "x"} <= set(line.dims) else (ALONG_TRACK, CROSS_TRACK)
     line = schema.rename_to_roles(line)
@@ -130,7 +129,8 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     """Return the pixels of every region; see `pixels`.
 
-    Of a sensor nothing is read, of a map the places of the pixels, once, a block of lines at a time.
+    In sensor coordinates nothing is read; of a map the places of the pixels are read once, in blocks of
+    lines.
 
     Examples
     --------
@@ -147,8 +147,10 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
             problems.add(
-                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
-                "dims= names it"
+                f"dims {', '.join(map(str, line.dims))}",
+                expected=f"the dim {dim!r}",
+                mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
+                code="dim-missing",
             )
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
@@ -159,7 +161,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
             regions = _moved(regions, crs)
         return _by_place(regions, x, y, shape)
     if set(_SHOWN) <= set(line.variables):
-        # cells of a map are told by the pixel that they show; -1 shows none
+        # coordinates of a map's cell are those of the pixel that it shows; -1 is an empty cell
         across, along = (line[name].reset_coords(drop=True) for name in _SHOWN)
         places = across.where(across >= 0), along.where(along >= 0)
         names = lines_of_cells(line)
@@ -171,7 +173,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
-    """Return the flight lines that the cells of a map show, with their numbers; none of a map of one line."""
+    """Return the numbers of the flight lines in a map by name; empty for a map of one line."""
     if _OF_LINE not in line.variables or set(line[_OF_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
         return {}
     attrs = line[_OF_LINE].attrs
@@ -181,7 +183,7 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
 
 
 def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
-    """Return the number of the flight line that each region is drawn on."""
+    """Return the number of the flight line of each region."""
     problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
     for region in regions:
         if region.flightline.replace(" ", "_") not in names:
@@ -192,30 +194,28 @@ def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
                 f"region {region.name!r} in coordinates of the sensor {named}",
                 expected=f"one of {', '.join(names)}",
                 mend="give it the property flightline, or draw it in coordinates of the map",
+                code="flightline-unknown",
             )
     problems.raise_if_any()
     return [names[region.flightline.replace(" ", "_")] for region in regions]
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line with the places that regions of a map need: located where it has poses alone.
+    """Return a flight line with the places that regions of a map need, located where it has poses only.
 
-    Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.geometry.locate`.
+    Raises `SchemaError`: the height of the ground is unknown; or as `hyperpaint.geometry.locate`.
     """
-    from hyperpaint.geometry.georeference import locate
-    from hyperpaint.geometry.georeference.poses import POSE
-
     named = schema.rename_to_roles(line)
     is_placed = any(_is_place(named, pair) for pair in _GROUND)
     if regions.coordinates != "map" or is_placed or not set(POSE) <= set(named.variables):
         return line
     if not isinstance(named.attrs.get("ground"), int | float):
         raise SchemaError(
-            "the regions are of a map, and the flight line has poses but no height of the ground to find "
-            "its pixels there",
-            mend="give the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
+            "the flight line has no height of the ground to locate regions in map coordinates",
+            mend="pass the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
             "ground [m] of the line",
             option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
+            code="ground-height-missing",
         )
     return locate(named)
 
@@ -223,19 +223,22 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
 def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
     """Return regions in positions of a line as regions in its numbers, or ``back`` from them to positions."""
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
-    first = np.array([own[0] for own in numbers])
-    step = np.array([(own[-1] - own[0]) / max(own.size - 1, 1) or 1.0 for own in numbers])
+    first = np.array([values[0] for values in numbers])
+    step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
     if not first.any() and (step == 1.0).all():
         return regions
 
-    def moved(ring: Floats) -> Floats:
-        return np.asarray((ring - first) / step if back else ring * step + first)
+    return _with_rings(
+        regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+    )
 
+
+def _with_rings(regions: RegionsT, move: Callable[[Floats], Floats], **changes: Any) -> RegionsT:
     members = (
-        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
+        replace(region, polygon=move(region.polygon), holes=tuple(move(hole) for hole in region.holes))
         for region in regions
     )
-    return replace(regions, regions=tuple(members))
+    return replace(regions, regions=tuple(members), **changes)
 
 
 def _by_place(
@@ -245,9 +248,9 @@ def _by_place(
     shape: tuple[int, int],
     of_lines: tuple[xr.DataArray, Sequence[int]] | None = None,
 ) -> list[Pixels]:
-    """Return the pixels of every region by their coordinates, a block of lines at a time.
+    """Return the pixels of every region by their coordinates, in blocks of lines.
 
-    ``of_lines``: of a map of several flight lines, which of them each cell shows, and each region is on.
+    ``of_lines``: in a map of several flight lines, the flight line of each cell, and of each region.
     """
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
@@ -270,7 +273,7 @@ def _by_place(
 
 
 def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
-    """Return the cells of a map with north up: looked at are those in the box around the region."""
+    """Return the cells of a map with north up; only cells in the box around the region are tested."""
     low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
     across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
     parts = []
@@ -285,7 +288,9 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
     try:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:
-        raise SchemaError(f"the pixels of region {region.name!r} cannot be found: {error}") from error
+        raise SchemaError(
+            f"the pixels of region {region.name!r} cannot be found", problems=[error.problem]
+        ) from error
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:
@@ -303,9 +308,9 @@ def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
 
 
 def _joined(parts: Sequence[Pixels]) -> Pixels:
-    none = np.empty(0, np.int64)
-    along = np.concatenate([none, *(part[0] for part in parts)]).astype(np.int64)
-    across = np.concatenate([none, *(part[1] for part in parts)]).astype(np.int64)
+    empty = np.empty(0, np.int64)
+    along = np.concatenate([empty, *(part[0] for part in parts)]).astype(np.int64)
+    across = np.concatenate([empty, *(part[1] for part in parts)]).astype(np.int64)
     return along, across
 
 
@@ -313,9 +318,7 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 
 
 def _moved(regions: Regions, crs: str) -> Regions:
-    """Return regions in another reference system; corners are moved, and edges are straight there."""
-    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-
+    """Return regions transformed to another reference system; edges between the new corners are straight."""
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
@@ -323,33 +326,32 @@ def _moved(regions: Regions, crs: str) -> Regions:
         corners = between_maps(np.asarray(ring, np.float64), source, target)
         if not np.isfinite(corners).all():
             raise SchemaError(
-                f"a corner at {ring[0][0]:g}, {ring[0][1]:g} is no place of {regions.crs!r:.60}",
-                mend="name the crs that the regions are in",
+                f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
+                mend="name the crs of the regions",
+                code="corner-outside-crs",
             )
         return corners
 
-    members = (
-        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
-        for region in regions
-    )
-    return Regions(tuple(members), regions.coordinates, crs)
+    return _with_rings(regions, moved, crs=crs)
 
 
 def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
-    """Return x and y of every pixel on the ground, and the reference system that regions have to be moved to.
+    """Return x and y of every pixel on the ground, and the reference system to transform regions to.
 
-    That is None where the line has places in the regions' own.
+    This system is None where the line has places in the regions' own.
     """
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
         raise SchemaError(
-            "regions of a map need the place of every pixel: variables east and north, or longitude and "
-            "latitude (along_track, cross_track), or x and y of a map; draw the regions in sensor "
-            "coordinates, or locate the line first"
+            "the line has no place of its pixels on the map",
+            expected="east and north, or longitude and latitude (along_track, cross_track), or x and y of "
+            "a map",
+            mend="draw the regions in sensor coordinates, or locate the line first",
+            code="pixel-places-missing",
         )
     wanted = None if crs is None else _normal(crs)
     fitting = [pair for pair, pair_crs in there.items() if wanted is None or pair_crs in (None, wanted)]
-    # what says that it fits goes before what says nothing
+    # places with a known crs take precedence over those without
     fitting.sort(key=lambda pair: there[pair] is None)
     others = [pair for pair, pair_crs in there.items() if pair_crs is not None]
     if not fitting and others:
@@ -359,7 +361,9 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
         held = ", ".join(f"{x} and {y} ({pair_crs or 'unknown'})" for (x, y), pair_crs in there.items())
         stated = "name no crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
-            f"the regions {stated}, the line has {held}; write the regions in one of these, and name it"
+            f"the regions {stated}, the line has {held}",
+            mend="write the regions in one of these, and name its crs",
+            code="crs-missing" if crs is None else "crs-mismatch",
         )
     x, y = fitting[0]
     return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
@@ -369,7 +373,7 @@ def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
     if not set(pair) <= set(line.variables):
         return False
     dims = [set(line[name].dims) for name in pair]
-    # latitude and longitude of the camera are on along_track alone
+    # the camera's latitude and longitude have along_track only
     return set.union(*dims) == {ALONG_TRACK, CROSS_TRACK}
 
 
@@ -378,8 +382,6 @@ def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
         return _DEGREES
     stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if stated is None and "spatial_ref" in line.variables:
-        from hyperpaint.geometry.georeference.geodesy import crs_of
-
         # as rioxarray opens a GeoTIFF
         mapping = line["spatial_ref"].attrs
         wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
@@ -388,11 +390,11 @@ def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
 
 
 def _normal(crs: str) -> str:
-    """Return the one spelling of a reference system's name; in GeoJSON longitude always comes first."""
+    """Return a unique spelling of a reference system's name; in GeoJSON longitude always comes first."""
     text = crs.strip()
     if text.lower().startswith("urn:ogc:def:crs:"):
         parts = text.split(":")
         text = f"{parts[4]}:{parts[-1]}"
     if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84"):
         return _DEGREES
-    return text if "[" in text else text.upper()  # names within WKT have their case
+    return text if "[" in text else text.upper()  # names within WKT are case-sensitive

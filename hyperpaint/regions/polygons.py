@@ -1,9 +1,9 @@
-"""Which points lie in a polygon: exactly, whatever its coordinates.
+"""Exact test of points in a polygon, for any coordinates.
 
-A point on an edge is inside. To tell "on" from "beside", the sign of a cross product has to be that of the
-numbers as they stand and not of their rounding: where its float64 value is within the bound of its rounding
-error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points a hair beside
-an edge for points on it (tests/regions/test_regions.py, corners divided by three).
+A point on an edge is inside. To distinguish "on" from "beside", the sign of a cross product must hold for the
+exact numbers and not for their rounding: where its float64 value is within the bound of its rounding
+error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points very close to an
+edge for points on it (tests/regions/test_regions.py, corners divided by three).
 
 References
 ----------
@@ -28,21 +28,22 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
-_MOST_EDGES = 100
-"""Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag."""
-_FREE = 10_000_000
-"""Comparisons of an edge with a point that any polygon may take."""
+#: Maximum mean number of edges that pass a pixel on its left or right: few for an outline, thousands for a
+#: zigzag.
+MAX_EDGES_PER_PIXEL = 100
+#: Number of comparisons of an edge with a point that is always allowed.
+FREE_COMPARISONS = 10_000_000
 
 
 def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
-    """Return which points lie in a polygon or on one of its edges (point,).
+    """Return whether points lie in a polygon or on one of its edges (point,).
 
     ``polygon`` (vertex, 2): x and y of its corners, in order, the last joined to the first; ``holes``: rings
     cut out of it, whose edges belong to the polygon; ``x``, ``y`` (point,): the points; NaN are in no
-    polygon. Where a ring crosses itself, what it winds around an even number of times is outside (even-odd
-    rule).
+    polygon. Where a ring crosses itself, areas that it winds around an even number of times are outside
+    (even-odd rule).
 
-    Raises `SchemaError`: too many long edges: it would take minutes.
+    Raises `SchemaError`: too many long edges; the test would take minutes.
 
     Examples
     --------
@@ -58,7 +59,14 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     near_x, near_y = x[near], y[near]
     rings = [polygon, *holes]
     runs = [_runs(ring, near_y) for ring in rings]
-    _check_effort(sum(int((last - first).clip(0).sum()) for first, last in runs), near.size)
+    comparisons = sum(int((last - first).clip(0).sum()) for first, last in runs)
+    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * near.size:
+        raise SchemaError(
+            f"{comparisons / near.size:.0f} edges pass each of {near.size} pixels on average",
+            expected=f"at most {MAX_EDGES_PER_PIXEL}",
+            mend="split the polygon, or give it fewer corners",
+            code="polygon-too-complex",
+        )
     inside = np.ones(near.size, bool)
     for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
         # only points beside a ring can be in it
@@ -72,17 +80,8 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     return belongs
 
 
-def _check_effort(comparisons: int, points: int) -> None:
-    if comparisons > _FREE + _MOST_EDGES * points:
-        raise SchemaError(
-            f"{comparisons / points:.0f} of its edges pass every one of {points} pixels",
-            expected=f"at most {_MOST_EDGES}",
-            mend="split it, or give it fewer corners",
-        )
-
-
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
-    """Return the first point beside every edge, and that after the last one (edge,); y ascends."""
+    """Return the first point beside every edge, and the one after the last (edge,); y ascends."""
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
     last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
@@ -117,12 +116,9 @@ def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.i
     doubtful = np.abs(cross) <= _ROUNDING * (np.abs(left) + np.abs(right)) + _TINIEST
     # a difference of zero is exact, and so is a product with it
     doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
-    for k in np.flatnonzero(doubtful).tolist():
-        side[k] = _exact_side(start, stop, float(x[k]), float(y[k]))
-    return side
-
-
-def _exact_side(start: Floats, stop: Floats, x: float, y: float) -> int:
+    # in rational numbers, exactly
     x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
-    cross = (x1 - x0) * (Fraction(y) - y0) - (y1 - y0) * (Fraction(x) - x0)
-    return (cross > 0) - (cross < 0)
+    for k in np.flatnonzero(doubtful).tolist():
+        exact = (x1 - x0) * (Fraction(float(y[k])) - y0) - (y1 - y0) * (Fraction(float(x[k])) - x0)
+        side[k] = (exact > 0) - (exact < 0)
+    return side

@@ -11,10 +11,10 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, MissingExtraError
 from hyperpaint.base.input_files import open_input
 
+#: First bytes of files by suffix: the libraries go by content, and other formats refer to further files.
 VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
-"""Suffixes, and what files begin with: the reader goes by content, and other kinds name further files."""
 
-_MOST_BYTES = 256 * 2**20
+MAX_VECTOR_FILE_BYTES = 256 * 2**20
 
 
 def features_of(path: Path, most: int) -> dict[str, Any]:
@@ -26,25 +26,30 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     """
     magic = VECTOR_FILES[path.suffix.lower()]
-    with open_input(path, "regions", _MOST_BYTES) as file:
+    with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
         if file.read(len(magic)) != magic:
-            raise FormatError(f"{path}: no {path.suffix[1:]} file of some regions; check what the file is")
+            raise FormatError(
+                f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
+            )
     installed = [name for name in ("pyogrio", "fiona") if importlib.util.find_spec(name)]
     if not installed:
         raise MissingExtraError(
-            f"{path.suffix} files need pyogrio or fiona, and neither is installed",
-            mend="pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            f"{path.suffix} files need pyogrio or fiona",
+            mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            code="dependency-missing",
         )
     read = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
     try:
         crs, features = read(path, most)
     except (FormatError, MissingExtraError):
         raise
-    except Exception as error:  # either has errors of its own for every driver
-        raise FormatError(f"{path}: {installed[0]} cannot read it: {error!s:.200}") from error
+    except Exception as error:  # both libraries raise errors of their own for every driver
+        raise FormatError(
+            f"{path}: {installed[0]} cannot read it: {error!s:.200}", code="file-unreadable"
+        ) from error
     if not crs:
         raise FormatError(
-            f"{path}: no crs, so that nothing tells where its regions lie; set that of the layer"
+            f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
         )
     return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
 
@@ -56,7 +61,9 @@ def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]
         import shapely
     except ImportError as error:
         raise MissingExtraError(
-            "polygons that pyogrio reads need shapely, which is not installed", mend="pip install shapely"
+            "polygons read by pyogrio need shapely",
+            mend="install it with: python -m pip install shapely",
+            code="dependency-missing",
         ) from error
     layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
     meta, _, shapes, columns = pyogrio.raw.read(path, layer=_only(path, layers), max_features=most + 1)
@@ -79,25 +86,30 @@ def _by_fiona(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
         features = [
             {
                 "type": "Feature",
-                "geometry": one.geometry and one.geometry.__geo_interface__,
-                "properties": {name: _plain(value) for name, value in one.properties.items()},
+                "geometry": feature.geometry and feature.geometry.__geo_interface__,
+                "properties": {name: _plain(value) for name, value in feature.properties.items()},
             }
-            for _, one in zip(range(most + 1), layer, strict=False)
+            for _, feature in zip(range(most + 1), layer, strict=False)
         ]
         return layer.crs.to_wkt() or None, features
 
 
 def _only(path: Path, layers: list[str]) -> str:
-    # styles that QGIS keeps beside a layer are no layer
+    # QGIS stores styles beside a layer
     layers = [name for name in layers if name != "layer_styles"]
     if len(layers) != 1:
         held = ", ".join(map(repr, layers)) or "none"
-        raise FormatError(f"{path}: layers {held}, expected one; save the one with the regions alone")
+        raise FormatError(
+            f"{path}: layers {held}",
+            expected="one",
+            mend="save the layer with the regions alone",
+            code="layer-ambiguous",
+        )
     return layers[0]
 
 
 def _plain(value: Any) -> Any:
-    """Return a property as JSON holds it; what is not there is None."""
+    """Return a property as a JSON value; NaN becomes None."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float) and value != value:
         return None

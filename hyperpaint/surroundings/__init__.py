@@ -1,7 +1,7 @@
-"""One look at a whole scene, the flags and the corrections of light that follow from it.
+"""Survey of a whole scene, with the flags and the corrections of light that follow from it.
 
-A line with reflectance comes in; a `SceneModel`, layers and bits of ``quality``, or corrected
-reflectance go out. For regions, paints, pictures and every room above. `rules` holds the thresholds.
+A line with reflectance comes in; a `SceneModel`, layers and bits of ``quality``, or corrected reflectance go
+out. For regions, paints, pictures and every room above. `detection_rules` holds the thresholds.
 """
 
 import lazy_loader

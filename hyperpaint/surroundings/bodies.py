@@ -1,4 +1,4 @@
-"""Bodies in full light: which are coloured enough to light others, and their spectra without glint."""
+"""Bodies in full light: coloured bodies that light others, and reference spectra without glint."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from hyperpaint.base.arrays import Bools, Floats, Floats32, Ints
 
@@ -18,9 +19,9 @@ from .segments import Touching, beyond, distinct_pairs
 
 
 def coloured(spectrum: Floats, light: Light) -> Floats:
-    """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1].
+    """Return the colour of spectra (segment,): rms residual of a fit of direct light and grey [1].
 
-    Of the channels that are known; 0 where those are too few to tell.
+    Over the channels with values; 0 where these are too few.
     """
     basis = np.stack([np.ones_like(light.direct), light.diffuse], axis=1)
     is_finite = np.isfinite(spectrum)
@@ -36,17 +37,17 @@ def coloured(spectrum: Floats, light: Light) -> Floats:
 
 
 def coloured_bodies(spectrum: Floats, light: Light) -> Bools:
-    """Tell which spectra are coloured enough to be told from what they mirror of the sun (segment,)."""
+    """Return whether spectra are coloured enough to be distinguished from mirrored sunlight (segment,)."""
     return np.asarray(_relative_colour(spectrum, light) > BODIES.min_paint_colour)
 
 
 def nearest_coloured(
     number: npt.NDArray[np.int32], size: Ints, spectrum: Floats, matches: Matches, light: Light, reach: int
 ) -> npt.NDArray[np.int32]:
-    """Return the nearest coloured segments (cell_along, cell_cross, rank) that lie in full light.
+    """Return the nearest coloured segments (cell_along, cell_cross, rank) in full light.
 
     Takes ``number`` (line, column): segment of every pixel; ``size``, ``spectrum``, ``matches``: of the
-    segments; ``light``: parts of the irradiance; ``reach``: how far light is followed [pixel].
+    segments; ``light``: parts of the irradiance; ``reach``: maximum distance of their light [pixel].
     """
     from hyperpaint.kernels.segmentation import nearest_sources
 
@@ -69,35 +70,33 @@ def nearest_coloured(
 
 
 _BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
+#: Prior of the amounts in a pixel: expected values and standard deviations (2, part).
 _AS_PIXEL = np.transpose(
     [(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), (0.0, 0.03), *_BESIDE]
 )
-"""What amounts are expected in a pixel, and how far from it they may come to lie (2, part)."""
 
 
 class Paints(NamedTuple):
     """Bodies of one paint."""
 
-    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies that show the same paint as a segment's.
-    #: (pair,): Bodies near one another that do, both ways round.
+    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies with the same paint as a segment.
+    #: (pair,): Bodies of the same paint near one another, in both orders.
     one: Ints
     other: Ints
 
 
 def _relative_colour(spectrum: Floats, light: Light) -> Floats:
-    """Return how coloured spectra are, relative to their brightness (segment,) [1]."""
+    """Return the colour of spectra relative to their brightness (segment,) [1]."""
     level = np.nan_to_num(spectrum).mean(axis=1)
     return np.asarray(coloured(spectrum, light) / np.maximum(level, 1e-6))
 
 
 def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light) -> Paints:
-    r"""Find the bodies that are parts of one car: of the same colour, but for tilt and glint.
+    r"""Return the bodies that are parts of one car: of the same colour, except for tilt and glint.
 
-    Of bodies that touch, or have something small between them, one is the other's paint where
-    :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}` fits it to 2 %. Grey ones are not told apart, nor joined.
+    For bodies that touch, or have a small segment between them, one is the other's paint where :math:`\rho (c
+    f_{dir} + V f_{dif}) + g f_{dir}` fits it to 2 %. Grey bodies cannot be distinguished, and are not joined.
     """
-    import scipy.sparse
-
     near = beyond(pairs, size)
     one, other = matches.body[near[0]].astype(np.int64), matches.body[near[1]].astype(np.int64)
     paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > BODIES.min_paint_colour)
@@ -112,8 +111,8 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
     joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=shape)
     _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     _, first = np.unique(label, return_index=True)
-    both = np.concatenate([one, other]), np.concatenate([other, one])
-    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both, size.size))
+    both_orders = np.concatenate([one, other]), np.concatenate([other, one])
+    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both_orders, size.size))
 
 
 def clean_references(
@@ -126,17 +125,17 @@ def clean_references(
     neighbours: Callable[[Ints], npt.NDArray[np.int32]],
     zenith: float,
 ) -> tuple[Floats, Floats]:
-    """Return the spectra of bodies (segment, channel) without glint, and how far their parts lean (segment,).
+    """Return the spectra of bodies (segment, channel) without glint, and the lean of their parts (segment,).
 
-    Where what glint and neighbours add differs from pixel to pixel by over 0.003, those with the least of it
-    are averaged. On grey bodies its amount is not seen; where brightness differs by more than tilt towards
-    the sun can do, the darkest pixels that see as much of the sky are taken, and the rest is glint. Bodies
-    that are glinted all over show their paint where another part of the car does.
+    Where the light added by glint and neighbours differs from pixel to pixel by over 0.003, the pixels with
+    least of it are averaged. On grey bodies its amount cannot be seen; where brightness differs by more than
+    tilt towards the sun allows, the darkest pixels that see as much of the sky are used, and the rest is
+    glint. For bodies wholly in glint another part of the car shows the paint.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``places``: pixels of every segment;
     ``spectrum``, ``matches``, ``paints``, ``light``: of the segments, and the irradiance; ``neighbours``:
-    gives the coloured segments beside pixels (pixel, 2); ``zenith``: of the sun [degree]; NaN where not
-    known.
+    returns the coloured segments beside pixels (pixel, 2); ``zenith``: of the sun [degree]; NaN where
+    unknown.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)
@@ -165,7 +164,7 @@ def clean_references(
             first, last = np.quantile(extra, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)
             chosen = (extra >= first) & (extra <= last) & (direct > 0.7)
             if chosen.sum() >= BODIES.min_clean_px:
-                # as the body usually leans, which without glint need not be as those pixels do
+                # scaled to the usual lean of the body, which may differ from the lean of those pixels
                 usual = 1.0 if grey else np.median(direct) / np.median(direct[chosen])
                 reference[segment] = values[chosen].mean(axis=0) * usual
     reference -= _common_glint(reference, places, paints, light) @ np.stack([light.direct, light.sunward])
@@ -173,10 +172,10 @@ def clean_references(
 
 
 def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
-    """Return the mean of a grey body's darkest pixels, None where they are not what is without glint.
+    """Return the mean of a grey body's darkest pixels; None where these may not be free of glint.
 
-    The brightest are brighter by ``most`` at least; half of the body is not much brighter, as it would be
-    beside a shadow; and as much of the sky is seen as elsewhere.
+    The brightest are brighter by ``most`` at least; half of the body is not much brighter, unlike beside a
+    shadow; and the darkest see as much of the sky as other pixels.
     """
     if not light.direct.any():
         return None
@@ -199,9 +198,9 @@ def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
 def _additions(
     values: Floats, segment: int, finite_spectrum: Floats, light: Light, neighbours: npt.NDArray[np.int32]
 ) -> tuple[Floats, Floats]:
-    """Return what glint and neighbours add to pixels, up to a constant, and their amounts of direct light.
+    """Return the light added to pixels by glint and neighbours, up to a constant, and their direct light.
 
-    An amount of each is added to all before, so that less than in the mean shows as well.
+    An amount of each is first added to all pixels, so that less than the mean shows as well.
     """
     first = neighbours[:, 0]
     mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
@@ -212,9 +211,9 @@ def _additions(
 
 
 def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
-    """Return the mirror images of the sun, and of the sky around it, that all of a body lies in (segment, 2).
+    """Return the mirrored sun, and sky around it, that covers a whole body (segment, 2).
 
-    As other parts of the same paint show them.
+    From a comparison with other parts of the same paint.
     """
     size = np.array([here.size for here in places])
     large = size[paints.other] >= BODIES.min_part_share * size[paints.one]

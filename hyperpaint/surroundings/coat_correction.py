@@ -1,10 +1,11 @@
-"""The body under a clear coat, as it is near its normal, from what is seen of it under sun and sky."""
+"""Reflectance of the body under a clear coat near its normal, from reflectance under sun and sky."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
@@ -13,18 +14,23 @@ from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 
-from .corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, as_fractions, sky_above, with_correction
+from .corrections import (
+    LEVELS,
+    NORMAL_REFLECTANCE,
+    WIDTHS,
+    as_fractions,
+    note_unusable,
+    sky_above,
+    with_correction,
+)
 from .light_split import LightSplit, split_of
 from .sun_and_sky import sun_zenith_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Attribute of reflectance with the assumed coat.
 COAT_CORRECTED = "coat_corrected"
-"""Attribute of reflectance that says what a coat was taken for."""
 
+#: Standard deviation of the lean of roofs and bonnets that are taken as level [degree].
 LEAN_U_DEG = 2.0
-"""Standard deviation of the lean of roofs and bonnets that pass for level [degree]."""
 
 
 @takes_quantities(sun_zenith="degree", view_zenith="degree", lean_u="degree")
@@ -39,56 +45,56 @@ def correct_coat(
     view_zenith: float | None = None,
     sky: str | None = None,
 ) -> xr.Dataset:
-    r"""Divide by what a clear coat lets through, over what it lets through near the normal.
+    r"""Divide by the transmission of a clear coat relative to its transmission near the normal.
 
-    Lazy. For paint whose mirrored sky was removed (`remove_mirrored_sky`): a body under a coat is lit by less
-    the lower the sun stands, 5 % less at 60 degrees, 8 % at 65. For one lean of the panel, level unless
-    `correct_light` is told otherwise; the angle of the sun to its normal is taken for ``sun_zenith``.
+    Lazy. For paint whose mirrored sky was removed (`remove_mirrored_sky`): a body under a coat receives less
+    light the lower the sun stands, 5 % less at 60 degrees, 8 % at 65. Assumes a level body part, unless
+    `correct_light` was applied; then ``sun_zenith`` is the angle of the sun to its normal.
 
     Parameters
     ----------
     line
         Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; or a paint library,
-        whose ``sun_zenith``, ``view_zenith`` and ``diffuse_fraction`` are those of each paint.
+        with ``sun_zenith``, ``view_zenith`` and ``diffuse_fraction`` of each paint.
     index, index_u
         Refractive index of the coat, and its standard uncertainty [1].
     lean_u
-        Standard uncertainty of the angle between sun and panel [degree].
+        Standard uncertainty of the angle between sun and body part [degree].
     diffuse, sun_zenith, sky
         As for `remove_mirrored_sky`.
     view_zenith
-        Angle between the panel's normal and the camera [degree]; by default that of a library's paints, 0 for
-        a line: up to 40 degrees it matters by 0.6 %.
+        Angle between the body part's normal and the camera [degree]; by default that of a library's paints, 0
+        for a line: up to 40 degrees its effect is 0.6 %.
 
     Returns
     -------
     Dataset
-        The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the coat's
-        own share in ``reflectance_u_systematic`` where that is known, and ``coat_transmission`` C and
-        ``coat_transmission_u`` [1]; of a library also ``reflectance_u_coat`` [1], what C and the mirrored sky
-        that was subtracted leave uncertain, alike in all pixels of a paint. Attributes of reflectance:
-        ``coat_corrected``; ``quantity``, which is then that of the body under the coat;
+        The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the
+        uncertainty of the coat included in ``reflectance_u_systematic`` where present, and
+        ``coat_transmission`` C and ``coat_transmission_u`` [1]; for a library also ``reflectance_u_coat``
+        [1], the uncertainty from C and the subtracted mirrored sky, common to all pixels of a paint.
+        Attributes of reflectance: ``coat_corrected``; ``quantity``, which is then the body under the coat;
         ``specular_component`` "excluded".
 
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the mirrored sky is in it, the
-        coat was corrected before, or the split or the sun is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the mirrored sky is included,
+        the coat was corrected before, or the split or the sun is unknown; all are listed.
 
     Warns
     -----
     PaintWarning
-        Nothing says what the sky was, and a clear one is taken.
+        The state of the sky is unknown, and a clear one is assumed.
 
     Notes
     -----
     .. math:: \rho = \rho_{seen} / C, \qquad C = \frac{f_{dir} (1 - F(\theta_s)) + f_{dif} (1 - F_{sky})}
               {1 - F(0)} \cdot \frac{1 - F(\theta_v)}{1 - F(0)}
 
-    with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C is that of
-    the index, of the lean, and of the diffuse fraction; that of the mirrored sky is of the index, by which
-    F(0) goes with :math:`4 (n - 1) / (n + 1)^3`, and of the fraction.
+    with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C combines
+    those of the index, the lean, and the diffuse fraction; the uncertainty of the mirrored sky combines the
+    index, on which F(0) depends with :math:`4 (n - 1) / (n + 1)^3`, and the fraction.
 
     Examples
     --------
@@ -100,7 +106,26 @@ def correct_coat(
     array([0.508, 0.504], dtype=float32)
     """
     line = schema.rename_to_roles(line)
-    _check(line, index=(index, 1.0, 3.0), index_u=(index_u, 0.0, 1.0), lean_u=(lean_u, 0.0, 45.0))
+    problems = Problems("the coat's share cannot be corrected", SchemaError)
+    numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
+    note_unusable(problems, line, numbers)
+    if "reflectance" in line.variables:
+        before = line["reflectance"].attrs
+        if COAT_CORRECTED in before:
+            problems.add(
+                f"the coat was corrected before: {COAT_CORRECTED} is {before[COAT_CORRECTED]!r}",
+                mend="start from reflectance without this correction",
+                code="corrected-before",
+            )
+        elif mirror_reflection(line) != EXCLUDED:
+            problems.add(
+                "the reflectance includes the sky that the coat mirrors, or does not say that it excludes it",
+                mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
+                f"{EXCLUDED!r} where there is none",
+                option="give --specular-sky",
+                code="mirrored-sky-included",
+            )
+    problems.raise_if_any()
     line = as_fractions(line)
     coat = (float(index), float(index_u), float(lean_u))
     if SIGNATURE in line["reflectance"].dims:
@@ -111,42 +136,22 @@ def correct_coat(
         shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
     whole, u, mirror_u = (share.astype(np.float32) for share in shares)
     corrected = {name: line[name] / whole for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    # what was subtracted of the mirrored sky is not known better than index and split are
+    # the subtracted mirrored sky is as uncertain as index and split
     was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
-    own = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
+    coat_u = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
     if "reflectance_u_systematic" in corrected:
-        corrected["reflectance_u_systematic"] = (corrected["reflectance_u_systematic"] ** 2 + own**2) ** 0.5
+        corrected["reflectance_u_systematic"] = (
+            corrected["reflectance_u_systematic"] ** 2 + coat_u**2
+        ) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
     result = with_correction(line, corrected, COAT_CORRECTED, text)
-    said = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
-    result["reflectance"] = result["reflectance"].assign_attrs(said)
+    attrs = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
+    result["reflectance"] = result["reflectance"].assign_attrs(attrs)
     layers = {"coat_transmission": whole, "coat_transmission_u": u}
     table = schema.LIBRARY_VARIABLES if SIGNATURE in line["reflectance"].dims else schema.VARIABLES
     if SIGNATURE in line["reflectance"].dims:
-        layers["reflectance_u_coat"] = own.transpose(SIGNATURE, BAND).astype(np.float32)
+        layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
     return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
-
-
-def _check(line: xr.Dataset, **numbers: tuple[float, float, float]) -> None:
-    problems = Problems("the coat's share cannot be corrected", SchemaError)
-    for name in ("reflectance", "wavelength"):
-        if name not in line.variables:
-            problems.add(f"{name!r} is missing")
-    for name, (value, least, most) in numbers.items():
-        if not least <= value <= most:
-            problems.add(f"{name}={value!r}, expected {least:g} to {most:g}")
-    if "reflectance" in line.variables:
-        attrs = line["reflectance"].attrs
-        if COAT_CORRECTED in attrs:
-            problems.add(f"it was before: {COAT_CORRECTED} is {attrs[COAT_CORRECTED]!r}")
-        elif mirror_reflection(line) != EXCLUDED:
-            problems.add(
-                "the sky that the coat mirrors is in the reflectance, or nothing says that it is not",
-                mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
-                f"{EXCLUDED!r} where there is none",
-                option="give --specular-sky",
-            )
-    problems.raise_if_any()
 
 
 def _shares(
@@ -163,8 +168,10 @@ def _shares(
         return transmitted_share(fraction, sky, float(np.clip(angle, 0.0, 89.9)), view, n)
 
     whole = share(split.fraction, index, incidence)
-    by_index = 0.5 * (share(split.fraction, index + index_u, incidence)
-                      - share(split.fraction, max(1.0, index - index_u), incidence))  # fmt: skip
+    by_index = 0.5 * (
+        share(split.fraction, index + index_u, incidence)
+        - share(split.fraction, max(1.0, index - index_u), incidence)
+    )
     leans = [abs(share(split.fraction, index, incidence + turn) - whole) for turn in (-lean_u, lean_u)]
     by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
     whole_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
@@ -176,8 +183,7 @@ def _shares(
 
 
 def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
-    """Return the sky's light that the coat reflects, on the dims of the split."""
-    import xarray as xr
+    """Return the share of the sky's light that the coat reflects, on the dims of the split."""
 
     def of(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
@@ -194,9 +200,7 @@ def _of_paints(
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
-    """Return `_shares` (signature, band), each paint under its own sun; ``light`` as `split_of`'s."""
-    import xarray as xr
-
+    """Return `_shares` (signature, band), each paint under its sun; ``light``: arguments of `split_of`."""
     diffuse, sun_zenith, sky = light
     wanted = (
         "wavelength",
@@ -209,15 +213,15 @@ def _of_paints(
     small = library[[name for name in wanted if name in library.variables]].reset_coords().compute()
     rows = []
     for number in range(library.sizes[SIGNATURE]):
-        one = small.isel({SIGNATURE: number})
+        paint = small.isel({SIGNATURE: number})
         zenith = sun_zenith
-        if zenith is None and "sun_zenith" in one and np.isfinite(one["sun_zenith"].item()):
-            zenith = float(one["sun_zenith"].item())
-        if "diffuse_fraction" in one and not np.isfinite(one["diffuse_fraction"]).any():
-            one = one.drop_vars("diffuse_fraction")
-        split = split_of(one, diffuse, zenith, sky)
-        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(one, zenith)
-        view = one["view_zenith"].item() if view_zenith is None and "view_zenith" in one else view_zenith
+        if zenith is None and "sun_zenith" in paint and np.isfinite(paint["sun_zenith"].item()):
+            zenith = float(paint["sun_zenith"].item())
+        if "diffuse_fraction" in paint and not np.isfinite(paint["diffuse_fraction"]).any():
+            paint = paint.drop_vars("diffuse_fraction")
+        split = split_of(paint, diffuse, zenith, sky)
+        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, zenith)
+        view = paint["view_zenith"].item() if view_zenith is None and "view_zenith" in paint else view_zenith
         at = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
         rows.append(_shares(split, incidence, at, coat))
     return tuple(

@@ -1,15 +1,16 @@
-"""Corrections of reflectance for the light of the sky: what a coat mirrors of it, tilt, hidden sky.
+"""Corrections of reflectance for the light of the sky: mirrored sky, tilt, hidden sky.
 
-Made on request only; each says in the attributes of ``reflectance`` what was done.
+Made on request only; each is recorded in the attributes of ``reflectance``.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
@@ -21,30 +22,27 @@ from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 from .light_split import LightSplit, split_of
 from .sun_and_sky import OVERCAST_ZENITH
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Attributes of reflectance that record corrections.
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
-"""Attributes of reflectance that say what was corrected."""
 
+#: Largest change of the direct light that changes the diffuse light as well, as a lean does [1].
 MAX_TILT_GAIN = 0.3
-"""Change of the direct light up to which a surface gains sky with it, as one that leans [1]."""
 
+#: Normal reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
 NORMAL_REFLECTANCE = 0.04
-"""Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
 
-_MENDED = {
-    "mirrored_sky_removed": "start from reflectance that is as it was seen",
-    "coat_corrected": "start from reflectance that is as it was seen, and correct the coat last",
-    "light_corrected": "start from reflectance that is as it was seen, and remove the mirrored sky first",
-    "tilt": "compute reflectance without tilt=, remove the mirrored sky first where it is to be removed, "
-    "then call correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
+#: Remedy by the correction that was made before.
+_MENDS = {
+    "mirrored_sky_removed": "start from uncorrected reflectance",
+    "coat_corrected": "start from uncorrected reflectance, and correct the coat last",
+    "light_corrected": "start from uncorrected reflectance, and remove the mirrored sky first",
+    "tilt": "compute reflectance without tilt=, remove the mirrored sky if wanted, then call "
+    "correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
-"""How to go on where a correction was made before."""
 
+#: Variables of a flight line or paint library that shift with a subtraction, and those that only scale.
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
-"""Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -59,7 +57,7 @@ def remove_mirrored_sky(
 ) -> xr.Dataset:
     r"""Subtract the sky that a clear coat mirrors, as seen from above.
 
-    Lazy. For paint; asphalt, which mirrors nothing, comes out too dark in the blue by as much.
+    Lazy. For paint; on asphalt, which mirrors nothing, the result is too dark in the blue.
 
     Parameters
     ----------
@@ -72,35 +70,36 @@ def remove_mirrored_sky(
     diffuse, sun_zenith
         Direct/diffuse split, see `hyperpaint.surroundings.survey`.
     sky
-        "clear", darker at the zenith than its mean when the sun is low; "uniform"; "overcast", brighter there
-        (CIE). By default what ``sky_state`` of the lines says, between clear and overcast where it is broken
-        or contradictory; clear with a modelled split, uniform with a measured one, which may be of any sky.
+        "clear", darker at the zenith than its mean under a low sun; "uniform"; "overcast", brighter there
+        (CIE). By default from ``sky_state`` of the lines, between clear and overcast where it is broken or
+        contradictory; clear with a modelled split, uniform with a measured one, which may be of any sky.
 
     Returns
     -------
     Dataset
-        The same with ``reflectance`` lowered, and a library's quantiles and members; the attribute
-        ``mirrored_sky_removed`` of reflectance says by what, and ``mirror_reflection`` is "excluded".
+        The same with reduced ``reflectance``, and a library's quantiles and members; the attribute
+        ``mirrored_sky_removed`` of reflectance records the correction, and ``mirror_reflection`` is
+        "excluded".
 
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed before or all
-        divided by a tilted surface's light (`correct_light`, or ``tilt=`` of `hyperpaint.reflectance`), or
-        the split or the sky is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers are outside 0 to 1, the sky was removed or the
+        light corrected before (`correct_light`, or ``tilt=`` of `hyperpaint.reflectance`), or the split or
+        the sky is unknown; all are listed.
 
     Warns
     -----
     PaintWarning
-        Nothing says what the sky was, and a clear one is taken.
+        The state of the sky is unknown, and a clear one is assumed.
 
     Notes
     -----
     .. math:: \rho = \rho_{obs} - F_0 V f_{dif} L_z / \bar L
 
-    with the radiance :math:`L_z` of the zenith, which a level panel mirrors, over the mean of the sky. Of a
-    tilted panel, the sky is removed first, and the light corrected then: what is mirrored does not become
-    more with the light that falls on the paint.
+    with the radiance :math:`L_z` of the zenith, which a level body part mirrors, over the mean of the sky.
+    For a tilted body part, remove the sky first, and correct the light then: mirrored light does not grow
+    with the light on the paint.
 
     Examples
     --------
@@ -111,8 +110,9 @@ def remove_mirrored_sky(
     array([0.032, 0.031], dtype=float32)
     """
     line = schema.rename_to_roles(line)
-    # what a tilted surface mirrors is subtracted before all is divided by its light
-    _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
+    # the sky mirrored by a tilted surface is subtracted before the division by its light
+    numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
+    _check(line, CORRECTIONS, numbers)
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     above = sky_above(split)
@@ -136,9 +136,9 @@ def correct_light(
     sun_zenith: float | None = None,
     sky: str | None = None,
 ) -> xr.Dataset:
-    r"""Divide by the light that a tilted surface, or one with part of its sky hidden, gets.
+    r"""Divide by the light on a tilted surface, or on one with partly hidden sky.
 
-    Lazy. For one surface, whose attitude is known or was found (`hyperpaint.surroundings.flag` gives 1 - c as
+    Lazy. For one surface of known or estimated attitude (`hyperpaint.surroundings.flag` gives 1 - c as
     ``blocked_direct``); `hyperpaint.reflectance` takes a `Tilt` where it is known in degrees.
 
     Parameters
@@ -149,30 +149,30 @@ def correct_light(
         Direct light relative to level ground, c = cos(incidence) / cos(zenith) [1]: a number, or a DataArray
         on dims of the line.
     sky_view_factor
-        Part of the sky that is seen, V [1]; as ``direct``.
+        Visible part of the sky, V [1]; as ``direct``.
     neighbour_reflectance
-        Of what hides the rest [1].
+        Reflectance of the objects that hide the rest [1].
     diffuse, sun_zenith
         Direct/diffuse split, see `hyperpaint.surroundings.survey`.
     sky
-        As for `remove_mirrored_sky`; under an overcast sky a small lean changes as little as under a uniform.
+        As for `remove_mirrored_sky`; a small lean changes as little under an overcast as under a uniform sky.
 
     Returns
     -------
     Dataset
         The same with ``reflectance`` and its uncertainties divided, and a library's spread, quantiles and
-        members; NaN where there is no light. The attribute ``light_corrected`` of reflectance says by what.
+        members; NaN without light. The attribute ``light_corrected`` of reflectance records the correction.
 
     Raises
     ------
     SchemaError
         ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the light was corrected before
-        (here, or by ``tilt=`` of `hyperpaint.reflectance`), or the split is not known; all are listed.
+        (here, or by ``tilt=`` of `hyperpaint.reflectance`), or the split is unknown; all are listed.
 
     Warns
     -----
     PaintWarning
-        Nothing says what the sky was, and a clear one is taken.
+        The state of the sky is unknown, and a clear one is assumed.
 
     Notes
     -----
@@ -195,7 +195,8 @@ def correct_light(
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
-    _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
+    numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}
+    _check(line, ("light_corrected", "tilt"), {name: (value, 0.0, 10.0) for name, value in numbers.items()})
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
@@ -216,38 +217,48 @@ def correct_light(
     return with_correction(line, corrected, "light_corrected", text)
 
 
-def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
-    problems = Problems("reflectance cannot be corrected", SchemaError)
+def note_unusable(
+    problems: Problems, line: xr.Dataset, numbers: Mapping[str, tuple[float, float, float]]
+) -> None:
+    """Note missing variables of a line, and numbers (value, least, most) out of range."""
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
-            problems.add(f"{name!r} is missing")
-    for name, value in numbers.items():
-        if not 0.0 <= value <= most:
-            problems.add(f"{name}={value!r}, expected 0 to {most:g}")
+            problems.add(f"{name!r} is missing", code="variable-missing")
+    for name, (value, least, most) in numbers.items():
+        if not least <= value <= most:
+            problems.add(f"{name}={value!r}", expected=f"{least:g} to {most:g}", code="value-out-of-range")
+
+
+def _check(
+    line: xr.Dataset, done: tuple[str, ...], numbers: Mapping[str, tuple[float, float, float]]
+) -> None:
+    problems = Problems("reflectance cannot be corrected", SchemaError)
+    note_unusable(problems, line, numbers)
     before = line["reflectance"].attrs if "reflectance" in line.variables else {}
     for name in done:
         if name in before:
-            problems.add(f"it was before: {name} is {before[name]!r}; {_MENDED[name]}")
+            problems.add(
+                f"corrected before: {name} is {before[name]!r}", mend=_MENDS[name], code="corrected-before"
+            )
     problems.raise_if_any()
 
 
 @contextlib.contextmanager
 def _same_pixels() -> Iterator[None]:
-    """Refuse arrays of other lines or columns than the line's, which xarray would cut to those in common."""
-    import xarray as xr
-
+    """Raise for arrays with other lines or columns than the line; xarray would cut to the common ones."""
     try:
         with xr.set_options(arithmetic_join="exact"):
             yield
     except xr.AlignmentError as error:
         raise SchemaError(
-            "direct= or sky_view_factor= is of other lines or columns than the line",
+            "direct= or sky_view_factor= has other lines or columns than the line",
             mend="crop them alike, or drop their coordinates along_track and cross_track",
+            code="grid-mismatch",
         ) from error
 
 
 def as_fractions(line: xr.Dataset) -> xr.Dataset:
-    """Return the line with what is corrected in units of 1."""
+    """Return the line with all variables to correct in units of 1."""
     names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
     return line.assign({name: convert(line[name], "1") for name in names})
 
@@ -262,26 +273,26 @@ def sky_above(split: LightSplit) -> Any:
 
 def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None) -> LightSplit:
     if isinstance(diffuse, str) and diffuse == "shadow":
-        raise SchemaError("diffuse='shadow', expected 'model', 'pvlib' or a measured spectrum")
+        raise SchemaError(
+            "diffuse='shadow'", expected="'model', 'pvlib' or a measured spectrum", code="choice-unknown"
+        )
     return split_of(line, diffuse, sun_zenith, sky)
 
 
 def _on_bands(values: Any) -> xr.DataArray:
-    import xarray as xr
-
     return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 
 def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
-    """Return the line with what was corrected, and say so."""
+    """Return the line with corrected variables and the attributes of the correction."""
     done = {
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
     }
-    said = {}
+    attrs = {}
     if name == "mirrored_sky_removed":
-        said = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
-    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
+        attrs = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
+    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **attrs})
     corrected = line.assign(done)
     if SIGNATURE in line["reflectance"].dims:
         before = line.attrs.get("corrections", "none")

@@ -1,7 +1,7 @@
 """Thresholds of the survey and of the flags: one frozen dataclass a detector.
 
-Each field says what it limits and in which unit. Numbers were chosen on simulated scenes (analytic and
-ray-traced car parks) unless the field says otherwise.
+Each field states its meaning and unit. Numbers were chosen on simulated scenes (analytic and
+ray-traced car parks) unless the field states otherwise.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Contact(NamedTuple):
-    """How a segment touches its lit body, at least: a share of its border, and which side that is on.
+    """Minimum contact of a segment with its lit body: a share of its border, and its mean direction.
 
     ``way`` is the mean direction of the sides in touch, 1 where all are away from the sun, -1 towards it.
     """
@@ -21,7 +21,7 @@ class Contact(NamedTuple):
 
 
 class Direct(NamedTuple):
-    """Direct light, at most: what grey things send passes for it, the more of it the more sky they hide."""
+    """Maximum direct light: grey objects send light that looks direct, more of it the more sky they hide."""
 
     open: float
     hidden: float
@@ -35,8 +35,8 @@ class SurveyRules:
     min_edge_distance_px: int = 2  #: Distance from a boundary from which on spectra count [pixel].
     max_noise_pairs: int = 100_000  #: Pairs of neighbouring pixels that noise is estimated from, at most.
     min_noise_level: float = 0.01  #: Reflectance that noise is relative to, at least [1].
-    #: Direct part of the light, at least: with less, nothing casts a shadow that is seen, and no sun is
-    #: mirrored; what is darker may be anything [1].
+    #: Direct part of the light, at least: with less, no shadow is visible, and no sun is
+    #: mirrored; darker segments may be anything [1].
     min_direct: float = 0.05
 
 
@@ -48,20 +48,20 @@ class SegmentRules:
     #: Scale k of Felzenszwalb & Huttenlocher (2004): n pixels are joined over steps k/n above their
     #: own.
     granularity: float = 1.0
-    min_pixels: int = 12  #: Pixels of a segment, at least; what is smaller goes with its neighbour.
-    min_core_px: int = 3  #: Pixels with only their like around them, at least: what is thinner is a boundary.
-    max_sample_px: int = 2048  #: Pixels of a segment that are looked at, at most.
+    min_pixels: int = 12  #: Minimum size of a segment [pixel]; smaller ones join a neighbour.
+    min_core_px: int = 3  #: Minimum number of inner pixels: a thinner segment is a boundary.
+    max_sample_px: int = 2048  #: Maximum number of pixels of a segment that are used.
     min_border_sides: int = 3  #: Sides of pixels from which on segments touch by more than a corner.
     max_bridge_px: int = 3000  #: Pixels of a segment that links two others, at most.
 
 
 @dataclass(frozen=True)
 class MirrorRules:
-    """What clear coats and glass mirror of the sky to a camera above; from Fresnel's equations, not tuned.
+    """Sky mirrored by clear coats and glass to a camera above; from Fresnel's equations, not tuned.
 
-    A panel that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55 reflects
-    0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith (sun at
-    60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
+    A body part that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55
+    reflects 0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith
+    (sun at 60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
     """
 
     max_above: float = 0.12  #: Amount of the zenith's light beyond that of the rest of the body, at most [1].
@@ -76,30 +76,30 @@ class MirrorRules:
 
 @dataclass(frozen=True)
 class GlintRules:
-    """Segments that are another's surface under the sun's mirror image."""
+    """Segments that are another segment's surface under the mirror image of the sun."""
 
-    shade_tolerance: float = 0.08  #: Tolerance of spectra in shadow, relative to what is seen [1].
-    tolerance: float = 0.02  #: Tolerance of spectra in glint, relative to what is seen [1].
+    shade_tolerance: float = 0.08  #: Tolerance of spectra in shadow, relative to the reflectance [1].
+    tolerance: float = 0.02  #: Tolerance of spectra in glint, relative to the reflectance [1].
     floor: float = 0.0005  #: Tolerance of any spectrum, in reflectance [1].
-    #: Misfit of what could be a shadow, relative to what is seen, at most [1].
+    #: Misfit of a possible shadow, relative to the reflectance, at most [1].
     max_shade_misfit: float = 0.11
-    #: Brightness of what could be a shadow, relative to its body, at most [1].
+    #: Brightness of a possible shadow, relative to its body, at most [1].
     max_shade_brightness: float = 0.5
-    min_shade_sky: float = 0.2  #: Amount of the sky's light in what could be a shadow, at least [1].
+    min_shade_sky: float = 0.2  #: Amount of the sky's light in a possible shadow, at least [1].
     max_shade_sky: float = 1.15  #: The same, at most [1].
     #: Step of pixels over a border, relative to the difference of both sides, below which light fades
     #: out [1].
     max_fading_step: float = 0.35
     min_glint: float = 0.004  #: Glint of a segment, at least [1].
     min_body_share: float = 1.0  #: Pixels of the body relative to those of the segment, at least [1].
-    #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
+    #: Direct light on a surface that faces the sun, relative to a body that leans away a little, at most [1].
     max_tilt: float = 1.1
-    rounds: int = 6  #: Turns in which glint is looked for beside what is in glint already.
+    rounds: int = 6  #: Maximum number of iterations that extend glint.
 
 
 @dataclass(frozen=True)
 class LobeRules:
-    """Mirror images of the sun as spots on a panel.
+    """Mirror images of the sun as spots on a body part.
 
     Set on ray-traced car parks of the real fleet, whose coats of 70 gloss units and more mirror the sun as
     spots of some pixels in the middle of the flakes' broad lobe, and on coats of roughness 0.05.
@@ -110,7 +110,8 @@ class LobeRules:
     #: Third darkest of those, relative to their median, at least: others lie beside an edge [1].
     min_evenness: float = 0.7
     min_excess: float = 0.02  #: Reflectance that a sharp core adds, at least [1].
-    #: Standard deviation over channels of what the core adds over direct light, relative to its mean [1].
+    #: Standard deviation over channels of a core's excess over direct light, relative to its mean, at most
+    #: [1].
     max_colour: float = 0.3
     halo_px: float = 2.0  #: Distance from the core up to which a lobe reaches, of a core of nothing [pixel].
     sharp_halo: float = 2.0  #: The same, by the core's half width [1].
@@ -118,9 +119,9 @@ class LobeRules:
     around_px: int = 4  #: Surroundings beyond, through which the broad lobe is found [pixel].
     min_ring_px: int = 9  #: Pixels of those, at least.
     min_ring_share: float = 0.5  #: Share of them that one body has, at least [1].
-    rounds: int = 8  #: Turns in which what is brighter than the broad lobe is left out.
-    noise: float = 0.002  #: Noise of brightness, relative, beside that of the surroundings [1].
-    min_share: float = 0.04  #: What a lobe adds to the broad one, relative to it, at least [1].
+    rounds: int = 8  #: Maximum number of iterations that leave out pixels brighter than the broad lobe.
+    noise: float = 0.002  #: Relative noise of brightness, added to that of the surroundings [1].
+    min_share: float = 0.04  #: Smallest excess of a lobe over the broad one, relative to it [1].
     min_sd: float = 4.0  #: The same, in standard deviations.
     floor: float = 0.003  #: The same, in reflectance [1].
     #: Mirror image of the sun of a wide core, at least: a lobe of roughness 0.1 has its peak there [1].
@@ -130,7 +131,7 @@ class LobeRules:
     #: to 0.01 over six times the distance to 1 [1].
     wide_halo: float = 6.0
     max_wide_px: float = 120.0  #: The same on coloured paint, where the spectrum tells [pixel].
-    min_wide_share: float = 0.02  #: What a wide lobe adds, relative to the paint's own level, at least [1].
+    min_wide_share: float = 0.02  #: Smallest excess of a wide lobe, relative to the paint's level [1].
     max_black: float = 0.05  #: Reflectance of black bodies, where wide lobes are told from flakes [1].
     max_spot_px: float = 4.0  #: Half width of saturated pixels that may be a sharp core, at most [pixel].
     #: Share of the pixels around saturated ones that lie in a lobe, from which on these do, at least [1].
@@ -141,7 +142,7 @@ class LobeRules:
 class MixtureRules:
     """Segments as bodies in the light of sun, sky and one neighbour."""
 
-    tolerance: float = 0.05  #: Tolerance of spectra, relative to what is seen [1].
+    tolerance: float = 0.05  #: Tolerance of spectra, relative to the reflectance [1].
     floor: float = 0.0005  #: Tolerance of any spectrum, in reflectance [1].
     neighbours: int = 6  #: Coloured segments around that may send light.
     neighbours_of_cell: int = 4  #: Segments that are kept of a cell.
@@ -150,16 +151,16 @@ class MixtureRules:
     #: Standard deviation over channels of one, relative to its mean, at least [1].
     min_sender_colour: float = 0.3
     min_sender_px: int = 150  #: Pixels of one, at least.
-    max_direct: float = 0.4  #: Amount of direct light of what may lie in shadow, at most [1].
+    max_direct: float = 0.4  #: Amount of direct light in a possible shadow, at most [1].
     max_sky: float = 1.1  #: Amount of the sky's light of the same, at most [1].
-    max_misfit: float = 0.3  #: Misfit of the same, relative to what is seen, at most [1].
+    max_misfit: float = 0.3  #: Misfit of the same, relative to the reflectance, at most [1].
 
 
 @dataclass(frozen=True)
 class ShadowRules:
-    """Cast shadows; contact rules in the order of use: less is asked where more speaks for a shadow.
+    """Cast shadows; contact rules in the order of use: fewer conditions where more evidence exists.
 
-    Set on ray-traced car parks, to what keeps glass and black paint out.
+    Set on ray-traced car parks, such that glass and black paint are excluded.
     """
 
     max_brightness: float = 0.5  #: Brightness of a shadow, relative to its body, at most [1].
@@ -169,9 +170,11 @@ class ShadowRules:
     max_shape_difference: float = 0.08
     max_level_difference: float = 0.35  #: Relative difference of their brightness, at most [1].
     min_contact_sides: int = 4  #: Sides of pixels over which a shadow touches its lit body, at least.
-    open_sky: float = 0.75  #: Amount of the sky's light below which what hides the sky may send light [1].
+    open_sky: float = (
+        0.75  #: Amount of the sky's light below which objects that hide the sky may send light [1].
+    )
     min_clear_sky: float = 0.45  #: Amount of the sky's light in a clear shadow, at least [1].
-    max_clear_misfit: float = 0.035  #: Misfit of a clear shadow, relative to what is seen, at most [1].
+    max_clear_misfit: float = 0.035  #: Misfit of a clear shadow, relative to the reflectance, at most [1].
     max_misfit: float = 0.045  #: Misfit of a shadow that its surroundings speak for, at most [1].
     min_ground_share: float = 0.1  #: Share of all shadows that lie on a body that is ground, at least [1].
     #: Mean reflectance of ground, at most, but for the largest segment: above stand white cars [1].
@@ -180,7 +183,7 @@ class ShadowRules:
     min_ground_size: float = 0.03
     #: Mean direction of a border's sides against that of shadows, beyond which it faces the sun [1].
     sideways: float = 0.35
-    rounds: int = 12  #: Turns in which shadows go on to what touches them, at most.
+    rounds: int = 12  #: Maximum number of iterations that extend shadows to touching segments.
     #: Brightness of single pixels that are looked at, relative to their body, at most [1].
     max_pixel_level: float = 0.9
     max_pixel_direct: float = 0.8  #: Direct light of single pixels in shadow, at most [1].
@@ -207,7 +210,7 @@ class ShadowRules:
     #: Mean side of clear shadows on the ground, whatever their share of contact, at least [1].
     beside_way: float = -0.2
     worse_factor: float = 1.5  #: Misfit relative to that of the best shadow on the ground, at most [1].
-    worse_by: float = 0.004  #: What that may be exceeded by [1].
+    worse_by: float = 0.004  #: Additional misfit allowed [1].
     #: Misfit on other bodies, beside shadows, with much of the sky's light, at most [1].
     max_dim_misfit: float = 0.18
     max_dark_misfit: float = 0.08  #: The same with little of it [1].
@@ -229,7 +232,7 @@ class ShadowRules:
     min_agreement: float = -0.3
     #: Share of borders that lie on the side to which shadows are seen to fall, at least [1].
     min_coherence: float = 0.6
-    #: Misfit of what is a shadow by its spectrum alone, relative to what is seen, at most [1].
+    #: Misfit of a shadow by its spectrum alone, relative to the reflectance, at most [1].
     max_spectral_misfit: float = 0.02
     max_spectral_direct: float = 0.02  #: Direct light of the same, and that of a neighbour, at most [1].
     #: Sky's light of the same times the body's reflectance, at least: a coat on black mirrors 0.04 of the
@@ -238,7 +241,7 @@ class ShadowRules:
     #: Direct light, as the ground and cars around send it, of sides that are turned away from the sun, at
     #: most [1].
     max_turned_direct: float = 0.1
-    max_lit_level: float = 1.0  #: Reflectance of their lit body, at most: what is brighter is in glint [1].
+    max_lit_level: float = 1.0  #: Reflectance of their lit body, at most: brighter bodies are in glint [1].
     #: Sky's light of the same over its direct light, at least: of a darker paint it would be 1 [1].
     min_turned_ratio: float = 2.5
     beside_px: int = 8  #: Distance of the lit body from the same, and its pixels there, at least [pixel].
@@ -258,10 +261,10 @@ class DarkCoatRules:
         0.6  #: Most that the body's reflectance rises or falls from the middle to an end, relative [1].
     )
     min_body: float = 0.003  #: Reflectance of the body, at least: with less nothing tells of the sun [1].
-    max_level: float = 0.05  #: Reflectance of what is seen, at most [1].
+    max_level: float = 0.05  #: Observed reflectance, at most [1].
     min_mirrored: float = 0.03  #: Amount of the sky's light that is mirrored, at least [1].
     max_mirrored: float = 0.13  #: The same, at most [1].
-    max_misfit: float = 0.004  #: Misfit, relative to what is seen, at most [1].
+    max_misfit: float = 0.004  #: Misfit, relative to the reflectance, at most [1].
     worse_factor: float = 1.3  #: Misfit of a shadow relative to it, at least [1].
 
 
@@ -274,7 +277,9 @@ class BodyRules:
     #: Colour of a segment whose light is looked for, see `coloured`, at least [1].
     min_sender_colour: float = 0.04
     min_sender_px: int = 40  #: Pixels of that, at least.
-    max_sender_level: float = 1.0  #: Mean reflectance of that, at most: what is brighter mirrors the sun [1].
+    max_sender_level: float = (
+        1.0  #: Mean reflectance of such a segment, at most: brighter ones mirror the sun [1].
+    )
     tilt: float = 0.1  #: Spread of the amount of direct light within a body: how far its parts lean [1].
     glint_tilt: float = 0.03  #: The same where all that differs by more is glint for certain [1].
     bright: float = 0.1  #: Reflectance from which tilt looks like glint above the usual threshold [1].
@@ -284,12 +289,14 @@ class BodyRules:
     min_paint_colour: float = 0.1
     min_body_px: int = 50  #: Pixels of a body that is looked at, at least.
     min_clean_px: int = 5  #: Pixels that its reference is the mean of, at least.
-    #: Difference of half of the pixels in what is added to them, where it is no noise [1].
+    #: Smallest range of the light added to pixels that is no noise [1].
     min_difference: float = 0.003
-    #: Quantiles of what is added to pixels, between which a body is seen as it is.
+    #: Quantiles of the light added to pixels, between which a body is free of glint.
     clean_quantiles: tuple[float, float] = (0.01, 0.1)
     clean_grey_quantiles: tuple[float, float] = (0.05, 0.35)  #: The same of a grey body.
-    min_glint_brightness: float = 1.3  #: Brightness of glint, relative to what faces the sun, at least [1].
+    min_glint_brightness: float = (
+        1.3  #: Brightness of glint, relative to a surface that faces the sun, at least [1].
+    )
     #: Brightness of half of a body, relative to its darkest parts, from which most of it is in glint
     #: [1].
     min_mostly_glint: float = 1.08
@@ -334,13 +341,13 @@ class FlagRules:
     expected: tuple[float, ...] = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     #: Standard deviations of the amounts from that: weak beside a channel's noise [1].
     spread: tuple[float, ...] = (0.1, 0.3, 10.0, 0.02, 0.03, 0.2, 0.1, 0.2, 0.1)
-    #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
+    #: Direct light on a surface that faces the sun, relative to a body that leans away a little, at most [1].
     max_direct: float = 1.1
     min_glint: float = 0.004  #: Reflectance that glint adds, at least, however dark the paint is [1].
     #: Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt
     #: [pixel].
     penumbra_px: int = 1
-    #: Direct light that is missing on things in shadow, at least: what leans away lacks up to half [1].
+    #: Missing direct light on objects in shadow, at least: leaning surfaces lack up to half [1].
     min_missing_on_things: float = 0.6
     #: Wavelength shift above which spectra are compared at nominal wavelengths [nm].
     max_smile_nm: float = 1.0

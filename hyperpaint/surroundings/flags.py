@@ -1,19 +1,22 @@
-"""Glint, shadow, coloured light from neighbours and mixed pixels: layers first, and bits by thresholds.
+"""Glint, shadow, coloured light from neighbours and mixed pixels: layers, and bits by thresholds.
 
-Pointwise, given a scene model: a pixel's light is divided into what its body sends in full light, changed
-amounts of sun and sky, mirror images of both, and the light of coloured neighbours.
+Pointwise, given a scene model: a pixel's light is unmixed into its body's reflectance under changed amounts
+of sun and sky, mirror images of both, and the light of coloured neighbours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Progress
+from hyperpaint.base.arrays import Array, Bools, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
@@ -28,11 +31,8 @@ from .lobes import SATURATED_IN_LOBE
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Layers from which bits are set, and layers that explain them.
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
-"""Layers that bits are set from, and those that explain them."""
 
 
 @takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
@@ -47,7 +47,7 @@ def flag(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    r"""Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from.
+    r"""Set the bits of glint, shadow, adjacency and mixed edges, and add their layers.
 
     Lazy and pointwise given ``model``: one task a slab of lines. Without a model,
     `hyperpaint.surroundings.survey` is run first, which reads the line once.
@@ -57,21 +57,21 @@ def flag(
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
-        From `hyperpaint.surroundings.survey` of the same line, or the Dataset it was stored as.
+        From `hyperpaint.surroundings.survey` of the same line, or its stored Dataset.
     glint
-        What the mirrored sun adds, relative to the rest of what is seen, above which a pixel is in glint [1].
+        Reflectance added by the mirrored sun, relative to the rest, above which a pixel is in glint [1].
     shadow
-        ``blocked_direct`` from which it is in shadow [1], in and beside segments of the ground that the model
-        found to be a cast shadow, and in single pixels of it; on other things in such segments only, and from
-        0.6 on: elsewhere missing light is tilt.
+        ``blocked_direct`` from which a pixel is in shadow [1], in and beside segments of the ground that the
+        model holds as cast shadow, and in single pixels of it; on other objects in such segments only, and
+        from 0.6 on: elsewhere missing light is tilt.
     adjacency
-        ``adjacency`` above which it is lit by a coloured neighbour [1].
+        ``adjacency`` above which a pixel is lit by a coloured neighbour [1].
     edge
-        Pixels from a boundary up to which it is a mixed one, 0 for those in between only.
+        Distance from a boundary up to which a pixel is mixed [pixel], 0 for pixels in between only.
     progress
-        See `hyperpaint.surroundings.survey`; used where there is no model.
+        See `hyperpaint.surroundings.survey`; used without ``model``.
     **options
-        Those of `hyperpaint.surroundings.survey`, where there is no model.
+        Options of `hyperpaint.surroundings.survey`, used without ``model``.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def flag(
         part of the direct light that is missing, negative where a surface leans towards the sun;
         ``adjacency``, the largest reflectance in any channel that coloured neighbours add, and
         ``adjacency_segment``, int32, the segment of the model that adds most of it, -1 for none;
-        ``mirrored_sky`` s, beyond that of the rest of the body. NaN where nothing is known.
+        ``mirrored_sky`` s, beyond that of the rest of the body. NaN without data.
 
     Raises
     ------
@@ -97,29 +97,30 @@ def flag(
     .. math:: \rho_{obs} = \rho (c f_{dir} + V f_{dif}) + g f_{dir} + (s l_z + a l_\odot) f_{dif}
               + \textstyle\sum_n (b_n \rho \rho_n + c_n \rho_n)
 
-    is solved exactly for amounts that are not negative, by least squares with a tie of c and V to 1 and of
-    the others to 0, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % by
-    which bodies differ from place to place. g and the sum over neighbours are 0 unless leaving them out is
-    worse by three standard deviations, of the misfit where that is more than noise (a likelihood ratio). A
-    surface that mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
-    cos(z/2) / cos(z), and is no less than 0.7. Of the sky, coats mirror the zenith, of radiance :math:`l_z`
-    over the mean, and what is around the sun, which is brighter by :math:`l_\odot` and as much redder; with
-    glint, a is expected to be 0.04. Both are those of a clear sky where the split is.
+    is solved exactly for amounts that are not negative, by least squares with priors of 1 for c and V and of
+    0 for the others, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % of
+    variation within bodies. g and the sum over neighbours are 0 unless leaving them out is worse by three
+    standard deviations, of the misfit where that is more than noise (a likelihood ratio). A surface that
+    mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
+    cos(z/2) / cos(z), and is at least 0.7. Coats mirror the zenith, of radiance :math:`l_z` over the mean of
+    the sky, and the sky around the sun, which is brighter by :math:`l_\odot` and redder; with glint, a is
+    expected to be 0.04. Both are those of a clear sky where the split is.
 
-    Of neighbours only the sum is known well; a grey one adds nothing that could be told from a tilt, and
-    parts of one car are no neighbours of each other. On grey bodies a mirrored sun has the colour of their
-    own light: there g is what is brighter than tilt can make it, or, on bodies that are brighter over more
-    than half of them than their darkest parts, than their other parts are. Smile is taken out of the
+    Only the sum over neighbours is well determined; light of a grey neighbour cannot be distinguished from
+    tilt, and parts of one car are no neighbours of each other. On grey bodies a mirrored sun has the colour
+    of their own light: there g is the brightness beyond the largest effect of tilt, or, on bodies of which
+    more than half is brighter than their darkest parts, beyond their other parts. Smile is removed from the
     channels, which are some 25 nm wide, to first order.
 
-    ``glint_fraction`` is all that looks like direct light of another colour than the body: what flakes in a
-    paint send, and what leans on grey paint, among it. In glint is of this what lies in a lobe of a coat,
-    with a core that stands out (`hyperpaint.surroundings.lobes`), and saturated pixels that a lobe encloses.
+    ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
+    light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
+    coat, with a core that stands out (`hyperpaint.surroundings.lobes`), and in saturated pixels that a lobe
+    encloses.
 
-    Known limits: the lobe of a worn coat, which is wide, is told from flakes on coloured and on black paint
-    only, and where the panel shows its core; dark glass is taken for asphalt in shadow, so that neither is
-    found well on glass. Mixed pixels are found less well than whole ones. For measured precision and recall
-    see docs/figures.md.
+    Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
+    only, and where the body part shows its core; dark glass is taken for asphalt in shadow, so that glint and
+    shadow are unreliable on glass. Mixed pixels are detected less well than whole ones. For measured
+    precision and recall see docs/figures.md.
 
     References
     ----------
@@ -143,53 +144,61 @@ def flag(
     """
     line = schema.rename_to_roles(line)
     cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
-    _check(glint=glint, shadow=shadow, adjacency=adjacency, edge=edge)
+    limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
+    problems = Problems("thresholds cannot be used", SchemaError)
+    for name, value in limits.items():
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+    problems.raise_if_any()
     if model is None:
         model = survey(line, progress=progress, **options)
     elif options:
         raise SchemaError(
-            f"{', '.join(options)}: options of the survey, which is not run where a model is given"
+            f"{', '.join(options)}= are options of the survey, which does not run with model=",
+            mend="leave out one or the other",
+            code="option-conflict",
         )
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     _check_model(scene, cube, line["wavelength"])
-    limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": float(edge)}
     return _lazily(line, cube, scene, limits)
-
-
-def _check(**limits: float) -> None:
-    problems = Problems("thresholds cannot be used", SchemaError)
-    for name, value in limits.items():
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}, expected a number from 0 on")
-    problems.raise_if_any()
 
 
 def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray) -> None:
     problems = Problems("the scene model is not of this line", SchemaError)
     lines, bands, columns = cube.shape
     if model.segment.shape != (lines, columns):
-        problems.add(f"it has {model.segment.shape} pixels, the line ({lines}, {columns})")
-    # of a lazy coordinate only the size is looked at
+        problems.add(
+            f"the model has {model.segment.shape} pixels",
+            expected=f"({lines}, {columns}) as the line",
+            code="grid-mismatch",
+        )
+    # only the size of a lazy coordinate is compared
     line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
     if model.wavelength.shape != (bands,) or not np.array_equal(
         model.wavelength, line_wavelength, equal_nan=True
     ):
-        problems.add(f"it has other bands than the {bands} of the line; survey the line as it is flagged")
+        problems.add(
+            f"the model has other bands than the {bands} of the line",
+            mend="survey the same line that is flagged",
+            code="bands-differ",
+        )
     problems.raise_if_any()
 
 
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
-    import dask
-    import dask.array as da
-    import xarray as xr
-
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     shared = dask.delayed(model, traverse=False, pure=False)
     blocks = da.map_blocks(
-        _flag_block, data, shared, starts=starts, limits=limits, dtype=object, name=None,
+        _flag_block,
+        data,
+        shared,
+        starts=starts,
+        limits=limits,
+        dtype=object,
+        name=None,
         meta=np.empty((0, 0, 0), object),
-    )  # fmt: skip
+    )
     pixel = (ALONG_TRACK, CROSS_TRACK)
     layout = {name: ("lx", schema.dtype_of(name)) for name in (*LAYERS, "quality")}
     layers = {
@@ -206,27 +215,9 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
     if "quality" in line.variables:
         before = schema.require(line, ["quality"], "flags")["quality"].variable
         bits = bits.copy(data=(bits.variable | before.transpose(*pixel)).data)
-    layers["quality"] = schema.label(bits, "quality", flags_from=_origin(model))
+    origin = f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
+    layers["quality"] = schema.label(bits, "quality", flags_from=origin)
     return line.assign(layers)
-
-
-def _origin(model: SceneModel) -> str:
-    return f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
-
-
-def _most(model: SceneModel) -> Floats:
-    """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
-    most = most_amounts()
-    zenith = float(model.attrs.get("sun_zenith", np.nan))
-    if np.isfinite(zenith):
-        most[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
-    return most
-
-
-def _lean(model: SceneModel) -> float:
-    """Return how much more direct light than level ground gets what mirrors the sun to a camera above."""
-    zenith = np.radians(min(float(model.attrs.get("sun_zenith", np.nan)), 80.0))
-    return float(np.cos(zenith / 2) / np.cos(zenith) - 1.0) if np.isfinite(zenith) else 0.0
 
 
 def _flag_block(
@@ -236,7 +227,6 @@ def _flag_block(
     limits: dict[str, float],
     block_id: tuple[int, ...] = (0,),
 ) -> dict[str, Array]:
-    """Return layers and bits of some lines."""
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
@@ -249,6 +239,14 @@ def _flag_block(
     amount = np.empty((*shape, PARTS), np.float32)
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
+    # no surface gets more direct light than one that faces the sun
+    max_amounts, lean = most_amounts(), 0.0
+    zenith = float(model.attrs.get("sun_zenith", np.nan))
+    if np.isfinite(zenith):
+        max_amounts[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
+        # excess of direct light, over level ground, on a surface that mirrors the sun upwards
+        angle = np.radians(min(zenith, 80.0))
+        lean = float(np.cos(angle / 2) / np.cos(angle) - 1.0)
     unmix_lines(
         seen,
         arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
@@ -256,9 +254,9 @@ def _flag_block(
             *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
         ),
         arguments.ChannelErrors(np.hypot(model.noise, FLAGS.relative_error), FLAGS.floor),
-        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, _most(model)),
+        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, max_amounts),
         FLAGS.evidence_sd2,
-        arguments.Glinting(_lean(model), MIRROR.coat),
+        arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
     most = np.argmax(added, axis=2)[..., None]
@@ -271,8 +269,8 @@ def _flag_block(
     }
     bits = np.zeros(shape, np.uint16)
     added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
-    own = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
-    mirrored = added_glint > np.maximum(limits["glint"] * own, FLAGS.min_glint)
+    rest = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
+    mirrored = added_glint > np.maximum(limits["glint"] * rest, FLAGS.min_glint)
     lobe = model.lobe[start:stop]
     bits[mirrored & (lobe > 0)] |= np.uint16(Quality.GLINT)
     bits[_shaded(layers["blocked_direct"], model, slice(start, stop), limits["shadow"])] |= np.uint16(
@@ -289,11 +287,11 @@ def _flag_block(
 
 
 def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
-    """Return which pixels of some lines lie in a cast shadow, given the direct light that is missing."""
+    """Return the pixels of some lines in a cast shadow, from the missing direct light."""
     segment = model.segment[lines]
     on_ground = np.append(model.ground > 0, False)[segment]
     near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
-    # what leans away from the sun beside a shadow, or in a segment with one, lacks light as well
+    # surfaces that lean away from the sun beside a shadow, or in a segment with one, lack light as well
     on_things = ~on_ground & np.append(model.state == SHADED, False)[segment]
     most = max(limit, FLAGS.min_missing_on_things)
     return np.asarray(near & (missing >= limit) | on_things & (missing >= most))
@@ -308,7 +306,7 @@ class Flagged:
     """A line with its flags."""
 
     line: xr.Dataset  #: The line with ``quality``, and the layers its bits are set from, lazy.
-    seen: xr.Dataset  #: The line as it was looked at, with the model that holds for it.
+    seen: xr.Dataset  #: The surveyed line, at nominal wavelengths where it has smile.
     model: SceneModel  #: From `hyperpaint.surroundings.survey`.
 
 
@@ -326,19 +324,17 @@ def is_flagged(line: xr.Dataset) -> bool:
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:
-    """Survey a line with ``reflectance``, and flag it; of a smile above 1 nm, at nominal wavelengths.
+    """Survey a line with ``reflectance``, and flag it; with smile above 1 nm, at nominal wavelengths.
 
     ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with lines surveyed
     and to do; flags are lazy. Raises as `flag` and `survey`.
     """
-    seen = to_nominal(line) if _has_smile(line) else line
+    has_smile = (
+        "wavelength_shift" in line.variables
+        and (np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any()
+    )
+    seen = to_nominal(line) if has_smile else line
     limits = {name: options.pop(name) for name in _LIMITS if name in options}
     model = survey(seen, progress=progress, **options)
     flagged = flag(seen, model, **limits)
     return Flagged(line.assign({name: flagged[name] for name in ("quality", *LAYERS)}), seen, model)
-
-
-def _has_smile(line: xr.Dataset) -> bool:
-    if "wavelength_shift" not in line.variables:
-        return False
-    return bool((np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any())

@@ -15,20 +15,20 @@ from .scratch import gather
 from .segments import Touching, distinct_pairs
 
 _NONE = (0.0, 1e-6)
+#: Priors of the amounts of a body in shadow, of a leaning body and of a body in glint: expected values and
+#: standard deviations (2, part); parts as in `hyperpaint.kernels.unmixing`.
 _AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(5 * [_NONE])])
 _AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(5 * [_NONE])])
 AS_GLINT = np.transpose([(1.0, 0.1), (1.0, 0.15), (0.0, 10.0), (0.0, 0.01), (0.0, 0.03), *(4 * [_NONE])])
-"""What amounts are expected, and how far from it they may come to lie (2, part): of a body in a shadow, of
-one that leans, of one in glint; parts as in `hyperpaint.kernels.unmixing`."""
 
 
 class Light(NamedTuple):
     """The light of sun and sky in channels (channel,) [1]."""
 
-    #: Parts of the irradiance; they add up to 1.
+    #: Parts of the irradiance with sum 1.
     direct: Floats
     diffuse: Floats
-    #: What a perfect mirror shows: the sky above, and by how much that around the sun is brighter.
+    #: Light in a perfect mirror: the sky above, and the excess of the sky around the sun.
     above: Floats
     sunward: Floats
 
@@ -46,7 +46,7 @@ class Matches(NamedTuple):
 
 
 def median_spectra(channels: Floats32, places: list[Ints]) -> Floats:
-    """Return the median (segment, channel) of the pixels at places; NaN where nothing is known."""
+    """Return the median (segment, channel) of the pixels at places; NaN without values."""
     flat = channels.reshape(-1, channels.shape[2])
     medians = np.full((len(places), channels.shape[2]), np.nan)
     for segment, here in enumerate(places):
@@ -56,7 +56,7 @@ def median_spectra(channels: Floats32, places: list[Ints]) -> Floats:
 
 
 def _median(values: Floats) -> Floats:
-    """Return the median of columns, of what is known; NaN where nothing is."""
+    """Return the median of the finite values of every column; NaN without any."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
     median = np.full(values.shape[1], np.nan)
@@ -75,13 +75,13 @@ def unmix_spectra(
     priors: Array,
     neighbours: npt.NDArray[np.int32] | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return amounts (n, part), misfits (n,) and what neighbours add (n, 2) of spectra (n, channel).
+    """Return amounts (n, part), misfits (n,) and light of neighbours (n, 2) in spectra (n, channel).
 
-    Takes ``seen`` (n, channel): reflectance [1]; ``body`` (n,): what each shows, a row of ``bodies``;
-    ``bodies`` (segment, channel): reflectance in full light [1]; ``light``: parts of the irradiance;
-    ``noise``: standard deviation relative to what is seen [1]; misfits are in units of it; ``priors`` (2,
-    part): what amounts are expected, and how far from it they may come to lie; ``neighbours`` (n, 2): rows of
-    ``bodies`` that may send light, -1 for none; none by default.
+    Takes ``seen`` (n, channel): reflectance [1]; ``body`` (n,): body of each, a row of ``bodies``; ``bodies``
+    (segment, channel): reflectance in full light [1]; ``light``: parts of the irradiance; ``noise``: standard
+    deviation relative to ``seen`` [1], the unit of misfits; ``priors`` (2, part): expected amounts and their
+    standard deviations; ``neighbours`` (n, 2): rows of ``bodies`` that may send light, -1 for none; by
+    default none do.
     """
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
@@ -106,7 +106,7 @@ def unmix_spectra(
 
 
 def most_amounts() -> Floats:
-    """Return by how much nature lets amounts exceed what is expected (part,) [1]; inf without a limit."""
+    """Return the largest physical excess of amounts over the expected ones (part,) [1]; inf if unlimited."""
     from hyperpaint.kernels.unmixing import PARTS
 
     most = np.full(PARTS, np.inf)
@@ -117,18 +117,18 @@ def most_amounts() -> Floats:
 def match_segments(
     spectrum: Floats, size: Ints, pairs: Touching, light: Light, shade: Matches, step: Floats, zenith: float
 ) -> Matches:
-    r"""Find the segments that are others' surfaces in glint, beside those that are in shadow.
+    r"""Return the segments that are other segments' surfaces in glint, and those in shadow.
 
     A segment is in glint where
     :math:`\rho_B (c f_{dir} + V f_{dif}) + g f_{dir}` fits to 2 % with c and V near 1.
 
-    Takes ``spectrum`` (segment, channel): reflectance [1]; ``size`` (segment,): pixels; ``pairs``: which
-    segments touch; ``light``: parts of the irradiance; ``shade``: what is known to be in shadow, from
+    Takes ``spectrum`` (segment, channel): reflectance [1]; ``size`` (segment,): pixels; ``pairs``: touching
+    segments; ``light``: parts of the irradiance; ``shade``: segments in shadow, from
     `hyperpaint.surroundings.shadows.match_shade`; ``step`` (pair,): mean difference of neighbouring pixels on
-    the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where not known.
+    the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where unknown.
     """
     most = GLINT.max_tilt / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
-    # a mirror image fades out, a body ends
+    # a mirror image fades out, a body has an edge
     apart = np.abs(spectrum.mean(axis=1)[pairs.one] - spectrum.mean(axis=1)[pairs.other])
     fading = (pairs.length >= 3) & (step < GLINT.max_fading_step * apart)
     touch = pairs.one[fading], pairs.other[fading]
@@ -148,35 +148,35 @@ def _match_glint(
     body: Array,
     most: float,
 ) -> bool:
-    """Match segments to what they are with the sun's mirror image; return whether any was."""
+    """Match segments to bodies under the mirror image of the sun; return whether any matched."""
     # the segments that are not matched yet, each with the bodies near it
     lit = state[near[1]] != SHADED
-    one, other = near[0][lit], body[near[1][lit]].astype(np.int64)
+    segment, body_near = near[0][lit], body[near[1][lit]].astype(np.int64)
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
-    open_ = (state[one] == LIT) & (one != other) & is_finite[one] & is_finite[other]
-    one, other = distinct_pairs(one[open_], other[open_], len(spectrum))
+    open_ = (state[segment] == LIT) & (segment != body_near) & is_finite[segment] & is_finite[body_near]
+    segment, body_near = distinct_pairs(segment[open_], body_near[open_], len(spectrum))
     amount, misfit, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
+        spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
     )
     fits = (
         (amount[:, 2] + amount[:, 4] > GLINT.min_glint)
         & (misfit < 1.0)
-        & (size[other] >= GLINT.min_body_share * size[one])
+        & (size[body_near] >= GLINT.min_body_share * size[segment])
     )
-    # where the darker one could be the shadow, the brighter is no glint
-    one, other, misfit = one[fits], other[fits], misfit[fits]
-    fits = ~_could_be_shade(spectrum, other, one, light)
-    one, other, misfit = one[fits], other[fits], misfit[fits]
-    # what leans towards the sun is brighter as well
+    # no glint where the darker segment could be the brighter one in shadow
+    segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
+    fits = ~_could_be_shade(spectrum, body_near, segment, light)
+    segment, body_near, misfit = segment[fits], body_near[fits], misfit[fits]
+    # surfaces that lean towards the sun are brighter as well
     tilt, left, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
+        spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
     tilted = (left < 1.0) & (tilt[:, 0] < most)
-    return _assign(one[~tilted], other[~tilted], misfit[~tilted], state, body)
+    return _assign(segment[~tilted], body_near[~tilted], misfit[~tilted], state, body)
 
 
 def _assign(one: Ints, other: Ints, misfit: Floats, state: Array, body: Array) -> bool:
-    """Give segments, and those whose body they were, the body that fits best; return whether any got one."""
+    """Assign the best fitting bodies to segments and the segments on these; return whether any changed."""
     any_assigned = False
     for place in np.argsort(misfit, kind="stable"):
         segment, parent = one[place], other[place]
@@ -195,17 +195,17 @@ def _could_be_shade(spectrum: Floats, one: Ints, other: Ints, light: Light) -> B
     direct, sky, level = amount[:, 0], amount[:, 1], spectrum.mean(axis=1)
     fits = (sky > GLINT.min_shade_sky) & (misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
     fits &= level[one] < GLINT.max_shade_brightness * level[other]
-    # what hides the sky sends light instead, and never more than a bright wall in the sun
+    # objects that hide the sky send light instead, at most as much as a bright wall in the sun
     fits &= (sky < GLINT.max_shade_sky) & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
     return np.asarray(fits)
 
 
-_TOGETHER = 20_000
-"""Pairs that are solved for together, for memory."""
+#: Pairs solved together, to limit memory.
+PAIRS_AT_ONCE = 20_000
 
 
 class Mixtures(NamedTuple):
-    """Segments as bodies in other light, each with one body."""
+    """Pairs of a segment and a body whose surface it may show in other light."""
 
     #: (n,): Numbers of segments.
     segment: Ints
@@ -214,29 +214,32 @@ class Mixtures(NamedTuple):
     direct: Floats
     sky: Floats
     sent: Floats
-    misfit: Floats  #: (n,): Root mean square of what remains, relative to what is seen [1].
+    misfit: Floats  #: (n,): Root mean square of the residual, relative to the reflectance [1].
 
     def subset(self, chosen: Bools) -> Mixtures:
-        """Return some of them."""
         return Mixtures(
-            self.segment[chosen], self.body[chosen], self.direct[chosen], self.sky[chosen],
-            self.sent[chosen], self.misfit[chosen],
-        )  # fmt: skip
+            self.segment[chosen],
+            self.body[chosen],
+            self.direct[chosen],
+            self.sky[chosen],
+            self.sent[chosen],
+            self.misfit[chosen],
+        )
 
 
 def without_sun(mixtures: Mixtures) -> Bools:
-    """Tell which get so little direct light that, for the sky they see, grey things may send it."""
+    """Return whether direct light is so low that, for the visible sky, grey objects may send it (n,)."""
     return np.asarray(mixtures.direct < 0.02 + 0.2 * np.clip(0.75 - mixtures.sky, 0.0, 1.0))
 
 
 def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, light: Light) -> Mixtures:
-    r"""Return segments as bodies in little sun, with the neighbour's light that leaves least.
+    r"""Return segments as bodies in little sun, with the neighbour whose light leaves the smallest misfit.
 
-    :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)` with c, V, b not negative; what a neighbour sends comes
+    :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)` with c, V, b not negative; the neighbour's light comes
     from where the sky is hidden, b < 1 - V. Pairs without such amounts are left out.
 
-    Takes ``segment``, ``body`` (n,): pairs to look at; ``spectrum`` (segment, channel): reflectance [1];
-    ``senders`` (segment, rank): segments that may light one; -1 for none; ``light``: parts of the irradiance.
+    Takes ``segment``, ``body`` (n,): candidate pairs; ``spectrum`` (segment, channel): reflectance [1];
+    ``senders`` (segment, rank): segments that may light one, -1 for none; ``light``: parts of the irradiance.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     alone = [
@@ -244,8 +247,8 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
         for part in in_parts(segment.size)
     ]
     if not alone:
-        none = np.empty(0)
-        return Mixtures(segment, body, none, none, none, none)
+        empty = np.empty(0)
+        return Mixtures(segment, body, empty, empty, empty, empty)
     amount, misfit = (np.concatenate(values) for values in zip(*alone, strict=True))
     possible = (amount[:, 0] < MIXTURES.max_direct) & (amount[:, 1] < MIXTURES.max_sky + 0.4) & (misfit < 0.6)
     segment, body, misfit = segment[possible], body[possible], misfit[possible]
@@ -268,15 +271,15 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     return Mixtures(segment[fits], body[fits], direct, sky, sent, misfit[fits])
 
 
-def in_parts(count: int, together: int = _TOGETHER) -> list[slice]:
-    """Return slices of some of so many things: what is computed of them at a time."""
+def in_parts(count: int, together: int = PAIRS_AT_ONCE) -> list[slice]:
+    """Return slices of at most ``together`` items each."""
     return [slice(first, first + together) for first in range(0, count, together)]
 
 
 def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> Ints:
     """Return the coloured segments nearest to most of each segment's pixels (segment, rank); -1 for none.
 
-    What grey ones send cannot be told from direct light.
+    Light of grey segments cannot be distinguished from direct light.
     """
     from hyperpaint.kernels.segmentation import nearest_sources
 
@@ -292,20 +295,20 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
     here = np.repeat(centre.ravel().astype(np.int64), MIXTURES.neighbours_of_cell)
     nearest = labels.ravel().astype(np.int64)
     pairs, times = np.unique((here * size.size + nearest)[(here >= 0) & (nearest >= 0)], return_counts=True)
-    one, other = pairs // max(size.size, 1), pairs % max(size.size, 1)
-    order = np.lexsort((other, -times, one))
-    one, other = one[order], other[order]
-    rank = np.arange(one.size) - np.searchsorted(one, one)
+    segment, sender = pairs // max(size.size, 1), pairs % max(size.size, 1)
+    order = np.lexsort((sender, -times, segment))
+    segment, sender = segment[order], sender[order]
+    rank = np.arange(segment.size) - np.searchsorted(segment, segment)
     senders = np.full((size.size, MIXTURES.neighbours), -1, np.int64)
     first = rank < MIXTURES.neighbours
-    senders[one[first], rank[first]] = other[first]
+    senders[segment[first], rank[first]] = sender[first]
     return senders
 
 
 def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tuple[Floats, Floats]:
     """Return amounts (n, 2 or 3) of sun, sky and sender, and relative misfits (n,), of spectra (n, channel).
 
-    What casts a shadow hides the sky around the sun first, so that what is left of it may be as blue as the
+    An object that casts a shadow first hides the sky around the sun, so that the rest may be as blue as the
     zenith: the sky is any sum of both, and its amount that of the irradiance. See `least_amounts`.
     """
     parts = [body * light.direct, body * light.diffuse, body * light.above]
@@ -320,8 +323,8 @@ def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tu
 def least_amounts(seen: Floats, parts: list[Floats]) -> tuple[Floats, Floats]:
     """Return amounts (n, part) that are not negative and relative misfits (n,), of spectra (n, channel).
 
-    The exact minimum: of all sets of parts (channel,) or (n, channel), that which leaves least without any
-    negative amount.
+    The exact minimum: the set of parts (channel,) or (n, channel) with the smallest residual and no negative
+    amount.
     """
     sigma = MIXTURES.tolerance * np.abs(seen) + MIXTURES.floor
     design = np.stack([part / sigma for part in parts], axis=2)

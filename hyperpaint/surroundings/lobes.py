@@ -1,7 +1,8 @@
-"""Mirror images of the sun in clear coats and glass: which pixels lie in one.
+"""Mirror images of the sun in clear coats and glass: the pixels inside one.
 
-A coat that shines sends the sun's light into a few degrees: on a panel, into a spot much brighter than its
-surroundings. Flakes in a paint, and panels that lean, are brighter over all of a panel, without such a spot.
+A glossy coat reflects the sun's light into a few degrees: on a body part, into a spot much brighter than its
+surroundings. Flakes in a paint, and leaning body parts, are brighter over the whole part, without such a
+spot.
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from .detection_rules import GLINT, LOBES
 from .full_light import AS_GLINT, Light, unmix_spectra
 from .scratch import line_parts, release, scratch_array
 
+#: Pixel in a mirror image of the sun; and saturated pixel in one. 0 elsewhere.
 IN_LOBE, SATURATED_IN_LOBE = 1, 2
-"""In a mirror image of the sun; and so bright there that nothing is measured. 0: in none."""
 
+#: Pixels three steps around one.
 _RING = (
     (-3, -1), (-3, 0), (-3, 1), (-2, 2), (-1, 3), (0, 3), (1, 3), (2, 2),
     (3, 1), (3, 0), (3, -1), (2, -2), (1, -3), (0, -3), (-1, -3), (-2, -2),
 )  # fmt: skip
-"""Pixels three steps around one."""
 _MARGIN, _LINES = 3, 128
+#: Minimum number of ring pixels darker than its median allows; index of its third lowest.
 _DARKER, _LOWEST = 9, 2
-"""Pixels of a ring that are darker, at least, where its median is; place of its third lowest."""
 
 
 class Shown:
-    """What pixels show, looked up where it is asked for: for memory."""
+    """Body of every pixel, looked up on demand to save memory."""
 
     def __init__(self, number: npt.NDArray[np.int32], body: npt.NDArray[np.int32]) -> None:
         self._number, self._body = number, np.append(body, np.int32(-1))
@@ -42,26 +43,26 @@ class Shown:
 
 
 class Picture(NamedTuple):
-    """What is seen of a line."""
+    """A flight line prepared for the search of lobes."""
 
     channels: Floats32  #: (line, column, channel): Reflectance [1].
-    saturated: Bools  #: (line, column): Whether a sample is.
+    saturated: Bools  #: (line, column): Whether a sample is saturated.
     body: Shown  #: (line, column): Body of every pixel; -1 without data.
-    ground: Bools  #: (segment,): Bodies that have no coat.
+    ground: Bools  #: (segment,): Bodies without a coat.
     reference: Floats  #: (segment, channel): Reflectance of bodies in full light [1].
-    coloured: Bools  #: (segment,): Bodies on which the mirrored sun has another colour than their own.
+    coloured: Bools  #: (segment,): Bodies whose colour differs from the mirrored sun's.
     light: Light
 
 
 def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
-    r"""Return which pixels lie in a mirror image of the sun (line, column).
+    r"""Return the pixels that lie in a mirror image of the sun (line, column).
 
-    0 for none, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a core. A sharp one is several times brighter
-    than the pixels three steps around it, which are of one surface in even light, and what it adds has the
-    colour of direct light. Beside it, what exceeds a surface :math:`\ln \rho` of second order through its
-    surroundings, flakes' broad lobe among them, by 4 %, belongs to it. A wide core, of a coat that is worn,
-    is as bright as a white surface in the sun over several pixels; it is told from flakes on paint of another
-    colour, and on black.
+    0 outside, `IN_LOBE` or `SATURATED_IN_LOBE`. A lobe has a core. A sharp core is several times brighter
+    than the pixels three steps around it, which show one surface in even light, and its excess has the colour
+    of direct light. Pixels around it that exceed a surface :math:`\ln \rho` of second order through its
+    surroundings, including flakes' broad lobe, by 4 %, belong to it. A wide core, of a worn coat, is as
+    bright as a white surface in the sun over several pixels; it can be distinguished from flakes on coloured
+    paint and on black.
     """
     level = scratch_array(picture.saturated.shape, np.float64)
     on_coat = np.empty(level.shape, bool)
@@ -95,49 +96,60 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
 
 
 def _components(chosen: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
-    """Return each piece of what is chosen, in a window with some pixels around it."""
+    """Yield each connected piece of a mask, in a window with some pixels around it."""
     from scipy.ndimage import find_objects, label
 
     pieces, _ = label(chosen, np.ones((3, 3)))
     for number, place in enumerate(find_objects(pieces), 1):
-        window = _padded(place, pad)
+        window = padded(place, pad)
         yield pieces[window] == number, window
 
 
-def _padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
+def padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
+    """Return a window that is some pixels wider on all sides."""
     rows, columns = (slice(max(part.start - pad, 0), part.stop + pad) for part in window)
     return rows, columns
 
 
+def _placed(
+    core: Bools, window: tuple[slice, slice], wide: tuple[slice, slice], shape: tuple[int, ...]
+) -> Bools:
+    """Return the mask of a core in a wider window of the given shape."""
+    inside = np.zeros(shape, bool)
+    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
+    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    return inside
+
+
 def _distance(chosen: Bools) -> Floats:
-    """Return how far every pixel is from a chosen one [pixel]."""
+    """Return the distance of every pixel from a chosen one [pixel]."""
     from scipy.ndimage import distance_transform_edt
 
     return np.asarray(distance_transform_edt(~chosen))
 
 
 def _half_width(core: Bools) -> float:
-    """Return the largest distance of a core's pixels to what is not core [pixel]."""
+    """Return the largest distance of a core's pixels from its outside [pixel]."""
     return float(_distance(~np.pad(core, 1)).max())
 
 
 def _sharp(level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels that stand out from those around them, where these are even (line, column)."""
-    found = np.zeros(level.shape, bool)
+    """Return the pixels that stand out from evenly bright surroundings (line, column)."""
+    is_sharp = np.zeros(level.shape, bool)
     lines, columns = level.shape
     for first in range(0, lines, _LINES):
         here = level[first : first + _LINES]
         below = here / LOBES.min_contrast
         darker = np.zeros(here.shape, np.int8)
-        # beyond the edges stands what is at them
+        # edge pixels are repeated beyond the edges
         rows = np.clip(np.arange(first - _MARGIN, first + len(here) + _MARGIN), 0, lines - 1)
         padded = np.pad(level[rows], ((0, 0), (_MARGIN, _MARGIN)), mode="edge")
         for down, right in _RING:
             top, left = _MARGIN + down, _MARGIN + right
             darker += padded[top : top + len(here), left : left + columns] < below
-        found[first : first + _LINES] = darker >= _DARKER
+        is_sharp[first : first + _LINES] = darker >= _DARKER
         release(level)
-    y, x = np.nonzero(found & on_coat)
+    y, x = np.nonzero(is_sharp & on_coat)
     around = np.sort(
         [level[np.clip(y + down, 0, lines - 1), np.clip(x + right, 0, columns - 1)] for down, right in _RING],
         axis=0,
@@ -145,39 +157,37 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
     middle = 0.5 * (around[len(_RING) // 2 - 1] + around[len(_RING) // 2])
     fits = (level[y, x] > LOBES.min_contrast * middle) & (around[_LOWEST] > LOBES.min_evenness * middle)
     fits &= level[y, x] - middle > LOBES.min_excess
-    found[:] = False
-    found[y[fits], x[fits]] = True
-    return found
+    is_sharp[:] = False
+    is_sharp[y[fits], x[fits]] = True
+    return is_sharp
 
 
 def _add_sharp(
     picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
 ) -> None:
-    """Set the pixels of ``lobe`` that belong to a sharp core, if it is one of the sun."""
+    """Set the pixels of ``lobe`` that belong to a sharp core, if it mirrors the sun."""
     from scipy.ndimage import label
 
     reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
     if reach > LOBES.max_sharp_px:
         return
     pad = int(np.ceil(reach)) + LOBES.around_px
-    wide = _padded(window, pad)
-    inside = np.zeros(level[wide].shape, bool)
-    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
-    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
-    core, seen, body = inside, level[wide], picture.body[wide]
+    wide = padded(window, pad)
+    seen, body = level[wide], picture.body[wide]
+    core = _placed(core, window, wide, seen.shape)
     far = _distance(core)
-    own = _body_around(body, (far > 2.5) & (far <= 4.5))
-    if own < 0 or picture.ground[own]:
+    surface_body = _body_around(body, (far > 2.5) & (far <= 4.5))
+    if surface_body < 0 or picture.ground[surface_body]:
         return
     peak = np.unravel_index(np.argmax(np.where(core, seen, -np.inf)), core.shape)
-    around = picture.channels[wide][(body == own) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
+    around = picture.channels[wide][(body == surface_body) & (far > 2.5) & (far <= 4.5)].astype(np.float64)
     if np.isfinite(seen[peak]):
         added = (picture.channels[wide][peak] - np.nanmedian(around, axis=0)) / np.maximum(
             picture.light.direct, 1e-6
         )
         if not added.std() < LOBES.max_colour * added.mean():
             return
-    surface = (body == own) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
+    surface = (body == surface_body) & np.isfinite(seen) & (far > 1.5) & (far <= reach + LOBES.around_px)
     broad = _broad(seen, surface, surface & (far > max(2.0, 0.5 * reach)), reach + LOBES.around_px)
     if broad is None:
         lobe[wide] |= core
@@ -185,13 +195,13 @@ def _add_sharp(
     base, spread = broad
     with np.errstate(invalid="ignore"):
         more = seen - base > np.maximum(max(LOBES.min_share, LOBES.min_sd * spread) * base, LOBES.floor)
-    halo = ((body == own) | (far <= 2.5)) & (far <= reach) & more
+    halo = ((body == surface_body) | (far <= 2.5)) & (far <= reach) & more
     pieces, _ = label(halo | core, np.ones((3, 3)))
     lobe[wide] |= pieces == pieces[peak]
 
 
 def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
-    """Return the body that most of a ring shows, -1 where none does."""
+    """Return the body of most pixels of a ring, -1 without a majority."""
     numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
     if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
         return -1
@@ -199,9 +209,9 @@ def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
 
 
 def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Floats, float] | None:
-    """Return the brightness that a panel has without a lobe (line, column), and its relative spread.
+    """Return the brightness of a body part without a lobe (line, column), and its relative spread.
 
-    A surface of second order through the logarithm, from which what is brighter is left out in turns.
+    A surface of second order through the logarithm; brighter pixels are left out iteratively.
     """
     y, x = np.nonzero(surface)
     if y.size < LOBES.min_ring_px:
@@ -229,13 +239,13 @@ def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Fl
 
 
 def _distinct(picture: Picture) -> Bools:
-    """Return the bodies on which a wide lobe is told from flakes (segment,)."""
+    """Return the bodies on which a wide lobe can be distinguished from flakes (segment,)."""
     black = np.nan_to_num(picture.reference).mean(axis=1) < LOBES.max_black
     return np.asarray((picture.coloured | black) & ~picture.ground)
 
 
 def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Floats:
-    """Return the mirror image of the sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
+    """Return the mirrored sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
     glint = np.zeros(where.shape)
     body: Ints = picture.body[window][where].astype(np.int64)
     seen = picture.channels[window][where].astype(np.float64)
@@ -247,7 +257,7 @@ def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Float
 
 
 def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels where the sun's mirror image is as bright as a white surface (line, column)."""
+    """Return the pixels where the mirrored sun is as bright as a white surface (line, column)."""
     distinct = np.append(_distinct(picture), False)
     wide = np.zeros(level.shape, bool)
     for part, here in line_parts(level):
@@ -260,20 +270,17 @@ def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
 
 
 def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools) -> None:
-    """Set the pixels of ``lobe`` that belong to a wide core."""
     from scipy.ndimage import label
 
     width = _half_width(core)
     if width < LOBES.min_wide_px:
         return
-    own = int(np.bincount(picture.body[window][core]).argmax())
-    if not picture.coloured[own] and lobe[window][core].any():
-        return  # a sharp lobe, in that of flakes
-    reach = LOBES.max_wide_px if picture.coloured[own] else 1.5 + LOBES.wide_halo * width
-    wide = _padded(window, int(np.ceil(reach)))
-    inside = np.zeros(level[wide].shape, bool)
-    top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
-    inside[top : top + core.shape[0], left : left + core.shape[1]] = core
+    surface_body = int(np.bincount(picture.body[window][core]).argmax())
+    if not picture.coloured[surface_body] and lobe[window][core].any():
+        return  # a sharp lobe inside the lobe of flakes
+    reach = LOBES.max_wide_px if picture.coloured[surface_body] else 1.5 + LOBES.wide_halo * width
+    wide = padded(window, int(np.ceil(reach)))
+    inside = _placed(core, window, wide, level[wide].shape)
     body = picture.body[wide]
     asked = np.append(_distinct(picture), False)[body] & np.isfinite(level[wide])
     asked &= _distance(inside) <= reach

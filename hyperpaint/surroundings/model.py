@@ -1,33 +1,31 @@
-"""What is known of a scene after one look at all of it: small enough to be stored beside the line."""
+"""The scene model: result of a survey of a whole line, small enough to be stored beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 Index = npt.NDArray[np.int32]
 
+#: Side of a cell [pixel].
 CELL = 4
-"""Side of a cell [pixel]."""
 
 
 def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
-    """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
+    """Return the two nearest coloured bodies, of other paint than its own, for the pixels of some lines.
 
     (line, column, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross,
     rank): segments nearest to a cell, -1 for none; ``body`` (segment,): body of a segment; ``paint``
-    (segment,): what is the same for all bodies of one paint; ``number`` (line, column): segment of every
+    (segment,): the same number for all bodies of one paint; ``number`` (line, column): segment of every
     pixel of these lines, -1 without data; ``first``: number of the first of these lines.
     """
     lines, columns = number.shape
@@ -36,7 +34,7 @@ def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, firs
 
 
 def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, places: Ints) -> Index:
-    """Return `two_nearest` of the pixels at some places of a whole line, counted line by line (pixel, 2)."""
+    """Return `two_nearest` of pixels of a whole line at places counted line by line (pixel, 2)."""
     line, column = np.divmod(places, number.shape[1])
     return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
 
@@ -45,11 +43,11 @@ def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
     """Return the first two bodies of other paint among the segments nearest to pixels (..., rank)."""
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
-    own = paints[number]
+    own_paint = paints[number]
     nearest = np.full((*number.shape, 2), -1, np.int32)
     for rank in range(cells.shape[-1]):
         here = bodies[cells[..., rank]]
-        fresh = (here >= 0) & (paints[here] != own) & (here != nearest[..., 0])
+        fresh = (here >= 0) & (paints[here] != own_paint) & (here != nearest[..., 0])
         into_first = fresh & (nearest[..., 0] < 0)
         into_second = fresh & ~into_first & (nearest[..., 1] < 0)
         nearest[..., 0] = np.where(into_first, here, nearest[..., 0])
@@ -57,9 +55,10 @@ def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
     return nearest
 
 
+#: States of a segment: in full light; another body's cast shadow; another body under the sun's mirror image.
 LIT, SHADED, GLINTED = 0, 1, 2
-"""States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image."""
 
+#: Field to its dims, dtype, units and meaning.
 _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "channel": ((BAND,), "int64", "", "Channel that a band is averaged into; -1 for none"),
     "wavelength": ((BAND,), "float64", "nm", "Centre wavelength at the centre column"),
@@ -91,68 +90,75 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "spectrum": (("segment_number", "channel"), "float64", "1", "Median reflectance of a segment"),
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
-"""Field to its dims, dtype, units and meaning."""
 
-_BEFORE = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
-"""What models were made with that say nothing of it: a uniform sky, glint wherever it fits, and shadows on
-all things as on the ground."""
+#: Values of older models without these fields: a uniform sky, glint wherever it fits, and shadows on
+#: all objects as on the ground.
+_DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
-    """Tell whether values are numbers that a dtype holds, before what it does not is wrapped around."""
+    """Return whether values are numbers that a dtype can hold, before a cast would wrap others around."""
     if values.dtype.kind not in "iufb":
         return False
     if dtype.kind == "f" or not values.size:
         return True
     limits = np.iinfo(dtype)
-    # not finite, or out of range: both comparisons are False for NaN
+    # both comparisons are False for NaN
     return bool(values.min() >= limits.min and values.max() <= limits.max)
 
 
 def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
-    """Note what of the fields found would be looked for beyond the others' ends."""
+    """Note fields with references outside the model, or values out of range."""
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
         if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
-            problems.add(f"{name!r} points at segments beyond the {count} there are")
+            problems.add(
+                f"{name!r} refers to segments other than the {count} of the model", code="segment-unknown"
+            )
     if "channel" in fields:
         used = np.unique(fields["channel"])
         if not channels or not np.array_equal(used[used != -1], np.arange(channels)):
             problems.add(
-                f"'band_channel' does not name each of the {channels} channels, and nothing else but -1 for "
-                "bands that are not used"
+                "'band_channel' is incomplete",
+                expected=f"each of the {channels} channels, and -1 for unused bands",
+                code="channel-unknown",
             )
     if {"neighbour", "segment"} <= fields.keys():
         cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
         if fields["neighbour"].shape[:2] != cells:
-            problems.add(f"'neighbour' has {fields['neighbour'].shape[:2]} cells, expected {cells}")
+            problems.add(
+                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+                expected=f"{cells}",
+                code="grid-mismatch",
+            )
     if not np.isfinite(fields.get("shift", np.empty(0))).all():
-        problems.add("'shift' is not finite")
-    for name, least in (("noise", 0.0), ("tilt", 1e-6)):
-        spread = fields.get(name, np.empty(0))
-        if not (np.isfinite(spread) & (spread >= least)).all():
-            problems.add(f"{name!r} is not finite, or below {least:g}")
-    fraction = fields.get("diffuse_fraction", np.empty(0))
-    if not ((fraction >= 0) & (fraction <= 1)).all():
-        problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
-    for name in ("zenith_radiance", "sunward_radiance"):
-        radiance = fields.get(name, np.empty(0))
-        if not (np.isfinite(radiance) & (radiance >= 0)).all():
-            problems.add(f"{name!r} is not finite, or below 0")
+        problems.add("'shift' is not finite", code="not-finite")
+    for name, least, most in (
+        ("noise", 0.0, np.inf),
+        ("tilt", 1e-6, np.inf),
+        ("diffuse_fraction", 0.0, 1.0),
+        ("zenith_radiance", 0.0, np.inf),
+        ("sunward_radiance", 0.0, np.inf),
+    ):
+        values = fields.get(name, np.empty(0))
+        if not (np.isfinite(values) & (values >= least) & (values <= most)).all():
+            problems.add(
+                f"{name!r} is not finite, or outside {least:g} to {most:g}", code="value-out-of-range"
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
-    """Segments of a flight line, what they look like in full light, and what stands beside them.
+    """Segments of a flight line, their spectra in full light, and their neighbours.
 
-    Made by `hyperpaint.surroundings.survey`; `to_dataset` makes something that can be stored. Spectra are
-    those of *channels*, means over some neighbouring bands.
+    Made by `hyperpaint.surroundings.survey`; `to_dataset` returns a form that can be stored. Spectra are
+    spectra of *channels*, means over some neighbouring bands.
 
     Attributes
     ----------
     wavelength : (band,)
-        Of the line the model was made of [nm].
+        Of the surveyed line [nm].
     channel : (band,)
         Channel of every band; -1 for bands that are not used.
     channel_wavelength : (channel,)
@@ -160,37 +166,37 @@ class SceneModel:
     diffuse_fraction : (channel,)
         Diffuse part of the irradiance on level ground [1].
     zenith_radiance, sunward_radiance : (channel,)
-        Radiance of the zenith, and by how much that 5 degrees from the sun is larger, over the mean of the
-        sky [1]; 1 and 0 of a uniform sky, and of models that were stored without them.
+        Radiance of the zenith, and its excess 5 degrees from the sun, over the mean of the
+        sky [1]; 1 and 0 for a uniform sky, and for models stored without them.
     shift : (channel, cross_track)
-        By how much a channel's true wavelength differs from the nominal one: smile [nm].
+        True less nominal wavelength of a channel: smile [nm].
     noise : (channel,)
-        Standard deviation of a channel, relative to what is seen [1].
+        Standard deviation of a channel, relative to the reflectance [1].
     segment : (along_track, cross_track)
-        Number of every pixel's segment; -1 where there are no data.
+        Number of every pixel's segment; -1 without data.
     edge_distance : (along_track, cross_track), uint8
-        Pixels to the next pixel of another surface; 0 in pixels that belong to nothing of some size.
+        Pixels to the next pixel of another surface; 0 in mixed pixels.
     shade_distance : (along_track, cross_track), uint8
         Pixels to the next cast shadow, 0 in one; 255 far from any.
     lobe : (along_track, cross_track), uint8
-        1 in a mirror image of the sun, 2 in saturated pixels of one, 0 in none; 1 everywhere in models that
-        were stored without it.
+        1 in a mirror image of the sun, 2 in saturated pixels of one, else 0; 1 everywhere in models stored
+        without it.
     neighbour : (cell_along, cell_cross, rank)
-        Coloured segments that are nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
+        Coloured segments nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
     size, state, body : (segment_number,)
         Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
         same surface in full light.
     ground : (segment_number,), int8
-        1 where the body is ground, which is level, 0 where it is a thing that leans; 1 in models that were
-        stored without it.
+        1 where the body is level ground, 0 where it is an object that may lean; 1 in models stored without
+        it.
     paint : (segment_number,)
         First of the bodies that show the same paint; a body lights no other of its paint.
     tilt : (segment_number,)
         Spread of the amount of direct light within the body [1].
     spectrum, reference : (segment_number, channel)
-        Median of a segment's pixels, and that of its body without what glint and shadow change [1].
+        Median of a segment's pixels, and of its body without glint and shadow [1].
     attrs
-        How it was made.
+        Settings of the survey.
 
     Examples
     --------
@@ -245,8 +251,6 @@ class SceneModel:
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""
-        import xarray as xr
-
         variables = {}
         for name, (dims, _, units, meaning) in _LAYOUT.items():
             attrs = {"long_name": meaning, **({"units": units} if units else {})}
@@ -255,28 +259,34 @@ class SceneModel:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
-        """Return the model that a Dataset holds.
+        """Return the model stored in a Dataset.
 
-        Raises `SchemaError`: variables are missing or have other dims, types or sizes, or numbers point at
-        segments or channels that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
+        Raises `SchemaError`: variables are missing or have other dims, types or sizes, numbers refer to
+        unknown segments or channels, or values are out of range; all are listed.
         """
         problems = Problems("this is no scene model", SchemaError)
         fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
-            if stored not in dataset.variables and name in _BEFORE:
+            if stored not in dataset.variables and name in _DEFAULTS:
                 shape = tuple(dataset.sizes.get(dim, 0) for dim in dims)
-                fields[name] = np.full(shape, _BEFORE[name], dtype)
+                fields[name] = np.full(shape, _DEFAULTS[name], dtype)
             elif stored not in dataset.variables:
-                problems.add(f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})")
+                problems.add(
+                    f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})", code="variable-missing"
+                )
             elif set(dataset[stored].dims) != set(dims):
-                problems.add(f"{stored!r} has dims {dataset[stored].dims}, expected {dims}")
+                problems.add(
+                    f"{stored!r} has dims {dataset[stored].dims}", expected=f"{dims}", code="dims-wrong"
+                )
             else:
                 values = dataset[stored].transpose(*dims).values
                 if _fits(values, np.dtype(dtype)):
                     fields[name] = np.ascontiguousarray(values, dtype)
                 else:
-                    problems.add(f"{stored!r} holds {values.dtype} values that are no {dtype}")
+                    problems.add(
+                        f"{stored!r} holds {values.dtype} values", expected=f"{dtype}", code="type-wrong"
+                    )
         _check_numbers(fields, dataset.sizes, problems)
         problems.raise_if_any()
         attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}

@@ -1,4 +1,4 @@
-"""A picture in channels, divided into segments of one surface in one light."""
+"""Division of a picture in channels into segments of one surface in one light."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 
 from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 
@@ -30,17 +31,17 @@ class Touching(NamedTuple):
     one: Ints
     other: Ints
     length: Ints  #: (pair,): Sides of pixels that lie between them.
-    #: (pair, 4): How many of these sides are steps from one to the other along, against, to the right and to
-    #: the left.
+    #: (pair, 4): Number of these sides crossed from one to the other along, against, to the right and to the
+    #: left.
     sides: Ints
 
 
 def divide(channels: Floats32) -> Segments:
     """Return the segments of a line (line, column, channel).
 
-    The steps between neighbouring pixels are taken from the gentlest on, and join what they lie between
-    unless they stand out from the steps inside (Felzenszwalb & Huttenlocher, Ints. J. Comput. Vis. 59, 2004).
-    Nothing depends on how the line came into memory.
+    The steps between neighbouring pixels are taken in ascending order, and join their two segments unless
+    they stand out from the steps inside (Felzenszwalb & Huttenlocher, Ints. J. Comput. Vis. 59, 2004). The
+    result does not depend on chunks.
     """
     from hyperpaint.kernels import segmentation as kernels
 
@@ -79,20 +80,20 @@ def divide(channels: Floats32) -> Segments:
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
 
 
+#: Number of parts in which steps are sorted.
 _PARTS = 8
-"""Parts in which steps are sorted."""
 
 
 def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
-    """Yield places and sizes of the finite steps (line, column, way), ascending, some at a time."""
+    """Yield places and sizes of the finite steps (line, column, way), ascending, in parts."""
     from hyperpaint.kernels.segmentation import pick_steps, sort_steps
 
     total = np.concatenate([[0], np.cumsum(counts)])
-    # at the piles with which another part of all is full; beyond the last lie steps that are not finite
+    # bins at which each part is full; beyond the last lie steps that are not finite
     full = np.searchsorted(total, np.linspace(0, total[-1], _PARTS + 1)[1:])
     edges = np.unique(np.concatenate([[0], full]))
     most = np.diff(total[edges]).max(initial=0)
-    # once for all: memory that is taken and given back in turns is not all used again
+    # allocated once: repeated allocation would not reuse all memory
     places, values = np.empty((2, most), np.int32), np.empty((2, most), np.uint32)
     for first, end in pairwise(edges):
         count = 0
@@ -107,13 +108,13 @@ def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]
 def sample_pixels(number: npt.NDArray[np.int32], chosen: Bools, count: int) -> list[Ints]:
     """Return places of at most `max_sample_px` chosen pixels of every segment, evenly spread in line order.
 
-    Segments without a chosen pixel give the first ones they have.
+    Segments without a chosen pixel give their first pixels.
     """
     from hyperpaint.kernels.segmentation import count_pixels, sample_places
 
     counts = np.zeros((2, count), np.int64)
     count_pixels(number, chosen, counts)
-    # of segments without a chosen pixel those that are not
+    # segments without a chosen pixel use all their pixels
     wanted = counts[1] > 0
     held = np.where(wanted, counts[1], counts[0])
     step = np.maximum(1, -(-held // SEGMENTS.max_sample_px))
@@ -124,7 +125,7 @@ def sample_pixels(number: npt.NDArray[np.int32], chosen: Bools, count: int) -> l
 
 
 def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
-    """Return which segments touch, how far, and on which side."""
+    """Return the touching segments, with the number and direction of their common sides."""
     codes, ways = [], []
     for axis, (a, b) in enumerate(_NEXT):
         for _, part in line_parts(number, more=1 - axis):
@@ -141,12 +142,10 @@ def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
 
 
 def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
-    """Return pairs of segments that touch, or have a small one between them that touches both.
+    """Return pairs of segments that touch, or have a small segment between them that touches both.
 
     Large segments are no bridge: everything in a car park touches the asphalt.
     """
-    import scipy.sparse
-
     count = size.size
     near = pairs.length >= SEGMENTS.min_border_sides
     one, other = pairs.one[near], pairs.other[near]
@@ -179,24 +178,24 @@ def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touch
             step = np.abs(level[a] - level[b]).ravel()[differ].astype(np.float64)
             one, other = first[differ].astype(np.int64), second[differ].astype(np.int64)
             for sums, code in zip(both_ways, (one * count + other, other * count + one), strict=True):
-                # one after another, as if all were at hand: the same bits for any parts
+                # summed one after another: the same bits for any parts
                 np.add.at(sums, np.searchsorted(codes, code), np.nan_to_num(step))
         for sums in both_ways:
             total += sums
     return total / pairs.length
 
 
+#: Pixels and those of the next line; and those to the right.
 _NEXT: tuple[Any, Any] = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
-"""Pixels and those of the next line; and those to the right."""
 
 
 def edge_distance(
     segments: Segments, body: npt.NDArray[np.int32], surface: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.uint8]:
-    """Return how many pixels every pixel is from another surface (line, column); 0 in mixed pixels.
+    """Return the distance of every pixel from another surface (line, column) [pixel]; 0 in mixed pixels.
 
     Bodies (segment,) of one surface (segment,) differ by light and tilt, so that no material is mixed where
-    they meet; what is small or thin between them is in doubt all the same.
+    they meet; small or thin segments between them are still mixed.
     """
     from hyperpaint.kernels.segmentation import boundary_distance
 
@@ -210,7 +209,7 @@ def edge_distance(
 
 
 def distance_to(chosen: Bools) -> npt.NDArray[np.uint8]:
-    """Return how many pixels every pixel is from a chosen one (line, column), 0 in one; at most 255."""
+    """Return the distance of every pixel from a chosen one (line, column) [pixel], 0 in one; at most 255."""
     from hyperpaint.kernels.segmentation import boundary_distance
 
     distance = np.empty(chosen.shape, np.uint8)

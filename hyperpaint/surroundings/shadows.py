@@ -1,4 +1,4 @@
-"""Cast shadows: which segments are another's surface, lit by the sky and by things around only."""
+"""Cast shadows: segments that are another segment's surface, lit by the sky and by objects around only."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ from .full_light import (
     senders_of,
     solve,
     without_sun,
-)  # fmt: skip
+)
+from .lobes import padded
 from .model import LIT, SHADED
 from .scratch import line_parts, release
 from .segments import Touching, beyond, distinct_pairs
 
+#: Directions (along, across) of the sides of `Touching`.
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Directions (along, across) of the sides of `Touching`."""
 
 
 class Scene(NamedTuple):
-    """What is known of segments before shadows are."""
+    """Segments before shadows are known."""
 
     spectrum: Floats  #: (segment, channel): Reflectance [1].
     size: Ints  #: (segment,): Pixels.
@@ -48,28 +49,29 @@ def match_shade(
     light: Light,
     side: Array | None,
 ) -> tuple[Matches, Bools]:
-    r"""Find the segments that lie in a cast shadow, and those that are ground (segment,).
+    r"""Return the segments that lie in a cast shadow, and the segments that are ground (segment,).
 
     A segment can be in the shadow of a body where
     :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)`, the light of the sky and of one neighbour, fits it with
     little c. Dark glass and black paint fit as well, so that the surroundings decide:
 
-    1. Beyond doubt is what sees much of the sky, and touches its lit body on the far side of the sun, or all
-       around.
-    2. The ground is what most of these lie on. On it, shadows may be darker and more coloured.
-    3. From there they go on to segments that touch them, and are no part of what stands in the sun.
-    4. Whatever lies around: what has the sky's part of a body's light to 2 % in all channels, and more of it
-       than glass or black paint could mirror, beside that body.
+    1. Certain are segments that see much of the sky, and touch their lit body on the side away from the sun,
+       or all around.
+    2. The ground is the body below most of these. On it, shadows may be darker and more coloured.
+    3. From there shadows extend to touching segments that are not part of an object in the sun.
+    4. Independent of the surroundings: segments with the sky's part of a body's light to 2 % in all channels,
+       beside that body, and with more of it than glass or black paint could mirror.
 
-    What is a dark body in the sun under a coat that mirrors the sky, by its spectrum, is none of 2 to 4.
+    Segments with the spectrum of a dark body in the sun under a coat that mirrors the sky are excluded from 2
+    to 4.
 
-    Where clear shadows fall to another side than they are said to, a `PaintWarning` says so, and the side
-    that is seen is used.
+    Where clear shadows fall to another side than predicted, a `PaintWarning` is given, and the observed side
+    is used.
 
     Takes ``number`` (line, column): segment of every pixel, -1 without data; ``spectrum`` (segment, channel):
-    reflectance [1]; ``size`` (segment,): pixels; ``pairs``: which segments touch; ``light``: parts of the
-    irradiance; ``side`` (2,): direction (along, across) in which shadows fall; found from the clearest of
-    them if None.
+    reflectance [1]; ``size`` (segment,): pixels; ``pairs``: touching segments; ``light``: parts of the
+    irradiance; ``side`` (2,): direction (along, across) in which shadows fall; if None, from the clearest
+    shadows.
     """
     count = len(spectrum)
     state, body = np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32)
@@ -86,9 +88,11 @@ def match_shade(
     agree = side is None or seen_side is None or seen_side @ side >= SHADOWS.min_agreement
     if not agree and coherence >= SHADOWS.min_coherence:
         warnings.warn(
-            "shadows fall to another side than the sun's place and the heading of the line say; they are "
-            "taken as they are seen. Check the heading, its convention and the clock",
-            PaintWarning,
+            PaintWarning(
+                "shadows fall to another side than sun and heading of the line predict; the observed side "
+                "is used. Check the heading, its convention and the clock",
+                code="shadow-side-contradictory",
+            ),
             stacklevel=2,
         )
         side = seen_side
@@ -116,7 +120,11 @@ def match_shade(
         < SHADOWS.sided_direct.open + SHADOWS.sided_direct.hidden * (SHADOWS.open_sky - mixtures.sky)
     )
     beside = (length >= SHADOWS.min_contact_sides) & (way >= SHADOWS.beside_way * length) & _clear(mixtures)
-    best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
+    # candidates that fit about as well as the best on the ground
+    least = np.full(count, np.inf)
+    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
+    best = np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
+    best &= ~ground[mixtures.segment]
     _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
     _assign(mixtures, _turned_away(mixtures, length, way, scene) & ~on_ground, state, body)
     _grow(mixtures, ground, best, length, way, scene, state, body)
@@ -125,27 +133,27 @@ def match_shade(
 
 
 def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
-    """Return the segments that could be in shadow, with the bodies that they touch, and the largest."""
+    """Return the segments that could be in shadow, with the bodies that they touch and the largest bodies."""
     spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
     count = size.size
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
     level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
     largest = np.argsort(-size, kind="stable")[: SHADOWS.large_segments]
     near, bridged = beyond(pairs, size)
-    one = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
-    other = np.concatenate([bridged, np.tile(largest, count)])
+    segment = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
+    body = np.concatenate([bridged, np.tile(largest, count)])
     fits = (
-        is_finite[one]
-        & is_finite[other]
-        & (one != other)
-        & (level[one] < SHADOWS.max_brightness * level[other])
+        is_finite[segment]
+        & is_finite[body]
+        & (segment != body)
+        & (level[segment] < SHADOWS.max_brightness * level[body])
     )
-    fits &= (size[other] >= SHADOWS.min_body_share * size[one]) & (level[one] > 0)
-    return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
+    fits &= (size[body] >= SHADOWS.min_body_share * size[segment]) & (level[segment] > 0)
+    return mixtures_of(*distinct_pairs(segment[fits], body[fits], count), spectrum, senders, light)
 
 
 def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
-    """Return the sides (n, 4) on which candidates touch what looks like their body."""
+    """Return the sides (n, 4) on which candidates touch segments that look like their body."""
     pairs, spectrum = scene.pairs, scene.spectrum
     first, last = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
     times = last - first
@@ -159,7 +167,7 @@ def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
 
 
 def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
-    """Tell which segments are of about the same colour and brightness, pair by pair."""
+    """Return whether segments have similar colour and brightness, pair by pair."""
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         shape = spectrum / level[:, None]
@@ -168,9 +176,9 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
 
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
-    """Return to which side (along, across) shadows fall, and how far they agree; None without any."""
+    """Return the side (along, across) to which shadows fall, and their agreement; None without any."""
     sure = _clear(mixtures) & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
-    # those on the ground, where any are: beside a dark car, its shadow looks like one on its paint
+    # shadows on the ground take precedence: beside a dark car, its shadow looks like one on its paint
     largest = np.argmax(scene.size)
     body = np.unique(mixtures.body)
     alike = np.isin(mixtures.body, body[_alike(scene.spectrum, body, np.full(body.size, largest))])
@@ -183,7 +191,7 @@ def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[F
 
 
 def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
-    """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
+    """Return whether candidates see much sky and, unlike glass and black paint, almost no other light."""
     hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
     little = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
     little &= mixtures.sent < most_sent * (1.0 - mixtures.sky)
@@ -191,7 +199,7 @@ def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
 
 
 def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
-    """Tell which are clear, and touch their lit body away from the sun, or all around."""
+    """Return whether candidates are clear, and touch their lit body away from the sun, or all around."""
     around = border[mixtures.segment]
     touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * around)
     away = way >= SHADOWS.sure.way * length
@@ -200,7 +208,7 @@ def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Float
 
 
 def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) -> Bools:
-    """Tell which are a bright thing's side without sun: its lit body is on the side of the sun."""
+    """Return whether candidates are a bright object's side without sun: its lit body is towards the sun."""
     level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
     touches = length >= SHADOWS.min_contact_sides
     touches &= length > SHADOWS.sure.border * scene.border[mixtures.segment]
@@ -212,10 +220,10 @@ def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) 
 
 
 def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:
-    r"""Tell which are rather a dark body in the sun whose coat mirrors the sky.
+    r"""Return whether candidates are more likely a dark body in the sun whose coat mirrors the sky.
 
-    :math:`\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with :math:`\rho` linear in wavelength and m what a
-    clear coat mirrors: of the zenith, or of the whole sky.
+    :math:`\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with :math:`\rho` linear in wavelength and m the
+    reflectance of a clear coat: for the zenith, or for the whole sky.
     """
     segments, place = np.unique(mixtures.segment, return_inverse=True)
     seen = np.nan_to_num(spectrum[segments])
@@ -234,7 +242,7 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
 
 
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
-    """Tell which are a body without the sun by spectrum and level alone, and lie beside it."""
+    """Return whether candidates are a body without sun by spectrum and level alone, and lie beside it."""
     from scipy.ndimage import binary_dilation, find_objects
 
     level = np.nan_to_num(scene.spectrum).mean(axis=1)
@@ -245,26 +253,20 @@ def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]
     fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
     places = find_objects(number + 1) if fits.any() else []
     for row in np.flatnonzero(fits):
-        window = around(places[mixtures.segment[row]], SHADOWS.beside_px)
+        window = padded(places[mixtures.segment[row]], SHADOWS.beside_px)
         here = number[window]
         near = binary_dilation(here == mixtures.segment[row], iterations=SHADOWS.beside_px)
         fits[row] = (here[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
     return np.asarray(fits)
 
 
-def around(place: tuple[slice, ...], pixels: int) -> tuple[slice, slice]:
-    """Return a window that is some pixels wider to all sides."""
-    rows, columns = (slice(max(part.start - pixels, 0), part.stop + pixels) for part in place)
-    return rows, columns
-
-
 def penumbrae(
     channels: Floats32, number: npt.NDArray[np.int32], matches: Matches, ground: Bools, light: Light
 ) -> npt.NDArray[np.int32]:
-    """Return the segments of pixels (line, column), with those of shadows' wide edges on bodies among them.
+    """Return the segments of pixels (line, column), with the wide edges of shadows on objects included.
 
-    Light fades there, so that pixels are of neither side, and went with whatever neighbour there is.
-    Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are left as they are.
+    Light fades there, so that pixels belong to neither side, and were assigned to any neighbour.
+    Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
     """
     from scipy.ndimage import binary_dilation, find_objects
 
@@ -272,7 +274,7 @@ def penumbrae(
     chosen = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
     places = find_objects(number + 1) if chosen.size else []
     for segment in chosen:
-        window = around(places[segment], SHADOWS.penumbra_px)
+        window = padded(places[segment], SHADOWS.penumbra_px)
         here, lit = number[window], matches.body[segment]
         near = binary_dilation(here == segment, iterations=SHADOWS.penumbra_px)
         near &= (here >= 0) & (here != segment) & (here != lit)
@@ -295,27 +297,20 @@ def penumbrae(
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
-    """Return which segments are ground (segment,): the largest, and what most shadows lie on.
+    """Return whether segments are ground (segment,): the largest, and the body of most shadows.
 
-    But for what is too bright, or too rare: the white cars that shadows of others fall on.
+    Except for too bright or too small bodies: white cars with shadows of others on them.
     """
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
     is_ground = np.zeros(count, bool)
     largest = scene.size == scene.size.max()
     bright = np.nan_to_num(scene.spectrum).mean(axis=1) > SHADOWS.max_ground_level
-    for one in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
-        alike = _alike(scene.spectrum, np.arange(count), np.full(count, one))
-        if largest[one] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
+    for candidate in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
+        alike = _alike(scene.spectrum, np.arange(count), np.full(count, candidate))
+        if largest[candidate] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
             is_ground |= alike
     return is_ground
-
-
-def _best_on_ground(mixtures: Mixtures, on_ground: Bools, count: int) -> Bools:
-    """Tell which fit their segments about as well as any of the ground does."""
-    least = np.full(count, np.inf)
-    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
-    return np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
 
 
 def _grow(
@@ -328,7 +323,6 @@ def _grow(
     state: Array,
     body: Array,
 ) -> None:
-    """Let shadows go on to what touches them."""
     around, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
     sunny = (way < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * around)
     fits = best & ~sunny & without_sun(mixtures)
@@ -360,29 +354,29 @@ def _grow(
 
 
 def _touched(which: Bools, scene: Scene) -> Floats:
-    """Return how many sides of every segment lie at some others (segment,)."""
+    """Return the number of sides of every segment that touch chosen segments (segment,)."""
     weight = scene.pairs.length * which[scene.pairs.other]
     return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
 def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
-    """Give segments the body, itself lit, that fits best; return whether any got one."""
-    any_ = False
+    """Assign the best fitting lit body to segments; return whether any changed."""
+    any_assigned = False
     for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
         segment, parent = mixtures.segment[place], body[mixtures.body[place]]
         if state[segment] == LIT and state[parent] == LIT and parent != segment:
             state[segment] = SHADED
             body[body == segment] = parent
-            any_ = True
-    return any_
+            any_assigned = True
+    return any_assigned
 
 
 def shaded_pixels(
     channels: Floats32, number: npt.NDArray[np.int32], level: Bools, reference: Floats, light: Light
 ) -> Bools:
-    """Return the pixels (line, column) of level ground that lack direct light: shadows of thin things.
+    """Return the pixels (line, column) of level ground that lack direct light: shadows of thin objects.
 
-    What leans away from the sun lacks it as well, so that nothing but the ground can be asked.
+    Surfaces that lean away from the sun lack it as well, so that only ground can be tested.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
     pixel, -1 without data; ``level`` (segment,): true for ground in the sun; ``reference`` (segment,
@@ -403,9 +397,9 @@ def shaded_pixels(
 
 
 def of_shadows(shaded: Bools, dark: Bools) -> Bools:
-    """Return the single pixels in shadow (line, column) that belong to one: texture of the ground left out.
+    """Return the single pixels in shadow (line, column) that belong to a shadow, not to ground texture.
 
-    Those that touch what lies in shadow, and long thin pieces, such as the shadows of posts. Takes
+    Pixels that touch a segment in shadow, and long thin pieces, such as the shadows of posts. Takes
     ``shaded``, ``dark`` (line, column): single pixels, and segments in shadow.
     """
     from scipy.ndimage import binary_dilation, find_objects, label
@@ -413,7 +407,7 @@ def of_shadows(shaded: Bools, dark: Bools) -> Bools:
     pieces, count = label(shaded, np.ones((3, 3)))
     belongs = np.zeros(count + 1, bool)
     belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
-    # in parts: whole numbers are counted as 64-bit ones
+    # in parts, since integers are counted in 64 bits
     size = np.sum([np.bincount(part.ravel(), minlength=count + 1) for _, part in line_parts(pieces)], axis=0)
     for number, window in enumerate(find_objects(pieces), 1):
         if belongs[number] or size[number] < SHADOWS.min_thin_px:

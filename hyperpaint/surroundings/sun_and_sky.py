@@ -1,10 +1,11 @@
-"""Where the sun stands, how the irradiance divides into sun and sky, and what a mirror shows of the sky."""
+"""Position of the sun, diffuse fraction of the irradiance, and sky radiance in a mirror."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError, needs_extra
@@ -22,42 +23,44 @@ from .model import SHADED
 from .scratch import gather
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from .full_light import Matches
 
+#: Sources of the diffuse fraction other than a measured spectrum.
 SOURCES = ("model", "pvlib", "shadow")
-"""Where the diffuse fraction may come from, beside a measured spectrum."""
 
 
+#: Variables of a line that determine the position of the sun.
 SUN_FROM = ("time", "latitude", "longitude")
-"""Variables of a line that say where the sun is."""
 
 
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
-    """Return the zenith angle of the sun [degree], given or from time and place of the line."""
+    """Return the zenith angle of the sun [degree]: the argument, or from time and place of the line."""
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
-            raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
+            raise SchemaError(
+                f"sun_zenith={sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
+            )
         return float(sun_zenith)
     if not set(SUN_FROM) <= set(line.variables):
         raise SchemaError(
-            "the sun's place is not known: the line has no time, latitude and longitude",
-            mend="give sun_zenith= [degree], or diffuse= with a measured spectrum",
+            "the position of the sun is unknown: the line has no time, latitude and longitude",
+            mend="pass sun_zenith= [degree], or diffuse= with a measured spectrum",
             option="give --sun-zenith",
+            code="sun-unknown",
         )
     zenith, _ = solar_position(*(line[name].values for name in SUN_FROM))
     if not np.isfinite(zenith).any():
         raise SchemaError(
             "time, latitude or longitude is missing on every line",
-            mend="give sun_zenith= [degree]",
+            mend="pass sun_zenith= [degree]",
             option="give --sun-zenith",
+            code="sun-unknown",
         )
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
 
 def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
-    """Return the direction (along, across) in the image in which shadows fall, None where it is not known.
+    """Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
 
     The right-hand column is to the right of the flight.
     """
@@ -73,7 +76,7 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
 
 
 def _mean_angle(degrees: Any) -> float | None:
-    """Return the mean direction [degree]; None where none is known."""
+    """Return the mean direction [degree]; None without finite values."""
     angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
     if not angles.size:
         return None
@@ -83,7 +86,7 @@ def _mean_angle(degrees: Any) -> float | None:
 def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
     """Return the diffuse fraction (band,) [1] of a clear sky, by the core's model or by pvlib's.
 
-    pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is asked for sea level, 1.5 cm of
+    pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is run for sea level, 1.5 cm of
     water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
     """
     if source != "pvlib":
@@ -108,42 +111,52 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
     return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
 
 
-def measured_fraction(given: Any, wavelength: Floats) -> Floats:
+def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
     """Return a measured diffuse fraction at the bands' wavelengths; `SchemaError` where it does not fit them.
 
-    Takes ``given`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
-    disc over that in full light [1]; ``wavelength`` (band,): [nm].
+    Takes ``fraction`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
+    disc over the reading in full light [1]; ``wavelength`` (band,): [nm].
     """
-    if hasattr(given, "coords") and "wavelength" in given.coords:
-        nm = np.asarray(given["wavelength"].values, np.float64)
+    if hasattr(fraction, "coords") and "wavelength" in fraction.coords:
+        nm = np.asarray(fraction["wavelength"].values, np.float64)
         order = np.argsort(nm, kind="stable")
-        values = np.interp(wavelength, nm[order], np.asarray(given.values, np.float64)[order], np.nan, np.nan)
+        values = np.interp(
+            wavelength, nm[order], np.asarray(fraction.values, np.float64)[order], np.nan, np.nan
+        )
     else:
-        values = np.asarray(given, np.float64)
+        values = np.asarray(fraction, np.float64)
     if values.shape != wavelength.shape:
         raise SchemaError(
-            f"diffuse= has shape {values.shape}, expected one value for each of the {wavelength.size} bands, "
-            "or a DataArray with a coordinate 'wavelength' [nm]"
+            f"diffuse= has shape {values.shape}",
+            expected=f"one value for each of the {wavelength.size} bands, or a DataArray with a coordinate "
+            "'wavelength' [nm]",
+            code="length-mismatch",
         )
     if not ((values >= 0) & (values <= 1)).all():
-        raise SchemaError("diffuse= leaves 0 to 1, or does not cover the bands")
+        raise SchemaError(
+            "diffuse= has missing values or values outside 0 to 1",
+            expected="0 to 1 in all bands",
+            code="value-out-of-range",
+        )
     return values
 
 
 def fraction_in_shadow(
     channels: Floats32, places: list[Ints], spectrum: Floats, size: Ints, matches: Matches
 ) -> Floats:
-    r"""Return the diffuse fraction (channel,) from a shadow on the largest body that has one of some size.
+    r"""Return the diffuse fraction (channel,) from a shadow on the largest body with a large enough one.
 
-    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, of the pixels of the shadow that see most of the sky: the
-    60th to 90th percentile of brightness in the bluest quarter. What things around hide of the sky, and light
-    that comes off them, is not known, and remains in it. Raises `SchemaError`: there is no such shadow.
+    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, from the pixels of the shadow that see most of the sky: the
+    60th to 90th percentile of brightness in the bluest quarter. Sky hidden by objects around, and light from
+    them, are unknown, and remain in it. Raises `SchemaError`: there is no such shadow.
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
-            "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
-            "use diffuse='model', or give a measured spectrum"
+            f"diffuse='shadow': no cast shadow of {DIFFUSE.min_shadow_px} pixels beside its ground in full "
+            "sun",
+            mend="pass diffuse='model', or a measured spectrum",
+            code="shadow-missing",
         )
     ground = matches.body[shaded]
     best = ground[np.argmax(size[ground])]
@@ -157,25 +170,25 @@ def fraction_in_shadow(
     return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
 
 
+#: Distributions of sky radiance: `hyperpaint.light.sky_functions`, even, or CIE's overcast sky.
 SKIES = ("clear", "uniform", "overcast")
-"""Where the light of the sky comes from: `hyperpaint.light.sky_functions`, evenly, or CIE's overcast sky."""
 
+#: Radiance of the zenith of a CIE overcast sky over that of a uniform one [1].
 OVERCAST_ZENITH = 9.0 / 7.0
-"""Radiance of the zenith of a CIE overcast sky over that of a uniform one [1]."""
 
+#: Largest zenith angle of the sun in sky functions; lower suns are computed as this one [degree].
 MAX_SUN_ZENITH_DEG = 89.0
-"""Sun from which on the sky's directions are taken for what they are there [degree]."""
 
 
 def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
-    """Return the radiance of the zenith, and by how much that around the sun is larger (band,) [1].
+    """Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
 
-    Over the mean of the sky, one of `SKIES`; only a clear one has a brighter side. Takes ``wavelength``
-    (band,) [nm] and the sun's zenith angle [degree].
+    Relative to the mean of the sky, one of `SKIES`; only a clear one has a brighter side. Takes
+    ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
     """
-    none = np.zeros(wavelength.shape)
+    zero = np.zeros(wavelength.shape)
     if sky != "clear":
-        return none + (OVERCAST_ZENITH if sky == "overcast" else 1.0), none
+        return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero
     zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
     above = zenith_radiance(wavelength, zenith)
     cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))

@@ -1,12 +1,14 @@
-"""One look at a whole line: its channels, segments, their spectra in full light, and neighbours."""
+"""Survey of a whole line: its channels, segments, their spectra in full light, and neighbours."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask.array as da
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
@@ -28,15 +30,12 @@ from .shadows import match_shade, of_shadows, penumbrae, shaded_pixels
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
 from .vegetation import is_vegetation
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
-    """Return the channel of every band: runs of as many good bands each; -1 for bands that are not good.
+    """Return the channel of every band: runs of equally many good bands; -1 for bands that are not good.
 
-    The ends of the spectrum, where colours have their steepest edges, are not treated apart: 24 channels of
-    a 400-1000 nm camera are 25 nm wide.
+    The ends of the spectrum, where colours have their steepest edges, are treated like the rest: 24 channels
+    of a 400-1000 nm camera are 25 nm wide.
     """
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
     count = min(SURVEY.channels, order.size)
@@ -57,21 +56,23 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
 def read_channels(
     cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
 ) -> tuple[Floats32, Bools]:
-    """Return the whole line in channels (line, column, channel), in scratch, some blocks in memory at a time.
+    """Return the whole line in channels (line, column, channel), in scratch, read in blocks.
 
-    And which pixels are saturated (line, column). A pixel's means depend on its own bands alone, so that
-    blocks change no bit.
+    Also returns whether pixels are saturated (line, column). A pixel's means depend on its own bands alone,
+    so that results have the same bits for any blocks.
     """
-    import dask.array as da
-
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
     count = int(channel.max()) + 1
     out, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
     blocks = da.map_blocks(
-        to_channels, cube.data, channel, dtype=np.float32, chunks=(cube.data.chunks[0], (columns,), (count,)),
+        to_channels,
+        cube.data,
+        channel,
+        dtype=np.float32,
+        chunks=(cube.data.chunks[0], (columns,), (count,)),
         meta=np.empty((0, 0, 0), np.float32),
-    )  # fmt: skip
+    )
     if quality is None:
         compute_into([blocks], [out], progress)
     else:
@@ -83,8 +84,8 @@ def read_channels(
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     """Return a line in channels, and the channel of every band, without channels that most pixels lack.
 
-    One channel that is dead for the whole line would otherwise leave no segment of which all is known. Where
-    no channel would remain, all do.
+    Otherwise one channel that is dead for the whole line would leave no segment with all channels. If no
+    channel would remain, all are kept.
     """
     data, finite_count = 0, np.zeros(channels.shape[2], np.int64)
     for _, part in line_parts(channels):
@@ -103,9 +104,9 @@ def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
 
 
 def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
-    """Return by how much a channel's true wavelength differs from the nominal one (channel, column) [nm].
+    """Return true less nominal wavelength of the channels (channel, column) [nm].
 
-    0 where the line has no ``wavelength_shift``, or it is not known.
+    0 where the line has no ``wavelength_shift``, or it is NaN.
     """
     bands = (channel == np.arange(channel.max() + 1)[:, None]).astype(np.float64)
     bands /= bands.sum(axis=1, keepdims=True)
@@ -119,7 +120,7 @@ def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
 
 
 def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> None:
-    """Take the smile out of channels (line, column, channel), in place: what they change by over the shift.
+    """Remove the smile from channels (line, column, channel), in place: slope times shift.
 
     The slope is that between the channels on both sides, which are much wider than any smile.
     """
@@ -132,11 +133,11 @@ def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> No
 
 
 def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
-    """Return the noise of channels (channel,), relative to what is seen [1].
+    """Return the noise of channels (channel,), relative to the reflectance [1].
 
-    From second differences over the channels of what neighbouring pixels of one segment differ by: the
-    light and the surface change little from pixel to pixel, and smoothly over the channels. 0 where nothing
-    is known of it.
+    From second differences over the channels of the differences of neighbouring pixels of one segment: light
+    and surface change little from pixel to pixel, and smoothly over the channels. 0 where it cannot be
+    estimated.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``number``, ``inside`` (line, column):
     segment of every pixel, and whether it lies inside.
@@ -177,33 +178,32 @@ def survey(
     reach: int = 120,
     progress: Progress | bool | None = None,
 ) -> SceneModel:
-    r"""Look at a whole line once, and return what flags need to know of it.
+    r"""Survey a whole line, and return the scene model that flags use.
 
-    Eager. The line is read once, some blocks at a time, and kept as means over 24 channels (96 bytes a pixel,
-    of more than some 500 lines in a temporary file) while the survey runs, beside some 30 bytes a
-    pixel in memory. The result is the same to the last bit for any chunks and scheduler.
+    Eager. The line is read once, some blocks at a time, and held as means over 24 channels (96 bytes a pixel,
+    in a temporary file for more than some 500 lines) during the survey, beside some 30 bytes a pixel in
+    memory. Results have the same bits for any chunks and scheduler.
 
     Parameters
     ----------
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
-        latitude, longitude and heading, where it has them, tell where the sun stands in the image.
+        latitude, longitude and heading, where present, determine the direction of the sun in the image.
     diffuse
-        Where the diffuse part of the irradiance is known from: None, the line itself, by its
-        ``diffuse_fraction`` or else its record of ``irradiance``, mean over lines; "model", the clear sky of
-        `hyperpaint.light.sun`, which is also taken, with a warning, where the line has no record; "pvlib",
-        SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far as one is
-        found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading in the
-        shade of a small disc over that in full light.
+        Source of the diffuse part of the irradiance: None, the line's ``diffuse_fraction`` or else its record
+        of ``irradiance``, mean over lines; "model", the clear sky of `hyperpaint.light.sun`, also assumed,
+        with a warning, where the line has no record; "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast
+        shadow on the ground in the image; or a measured spectrum (band,) or with a coordinate
+        ``wavelength``, such as a reading in the shade of a small disc over the reading in full light.
     sun_zenith
-        [degree]; from time and place unless given.
+        [degree]; by default from time and place.
     sun_azimuth, heading
-        Clockwise from north [degree]; from the line unless given. Without them, the side to which shadows
-        fall is taken from those that are beyond doubt.
+        Clockwise from north [degree]; by default from the line. Without them, the side of shadows is
+        estimated from the most certain ones.
     reach
-        How far from a coloured thing its light is looked for [pixel].
+        Maximum distance at which light of a coloured object is considered [pixel].
     progress
-        True for a bar on stderr, or what is called with (lines done, lines to do).
+        True for a bar on stderr, or a function called with (lines done, lines to do).
 
     Returns
     -------
@@ -213,34 +213,35 @@ def survey(
     ------
     SchemaError, UnitsError
         Variables are missing or have other dims or units; the line has no pixel or no good band; the
-        wavelength of a good band is missing; the sun's place is not known; ``diffuse`` is none of these, or
-        no shadow was found.
+        wavelength of a good band is missing; the position of the sun is unknown; ``diffuse`` has another
+        value, or there is no shadow.
     MissingExtraError
         pvlib is not installed.
 
     Warns
     -----
     PaintWarning
-        A clear sky is taken, since the line has no record of its light.
+        A clear sky is assumed, since the line has no record of its light.
 
     Notes
     -----
-    1. Segments: neighbouring pixels are joined from the gentlest step on [1]_; what is small or thin goes
-       with its neighbour, and is a mixed pixel where it lies between two bodies. Where parts of one car meet
-       that differ by tilt, pixels are not mixed.
-    2. Segments that are others' surface in shadow, :math:`\rho (c f_{dir} + V f_{dif} + b \rho_n)` with small
-       c and the light b of one coloured neighbour, or fade into another under the sun's mirror image,
-       :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given its spectrum. Dark glass and black paint
-       can look like shadowed asphalt in every band: a shadow touches its lit body, though not on the side of
-       the sun, or goes on from one that does. On the ground, single pixels are shadow where direct light is
-       missing and that of the sky is not. Where the sky has over 95 % of the light there are no shadows, and
-       no mirror images of the sun.
-    3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least, less
-       what other parts of the same paint, where they are coloured, show to be glint all over it.
+    1. Segments: neighbouring pixels are joined in ascending order of their difference [1]_; small or thin
+       segments are joined to a neighbour, and are mixed pixels where they lie between two bodies. Where parts
+       of one car differ by tilt, pixels between them are not mixed.
+    2. Segments that are another segment's surface in shadow,
+       :math:`\rho (c f_{dir} + V f_{dif} + b \rho_n)` with small c and the light b of one coloured neighbour,
+       or that fade into another under the mirror image of the sun,
+       :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, get its spectrum. Dark glass and black paint can look
+       like asphalt in shadow in every band: a shadow touches its lit body, on a side away from the sun, or
+       another shadow. On the ground, single pixels are shadow where direct light is missing and light of the
+       sky is not. Where the sky has over 95 % of the light there are no shadows, and no mirror images of the
+       sun.
+    3. A body's reference is the mean of the pixels with least glint and light from coloured neighbours, less
+       glint that covers the whole body, estimated from other parts of the same coloured paint.
     4. The nearest coloured segments of every 4 x 4 pixels.
 
-    Channels that most pixels lack, such as those of dead bands, are left out. A body that lies in shadow or
-    in glint as a whole, and touches no part of itself that does not, is taken as it is seen.
+    Channels that most pixels lack, such as those of dead bands, are left out. A body that lies wholly in
+    shadow or in glint, without a touching part outside, keeps its spectrum.
 
     References
     ----------
@@ -265,10 +266,21 @@ def survey(
     cube = variables["reflectance"]
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
-    divided = _divided(diffuse, line, sun_zenith)
+    try:
+        divided = split_of(line, diffuse, sun_zenith).mean()
+    except SchemaError as error:
+        if not (isinstance(diffuse, str) and diffuse == "shadow"):
+            raise
+        found = "diffuse='shadow' starts from the light of a clear sky"
+        raise SchemaError(found, problems=[error.problem]) from error
     fraction, zenith = divided.fraction.values, divided.zenith
     channel = channel_numbers(wavelength, good)
-    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), _quality(line))
+    bits = None
+    if "quality" in line.variables:
+        bits = schema.require(line, ["quality"], "a scene model")["quality"].transpose(
+            ALONG_TRACK, CROSS_TRACK
+        )
+    channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
     bands = (wavelength, fraction, divided.u.values, *divided.mirrored())
     centre, split, split_u, *sky = (_mean_of(values, channel) for values in bands)
@@ -312,7 +324,7 @@ def survey(
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
     del places
     coated = coloured_bodies(reference, light)
-    # what nothing casts a shadow on may be a bonnet that fills the picture
+    # ground without any cast shadow may be a bonnet that fills the picture
     bare = ground & ground[matches.body[matches.state == SHADED]].any()
     if light.direct.mean() < SURVEY.min_direct:
         lobe = np.zeros(saturated.shape, np.uint8)
@@ -323,74 +335,91 @@ def survey(
     noise = channel_noise(channels, segments.number, is_inside)
     del is_inside
     trim_memory()
-    level = ground & (matches.state == LIT)
-    shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
-    shaded = shaded_pixels(channels, segments.number, level, reference, light)
-    own_level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
-    deep = np.empty_like(shaded)
-    for part, seen in line_parts(channels):
-        bright = own_level[segments.number[part]]
-        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * bright)
-    shade_distance[of_shadows(shaded, (shade_distance == 0) | deep)] = 0
+    shade_distance = _shade_distance(channels, segments.number, matches, ground, reference, light)
     trim_memory()
     return SceneModel(
-        wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
-        zenith_radiance=sky[0], sunward_radiance=sky[1], shift=shift, noise=noise, segment=segments.number,
-        shade_distance=shade_distance, edge_distance=edge_distance(segments, matches.body, paints.first),
-        lobe=lobe, neighbour=neighbour, size=segments.size, state=matches.state, body=matches.body,
-        ground=ground[matches.body].astype(np.int8), paint=paints.first, tilt=tilt, spectrum=spectrum,
+        wavelength=wavelength,
+        channel=channel,
+        channel_wavelength=centre,
+        diffuse_fraction=split,
+        zenith_radiance=sky[0],
+        sunward_radiance=sky[1],
+        shift=shift,
+        noise=noise,
+        segment=segments.number,
+        shade_distance=shade_distance,
+        edge_distance=edge_distance(segments, matches.body, paints.first),
+        lobe=lobe,
+        neighbour=neighbour,
+        size=segments.size,
+        state=matches.state,
+        body=matches.body,
+        ground=ground[matches.body].astype(np.int8),
+        paint=paints.first,
+        tilt=tilt,
+        spectrum=spectrum,
         reference=reference,
         attrs={
-            "diffuse_fraction_from": _source_text(diffuse, divided), "diffuse_fraction_u": split_u.tolist(),
-            "sky_states": " ".join(divided.states), "reach": reach, "sun_zenith": zenith,
+            "diffuse_fraction_from": _source_text(diffuse, divided),
+            "diffuse_fraction_u": split_u.tolist(),
+            "sky_states": " ".join(divided.states),
+            "reach": reach,
+            "sun_zenith": zenith,
         },
-    )  # fmt: skip
+    )
 
 
-def _quality(line: xr.Dataset) -> xr.DataArray | None:
-    """Return the bits of a line, None where it has none."""
-    if "quality" not in line.variables:
-        return None
-    return schema.require(line, ["quality"], "a scene model")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
+def _shade_distance(
+    channels: Floats32,
+    number: npt.NDArray[np.int32],
+    matches: Matches,
+    ground: Bools,
+    reference: Floats,
+    light: Light,
+) -> npt.NDArray[np.uint8]:
+    """Return the distance of every pixel from any shadow (line, column) [pixel]."""
+    distance = distance_to(np.append(matches.state == SHADED, False)[number])
+    shaded = shaded_pixels(channels, number, ground & (matches.state == LIT), reference, light)
+    level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
+    deep = np.empty_like(shaded)
+    for part, seen in line_parts(channels):
+        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * level[number[part]])
+    distance[of_shadows(shaded, (distance == 0) | deep)] = 0
+    return distance
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
-    """Return which bands are good (band,), of a line that can be looked at."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
-        problems.add(f"reflectance has shape {cube.shape}, expected at least one line, band and column")
+        problems.add(
+            f"reflectance has shape {cube.shape}",
+            expected="at least one line, band and column",
+            code="empty-input",
+        )
     good = np.ones(wavelength.size, bool)
     if "good" in line.variables:
         if line["good"].dims != (BAND,):
-            problems.add(f"'good' has dims {line['good'].dims}, expected ({BAND!r},)")
+            problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
         else:
             good = line["good"].values.astype(bool)
     if not good.any():
-        problems.add(f"none of the {good.size} bands is good; mend 'good', or drop it to use all of them")
+        problems.add(
+            f"'good' is False in all {good.size} bands",
+            mend="correct 'good', or drop it to use all of them",
+            code="good-bands-missing",
+        )
     without = np.flatnonzero(good & ~np.isfinite(wavelength))
     if without.size:
         problems.add(
-            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}; "
-            "give it, or set 'good' to False there"
+            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}",
+            mend="give it, or set 'good' to False there",
+            code="wavelength-missing",
         )
     problems.raise_if_any()
     return good
 
 
-def _divided(diffuse: Any, line: xr.Dataset, sun_zenith: float | None) -> LightSplit:
-    """Return the split to start from, mean over lines."""
-    try:
-        return split_of(line, diffuse, sun_zenith).mean()
-    except SchemaError as error:
-        if not (isinstance(diffuse, str) and diffuse == "shadow"):
-            raise
-        raise SchemaError(
-            f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
-        ) from error
-
-
 def _source_text(diffuse: Any, split: LightSplit) -> str:
-    """Return where the diffuse fraction is from."""
     place = f"sun at {split.zenith:.1f} degrees from the zenith"
     if split.source == "measured":
         return "a measured spectrum"

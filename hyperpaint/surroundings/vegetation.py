@@ -1,4 +1,4 @@
-"""Leaves by their spectrum: lawns are ground and hold shadows; crowns are no car."""
+"""Leaves by their spectrum: lawns are ground and hold shadows; crowns of trees are no cars."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ VEGETATION = VegetationRules()
 
 
 def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
-    """Return which spectra (n, channel) [1] are those of leaves (n,); ``wavelength`` (channel,) [nm]."""
+    """Return whether spectra (n, channel) [1] are those of leaves (n,); ``wavelength`` (channel,) [nm]."""
     rules = VEGETATION
     spans = (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm)
-    blue, green, red, edge, infrared = (_mean_over(np.nan_to_num(spectrum), wavelength, one) for one in spans)
+    blue, green, red, edge, infrared = (
+        _mean_over(np.nan_to_num(spectrum), wavelength, span) for span in spans
+    )
     return np.asarray(
         (edge > rules.min_edge * red) & (infrared < rules.max_rise * edge) & (green > blue) & (red > 0.0)
     )
 
 
 def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) -> Floats:
-    """Return the mean of channels in a span [nm], or of the nearest one."""
     chosen = (wavelength >= span[0]) & (wavelength <= span[1])
     if not chosen.any():
         chosen[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True

@@ -7,7 +7,7 @@ import pytest
 
 from hyperpaint.light.sky_functions import clear_sky_shares, function_shapes, relative_radiance, sunward_gain
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.paints.signatures.coat_strength import PanelLight, strength_of
+from hyperpaint.paints.signatures.coat_strength import ClearSkyLight, strength_of
 
 NM = np.linspace(420.0, 980.0, 60)
 
@@ -32,8 +32,8 @@ def pixels(
     return seen + noise * rng.standard_normal(seen.shape)
 
 
-def light(sun: float) -> PanelLight:
-    return PanelLight.clear(NM, diffuse_fraction(NM, sun), sun)
+def light(sun: float) -> ClearSkyLight:
+    return ClearSkyLight.clear(NM, diffuse_fraction(NM, sun), sun)
 
 
 @pytest.mark.parametrize("sun", [35.0, 50.0, 60.0])

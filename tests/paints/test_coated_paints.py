@@ -118,15 +118,15 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
 
 def test_refusals() -> None:
     seen = line(0.1)
-    with pytest.raises(SchemaError, match="call remove_mirrored_sky first"):
+    with pytest.raises(SchemaError, match="mirrored-sky-included"):
         hp.surroundings.correct_coat(seen)
     bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
     body = hp.surroundings.correct_coat(bare, diffuse="model")
-    with pytest.raises(SchemaError, match="it was before"):
+    with pytest.raises(SchemaError, match="corrected-before"):
         hp.surroundings.correct_coat(body)
     with pytest.raises(SchemaError, match="correct the coat last"):
         hp.surroundings.remove_mirrored_sky(body)
-    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1 to 3"):
+    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
         hp.surroundings.correct_coat(bare, index=0.9)
 
 

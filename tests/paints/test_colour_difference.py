@@ -46,7 +46,7 @@ def test_names_and_digits() -> None:
     assert srgb_hex([np.nan, 0.0, 0.0]) == ""
 
 
-@pytest.mark.parametrize(("colour", "hint"), [("rde", "did you mean 'red'"), ("#12345", "known are white")])
+@pytest.mark.parametrize(("colour", "hint"), [("rde", "did you mean 'red'"), ("#12345", "colour-unknown")])
 def test_what_is_no_colour(colour: str, hint: str) -> None:
     with pytest.raises(SchemaError, match=hint):
         parse_colour(colour)

@@ -220,7 +220,7 @@ def test_background_that_is_given(red: xr.Dataset) -> None:
     clear[10:16, 8:14] = False
     found = hp.paints.detect(line, red, false_alarm_rate=1e-2, background=clear, sky=None).compute()
     assert found["detected"].values[10:16, 8:14].any()
-    with pytest.raises(SchemaError, match="background= is"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         hp.paints.detect(line, red, background=clear[:-1])
 
 
@@ -232,7 +232,7 @@ def test_background_in_other_dims(red: xr.Dataset) -> None:
     whole = hp.paints.detect(line, red, background=clear.values, **options).compute()
     turned = hp.paints.detect(line, red, background=clear.T, **options).compute()
     xr.testing.assert_identical(whole, turned)
-    with pytest.raises(SchemaError, match="background= has dims"):
+    with pytest.raises(SchemaError, match="dims-wrong"):
         hp.paints.detect(line, red, background=clear.rename(lines="paint"))
 
 
@@ -246,7 +246,7 @@ def test_rate_says_nothing_of_what_is_like_a_paint(red: xr.Dataset) -> None:
     noise = rng.normal(1.0, 0.005, (30, NM.size, 64))
     line["reflectance"].values[:30] = like[:, None] * rng.uniform(0.7, 1.1, (30, 1, 64)) * noise
     options = {"method": "spectral_angle", "false_alarm_rate": 1e-3, "sky": None}
-    with pytest.warns(PaintWarning, match=r"19 % of the pixels are so like the paints"):
+    with pytest.warns(PaintWarning, match=r"19 % .*resembles-paints"):
         alarms = hp.paints.detect(line, red, **options).compute()
     assert alarms["explained_share"].item() == pytest.approx(30 / 160, abs=0.01)
     assert alarms["detected"].values[:30].mean() > 0.5  # what the warning is for
@@ -308,25 +308,25 @@ def test_dims_of_other_programs(red: xr.Dataset) -> None:
 
 def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
     line = make_line(red)
-    with pytest.raises(SchemaError, match="method='x'") as raised:
+    with pytest.raises(SchemaError, match="choice-unknown") as raised:
         hp.paints.detect(line, red, method="x", false_alarm_rate=0.0, unknown_rate=2.0, shrinkage=-1.0)
     for option in ("false_alarm_rate", "unknown_rate", "shrinkage"):
         assert option in str(raised.value)
     far = red.assign_coords(wavelength=red["wavelength"] + 2000.0)
-    with pytest.raises(SchemaError, match="values in 0 of the line's 30 good bands"):
+    with pytest.raises(SchemaError, match="bands-not-shared"):
         hp.paints.detect(line, far)
-    with pytest.raises(SchemaError, match="no paint of others="):
+    with pytest.raises(SchemaError, match="other-paints-missing"):
         hp.paints.detect(line, red, others=red)
-    with pytest.raises(SchemaError, match="sky= has shape"):
+    with pytest.raises(SchemaError, match="length-mismatch"):
         hp.paints.detect(line, red, sky=np.ones(3))
-    with pytest.raises(SchemaError, match="covariance of 30 bands"):
+    with pytest.raises(SchemaError, match="background-too-small"):
         hp.paints.detect(line.isel(along_track=[0], cross_track=slice(20)), red).compute()
-    with pytest.raises(SchemaError, match="no pixel that is free of flags"):
+    with pytest.raises(SchemaError, match="background-empty"):
         hp.paints.detect(line.assign(quality=line["quality"] | 1), red).compute()
-    with pytest.raises(SchemaError, match="false_alarm_rate=1e-05 of 1 paints"):
+    with pytest.raises(SchemaError, match="false-alarm-rate-too-low"):
         hp.paints.detect(line, red, false_alarm_rate=1e-5).compute()
     flat = line.assign(reflectance=line["reflectance"].isel(band=[0]).isel(band=[0] * 30))
-    with pytest.raises(SchemaError, match="singular"):
+    with pytest.raises(SchemaError, match="covariance-singular"):
         hp.paints.detect(flat, red, false_alarm_rate=1e-2).compute()
 
 
@@ -352,7 +352,7 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
     assert placements[0] > 60
     assert cars["p_value"].values[0] == pytest.approx(1 / (placements[0] + 1))
     assert cars["p_value"].values[1] == 1.0
-    with pytest.raises(SchemaError, match="'off' holds no pixel"):
+    with pytest.raises(SchemaError, match=r"'off'.*region-empty"):
         hp.paints.detected_regions(found, Regions((Region("off", [(90, 0), (99, 0), (99, 9)]),)))
 
 
@@ -382,7 +382,7 @@ def test_regions_of_another_line_are_refused(red: xr.Dataset) -> None:
     corners = [(8, 10), (13, 10), (13, 15), (8, 15)]
     own = hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_0")])
     assert own["signature"].item() == RED
-    with pytest.raises(SchemaError, match="'car' is of flight line 'raw_1'; there is 'raw_0'"):
+    with pytest.raises(SchemaError, match="flightline-unknown"):
         hp.paints.detected_regions(detections, [Region("car", corners, flightline="raw_1")])
 
 

@@ -45,7 +45,7 @@ def test_all_regions_with_too_few_pixels_are_named() -> None:
     beyond = Regions(
         (TWO[0], Region("far", [(90, 90), (99, 90), (99, 99)]), Region("off", [(90, 0), (99, 0), (99, 9)]))
     )
-    with pytest.raises(SchemaError, match=r"(?s)'far' holds no pixel.*40 lines of 16 columns.*'off'"):
+    with pytest.raises(SchemaError, match=r"(?s)'far'.*40 l.*'off'"):
         extract_signatures(line, beyond)
 
 
@@ -53,7 +53,7 @@ def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> N
     line = made()
     cells = pixels(TWO[0], line)
     line["quality"].values[cells] |= int(Quality.SHADOW)
-    with pytest.raises(SchemaError, match="drop_small=True"):
+    with pytest.raises(SchemaError, match="region-too-small"):
         extract_signatures(line, TWO)
     library = extract_signatures(line, TWO, drop_small=True)
     assert library.equals(extract_signatures(line, TWO[1:]))
@@ -62,7 +62,7 @@ def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> N
     hp.write_library(library, tmp_path / "paints.zarr")
     assert hp.open_library(tmp_path / "paints.zarr").attrs["left_out"] == [said]
     line["quality"].values[:] |= int(Quality.SHADOW)
-    with pytest.raises(SchemaError, match="too few pixels left"):
+    with pytest.raises(SchemaError, match="region-too-small"):
         extract_signatures(line, TWO, drop_small=True)
 
 
@@ -89,7 +89,7 @@ def test_one_bad_band_touches_its_window_only(method: str) -> None:
         assert np.isfinite(array[..., :6][before[..., :6] == before[..., :6]]).all()
     assert found.attrs["smoothing"].lower().startswith(method)
     assert whole.attrs["smoothing"] != extract_signatures(line, TWO).attrs["smoothing"] == "none"
-    with pytest.raises(SchemaError, match="smoothed already"):
+    with pytest.raises(SchemaError, match="already-smoothed"):
         extract_signatures(line.paint.smooth("box", 3), TWO, smooth="box")
     assert extract_signatures(line.paint.smooth("box", 3), TWO).attrs["smoothing"] == "box, 3 bands"
 
@@ -110,9 +110,9 @@ def test_what_was_corrected_is_said(smile: bool) -> None:
     assert library.attrs["corrections"] == f"mirrored_sky_removed: {text}; tilt: tilted by 3 degree; none"
     assert library.reflectance.attrs["mirrored_sky_removed"] == f"{text}; none"
     assert library.reflectance.attrs["tilt"] == "none; tilted by 3 degree"
-    with pytest.raises(SchemaError, match="tilt is 'tilted by 3 degree'; compute reflectance without tilt="):
+    with pytest.raises(SchemaError, match=r"tilt.*corrected-before"):
         extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="it was before"):
+    with pytest.raises(SchemaError, match="corrected-before"):
         hp.surroundings.remove_mirrored_sky(library, sun_zenith=40.0)
     lit = hp.surroundings.correct_light(line, direct=0.9, sun_zenith=40.0)
     assert extract_signatures(lit, TWO).attrs["corrections"].startswith("light_corrected: direct 0.9")
@@ -149,12 +149,12 @@ def test_the_mirrored_sky_is_subtracted() -> None:
 
 def test_a_mirrored_sky_that_cannot_be_subtracted() -> None:
     line = made()
-    with pytest.raises(SchemaError, match="give sun_zenith="):
+    with pytest.raises(SchemaError, match="sun-unknown"):
         extract_signatures(line, TWO, specular_sky=True)
-    with pytest.raises(SchemaError, match="specular_sky=True as well"):
+    with pytest.raises(SchemaError, match="argument-missing"):
         extract_signatures(line, TWO, sun_zenith=30.0)
     removed = hp.surroundings.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="it was before"):
+    with pytest.raises(SchemaError, match="corrected-before"):
         extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0)
 
 
@@ -168,9 +168,9 @@ def test_every_wrong_option_is_told() -> None:
         word in told
         for word in ("no region", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
     )
-    with pytest.raises(SchemaError, match="line is int"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         extract_signatures(3, TWO)  # type: ignore[arg-type]
-    with pytest.raises(SchemaError, match="cannot compute reflectance"):
+    with pytest.raises(SchemaError, match="compute reflectance"):
         extract_signatures(made().drop_vars("reflectance"), TWO)
     with pytest.raises(SchemaError, match="'wavelength' is missing"):
         extract_signatures(made().drop_vars("wavelength"), TWO)
@@ -195,19 +195,19 @@ def test_regions_of_several_flight_lines() -> None:
     tree = xr.DataTree.from_dict({f"/flightlines/{name}": line for name, line in lines.items()})
     assert_same_bits(extract_signatures(tree, regions), library)
     other = made(seed=1).assign_coords(wavelength=("band", np.linspace(400.0, 901.0, 12), {"units": "nm"}))
-    with pytest.raises(SchemaError, match="bands of 'raw_0' are not those of 'raw_9'"):
+    with pytest.raises(SchemaError, match=r"'raw_0'.*bands-differ"):
         extract_signatures({**lines, "raw_0": other}, regions)
 
 
 def test_a_region_of_another_line_is_never_taken_for_this_one() -> None:
-    with pytest.raises(SchemaError, match=r"'p0' is of flight line 'raw_7'; there is 'raw_0'"):
+    with pytest.raises(SchemaError, match=r"expected 'raw_0' .flight"):
         extract_signatures(made(), on_lines("raw_7"))
-    with pytest.raises(SchemaError, match=r"(?s)'p0' names no flight line; there is 'a', 'b'.*'p1' is of"):
+    with pytest.raises(SchemaError, match=r"(?s)p0.*'a' or 'b'.*p1"):
         extract_signatures({"a": made(), "b": made()}, on_lines("", "c"))
     nameless = made()
     del nameless.attrs["name"]
     assert extract_signatures(nameless, on_lines("raw_7")).n.size == 1
-    with pytest.raises(SchemaError, match="'p1' is of flight line 'raw_8'"):
+    with pytest.raises(SchemaError, match=r"'p1'.*flightline-unknown"):
         extract_signatures(nameless, on_lines("raw_7", "raw_8"))
 
 

@@ -24,7 +24,7 @@ def test_pixels__of_a_wild_zigzag_are_refused_at_once() -> None:
     Expected: an error that names the region and says what to do.
     """
     line = xr.Dataset(coords={"along_track": np.arange(4000), "cross_track": np.arange(640)})
-    with pytest.raises(SchemaError, match=r"region 'comb' cannot be found: .* split it"):
+    with pytest.raises(SchemaError, match=r"(?s)'comb'.*too-complex"):
         pixels(zigzag(10_000, 4000, 640), line)
 
 
@@ -32,7 +32,7 @@ def test_pixels__of_holes_like_a_zigzag_are_refused_at_once() -> None:
     line = xr.Dataset(coords={"along_track": np.arange(4000), "cross_track": np.arange(640)})
     comb = zigzag(1000, 4000, 640).polygon
     frame = np.array([(0.0, 0.0), (639.0, 0.0), (639.0, 3999.0), (0.0, 3999.0)])
-    with pytest.raises(SchemaError, match="fewer corners"):
+    with pytest.raises(SchemaError, match="polygon-too-complex"):
         pixels(Region("grate", frame, (comb,)), line)
 
 
@@ -50,5 +50,5 @@ def test_pixels__of_many_corners_are_found() -> None:
 
 @pytest.mark.parametrize(("coordinates", "crs"), [("sensor", 5), ("map", 5), ("map", b"EPSG:4326")])
 def test_regions__with_a_crs_that_is_no_text_are_refused(coordinates: str, crs: Any) -> None:
-    with pytest.raises(SchemaError, match="expected text such as"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         Regions((), coordinates, crs)

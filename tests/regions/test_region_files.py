@@ -171,11 +171,11 @@ def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     for path in (tmp_path, tmp_path / "none", tmp_path / "a\0b"):
         with pytest.raises(FormatError, match="check the path"):
             read_regions(path)
-    monkeypatch.setattr(geojson, "MOST_BYTES", 10)
+    monkeypatch.setattr(geojson, "MAX_FILE_BYTES", 10)
     (tmp_path / "r").write_bytes(b"[           ]")
-    with pytest.raises(FormatError, match="13 bytes, expected GeoJSON of at most 10 bytes"):
+    with pytest.raises(FormatError, match="13 bytes"):
         read_regions(tmp_path / "r")
-    with pytest.raises(SchemaError, match="regions are int"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         regions_from(3)
 
 
@@ -185,9 +185,9 @@ def test_every_bad_feature_is_told_of() -> None:
     with pytest.raises(FormatError) as caught:
         regions_from({"type": "FeatureCollection", "features": [bad, good, {}, bad]})
     assert [f"feature {k}" in str(caught.value) for k in range(4)] == [True, False, True, True]
-    with pytest.raises(FormatError, match="and 80 features more"):
+    with pytest.raises(FormatError, match=r"80 .*features-invalid"):
         regions_from({"type": "FeatureCollection", "features": [bad] * 100})
-    with pytest.raises(FormatError, match="occurs twice"):
+    with pytest.raises(FormatError, match="region-name-duplicate"):
         regions_from({"type": "FeatureCollection", "features": [good, good]})
 
 

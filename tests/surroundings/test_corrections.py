@@ -56,7 +56,7 @@ def test_the_light_of_every_pixel() -> None:
 
 def test_nothing_is_corrected_twice_or_out_of_range() -> None:
     once = hp.surroundings.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
-    with pytest.raises(SchemaError, match="it was before"):
+    with pytest.raises(SchemaError, match="corrected-before"):
         hp.surroundings.remove_mirrored_sky(once, sun_zenith=35.0)
     with pytest.raises(SchemaError, match=r"(?s)strength=2.*sky_view_factor=-1"):
         hp.surroundings.remove_mirrored_sky(
@@ -94,7 +94,7 @@ def test_where_there_is_no_light_nothing_is_known() -> None:
 def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
     seen = line(np.full(NM.size, 0.3))
     lit = hp.surroundings.correct_light(seen, direct=0.9, sun_zenith=35.0)
-    with pytest.raises(SchemaError, match=r"it was before: light_corrected is 'direct 0\.9"):
+    with pytest.raises(SchemaError, match=r"0\.9.*corrected-before"):
         hp.surroundings.remove_mirrored_sky(lit, sun_zenith=35.0)
     both = hp.surroundings.correct_light(
         hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0
@@ -107,7 +107,7 @@ def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
     seen = simulate_line(lines=4, bands=12, columns=6, smile_nm=0.0, noise=False)
     tilted = hp.reflectance(seen, tilt=(10.0, 180.0))
     for correct in (hp.surroundings.remove_mirrored_sky, hp.surroundings.correct_light):
-        with pytest.raises(SchemaError, match=r"tilt is .*10.*without tilt=.*correct_light\(direct="):
+        with pytest.raises(SchemaError, match=r"tilt.*corrected-before"):
             correct(tilted)
     # what the message says to do gives what tilt= gives, but for the sky that is subtracted before
     zenith, azimuth = solar_position(seen.time.values[0], seen.latitude.values[0], seen.longitude.values[0])
@@ -153,7 +153,7 @@ def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
             np.testing.assert_allclose(late[name], early[name], rtol=2e-5, atol=1e-7, err_msg=name)
         assert late.attrs["corrections"] == early.attrs["corrections"] != "none"
         for library in (early, late):
-            with pytest.raises(SchemaError, match="it was before"):
+            with pytest.raises(SchemaError, match="corrected-before"):
                 correct(library)
 
 
@@ -164,5 +164,5 @@ def test_light_of_other_lines_is_refused() -> None:
     alike = correct_light(crop, direct=direct.isel(along_track=slice(1, 3)), sun_zenith=30.0)
     assert alike.sizes["along_track"] == 2
     # xarray would cut both to the lines that they have in common
-    with pytest.raises(SchemaError, match="other lines or columns"):
+    with pytest.raises(SchemaError, match="grid-mismatch"):
         correct_light(crop, direct=direct, sun_zenith=30.0)

@@ -122,7 +122,7 @@ def test_an_overcast_sky_is_brighter_above() -> None:
 
 def test_a_clear_sky_needs_its_sun() -> None:
     seen = paint(np.full(NM.size, 0.3))
-    with pytest.raises(SchemaError, match="sun's place is not known"):
+    with pytest.raises(SchemaError, match="sun-unknown"):
         hp.surroundings.remove_mirrored_sky(seen, diffuse=np.full(NM.size, 0.2), sky="clear")
-    with pytest.raises(SchemaError, match="expected one of clear, uniform, overcast"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.surroundings.remove_mirrored_sky(seen, sun_zenith=30.0, sky="blue")

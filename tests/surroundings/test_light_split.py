@@ -51,7 +51,7 @@ def test_a_clear_sky_is_not_taken_in_silence() -> None:
         lambda **options: hp.surroundings.remove_mirrored_sky(flat(), sun_zenith=40.0, **options),
         lambda **options: hp.surroundings.correct_light(flat(), direct=0.9, sun_zenith=40.0, **options),
     ):
-        with pytest.warns(PaintWarning, match="no record of irradiance says"):
+        with pytest.warns(PaintWarning, match="clear-sky-assumed"):
             use()
         use(diffuse="model")  # warnings are errors: said, there is none
 
@@ -75,7 +75,7 @@ def test_broken_skies_are_in_between_by_their_share() -> None:
 
 
 def test_contradictory_lines_are_warned_of() -> None:
-    with pytest.warns(PaintWarning, match="check the clocks"):
+    with pytest.warns(PaintWarning, match="sky-contradictory"):
         hp.surroundings.survey(recorded(0.6, "contradictory"), sun_zenith=40.0)
 
 
@@ -107,15 +107,15 @@ def test_a_sun_that_is_said_goes_before_the_clock() -> None:
     assert own is not None
     stored = line.assign(own.data_vars)
     # the light is that of 22.6 degrees; with a sun at 75 it is no sky's, and near the clock's it is kept
-    with pytest.warns(PaintWarning, match=r"contradicts every sky with the sun at 75\.0 degrees"):
+    with pytest.warns(PaintWarning, match=r"75\.0 .*contradictory"):
         assert split_of(stored, None, 75.0).mean().states == ("contradictory",)
     assert split_of(stored, None, 23.0).mean().states == ("clear",)
 
 
 def test_words_that_are_none() -> None:
-    with pytest.raises(SchemaError, match="expected 'model', 'pvlib'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         split_of(flat(), "guess", 30.0)
-    with pytest.raises(SchemaError, match="expected 'model', 'pvlib' or a measured"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0)
 
 
@@ -137,7 +137,7 @@ def test_without_a_word_the_sky_is_told_by_the_fraction() -> None:
     paints = hp.extract_signatures(line, hp.Regions((hp.Region("roof", [(0, 0), (0, 7), (5, 7), (5, 0)]),)))
     assert int(paints.sky_state[0]) == -1
     clear = recorded(0.3, "clear")
-    with pytest.raises(SchemaError, match="the sun's place is not known"):
+    with pytest.raises(SchemaError, match="sun-unknown"):
         split_of(clear, None, None).mean().mirrored()
 
 
@@ -151,7 +151,7 @@ def test_a_word_of_few_lines_is_none_of_the_flight() -> None:
 
 def test_a_split_of_the_records_samples_is_refused() -> None:
     line = flat().assign(diffuse_fraction=(("irradiance_time", "band"), np.full((3, NM.size), 0.3)))
-    with pytest.raises(SchemaError, match="where the line has its record"):
+    with pytest.raises(SchemaError, match="dims-wrong"):
         taken(line)
 
 

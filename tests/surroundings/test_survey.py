@@ -66,7 +66,7 @@ def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset)
 
 def test_without_a_shadow_the_split_cannot_be_measured() -> None:
     plane = as_line(np.broadcast_to(ASPHALT, (32, 32, NM.size)).copy(), NM)
-    with pytest.raises(SchemaError, match="found no cast shadow"):
+    with pytest.raises(SchemaError, match="shadow-missing"):
         hp.surroundings.survey(plane, sun_zenith=30.0, diffuse="shadow")
 
 
@@ -91,7 +91,7 @@ def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -
         SceneModel.from_dataset(broken)
     points = model.to_dataset()
     points["body"] = points["body"] + 1000
-    with pytest.raises(SchemaError, match="beyond"):
+    with pytest.raises(SchemaError, match="segment-unknown"):
         SceneModel.from_dataset(points)
 
 
@@ -101,16 +101,16 @@ def test_a_damaged_model_is_refused_before_anything_is_looked_up(model: SceneMod
     damaged["band_channel"] = damaged.band_channel + 10
     damaged["diffuse_fraction"] = damaged.diffuse_fraction * np.nan
     damaged["segment"] = damaged.segment.astype(np.float64) * np.nan
-    with pytest.raises(SchemaError, match=r"(?s)'segment' holds float64.*'band_channel'.*'diffuse_fraction'"):
+    with pytest.raises(SchemaError, match=r"(?s)segment.*channel-unk"):
         SceneModel.from_dataset(damaged)
     damaged["segment"] = stored.segment.astype(np.int64) + 2**32
-    with pytest.raises(SchemaError, match="'segment' holds int64 values that are no int32"):
+    with pytest.raises(SchemaError, match=r"int64.*int32 .type-wrong"):
         SceneModel.from_dataset(damaged)
     damaged["segment"] = stored.segment
-    with pytest.raises(SchemaError, match=r"\(3, 40\) cells, expected \(40, 40\)"):
+    with pytest.raises(SchemaError, match=r"neighb.*grid-mismatch"):
         SceneModel.from_dataset(damaged)
     for numbers in (model.channel - 1, np.minimum(model.channel, 20), np.full(NM.size, -1)):
-        with pytest.raises(SchemaError, match="'band_channel' does not name each of the 24 channels"):
+        with pytest.raises(SchemaError, match=r"24 c.*channel-unknown"):
             SceneModel.from_dataset(stored.assign(band_channel=("band", numbers)))
 
 
@@ -137,18 +137,18 @@ def test_a_grey_with_a_missing_channel_is_grey() -> None:
 
 def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> None:
     dead = shadow_line.isel(along_track=slice(0)).assign(good=("band", np.zeros(NM.size, bool)))
-    with pytest.raises(SchemaError, match="nothing is selected: along_track"):
+    with pytest.raises(SchemaError, match="along_track"):
         hp.surroundings.survey(dead, sun_zenith=40.0)
-    with pytest.raises(SchemaError, match="nothing is selected: cross_track"):
+    with pytest.raises(SchemaError, match="cross_track"):
         hp.surroundings.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
     nm = np.where(np.arange(NM.size) == 7, np.nan, NM)
     unknown = shadow_line.assign_coords(wavelength=("band", nm, {"units": "nm"}))
-    with pytest.raises(SchemaError, match=r"wavelength is missing in 1 good bands, the first of them 7"):
+    with pytest.raises(SchemaError, match="wavelength-missing"):
         hp.surroundings.survey(unknown, sun_zenith=40.0)
     good = np.isfinite(nm)
     flagged = hp.surroundings.flag(unknown.assign(good=("band", good)), sun_zenith=40.0).compute()
     assert (flagged.quality.values & 128).any()
-    with pytest.raises(SchemaError, match=r"'shadow' finds shadows by the light of a clear sky.*sun_zenith="):
+    with pytest.raises(SchemaError, match="sun-unknown"):
         hp.surroundings.survey(shadow_line, diffuse="shadow")
 
 
@@ -172,9 +172,9 @@ def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture
 
 
 def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="sun_zenith="):
+    with pytest.raises(SchemaError, match="sun-unknown"):
         hp.surroundings.survey(shadow_line)
-    with pytest.raises(SchemaError, match="'model', 'pvlib', 'shadow'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
 
 
@@ -210,9 +210,9 @@ def test_channels_are_even_runs_of_good_bands() -> None:
 
 
 def test_a_measured_split_must_fit() -> None:
-    with pytest.raises(SchemaError, match="one value for each of the 96 bands"):
+    with pytest.raises(SchemaError, match="length-mismatch"):
         measured_fraction(np.ones(3), NM)
-    with pytest.raises(SchemaError, match="leaves 0 to 1"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         measured_fraction(np.full(NM.size, 1.5), NM)
     given = xr.DataArray([0.4, 0.1], {"wavelength": ("w", [400.0, 1000.0])}, "w")
     np.testing.assert_allclose(measured_fraction(given, NM), np.linspace(0.4, 0.1, NM.size))
@@ -315,7 +315,7 @@ def test_a_clear_sky_has_a_dark_zenith_and_a_bright_side(tmp_path: Path, shadow_
     before = hp.surroundings.SceneModel.from_dataset(of_before)
     assert (before.zenith_radiance == 1.0).all()
     assert (before.sunward_radiance == 0.0).all()
-    with pytest.raises(SchemaError, match="'zenith_radiance' is not finite, or below 0"):
+    with pytest.raises(SchemaError, match=r"zenith.*out-of-range"):
         hp.surroundings.SceneModel.from_dataset(stored.assign(zenith_radiance=-stored.zenith_radiance))
     # a measured split may be of any sky
     measured = hp.surroundings.survey(shadow_line, sun_zenith=60.0, diffuse=diffuse_fraction(NM, 60.0))

@@ -1,9 +1,7 @@
-"""Paints looked for in an image: scores, thresholds of a stated false-alarm rate, regions.
+"""Detection of paints in an image: scores, thresholds at a stated false-alarm rate, regions.
 
 Reflectance and a paint library come in, detections go out. For pictures, the accessor and the command line.
 """
-
-from __future__ import annotations
 
 from .detecting import detect
 from .region_detections import detected_regions

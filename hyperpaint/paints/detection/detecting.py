@@ -1,14 +1,20 @@
-"""Paints looked for in an image: labels, units and the lazy graph."""
+"""Detection of paints in a flight line: labels, units and the lazy graph."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
+from dask._task_spec import DataNode, Task, TaskRef, convert_legacy_graph
+from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -20,8 +26,12 @@ from hyperpaint.base.schema import (
     Quality,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.paint_search import interpolated
+from hyperpaint.paints.paint_search import MIN_BANDS, interpolated
 from hyperpaint.paints.signatures import EXCLUDED
+from hyperpaint.paints.starter_paints import starter_library
+from hyperpaint.radiometry import to_nominal
+from hyperpaint.surroundings.corrections import sky_above
+from hyperpaint.surroundings.light_split import says_its_split, split_of
 
 from .detectors import METHODS, distances, scores
 from .false_alarms import (
@@ -34,17 +44,16 @@ from .false_alarms import (
     make_detector,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_FEWEST_BANDS = 5
-_MOST_OTHERS = 20_000
-_JOINED_AT_ONCE = 16
+MAX_OTHER_SPECTRA = 20_000
+JOINED_PARTS = 16
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
-_OF_DETECTOR = {
-    "score_threshold": "threshold", "distance_limit": "distance_limit", "checked_rate": "checked_rate",
-    "checked_rate_u": "checked_rate_u", "explained_share": "explained_share",
-}  # fmt: skip
+_DETECTOR_FIELDS = {
+    "score_threshold": "threshold",
+    "distance_limit": "distance_limit",
+    "checked_rate": "checked_rate",
+    "checked_rate_u": "checked_rate_u",
+    "explained_share": "explained_share",
+}
 
 
 @takes_quantities()
@@ -63,58 +72,58 @@ def detect(
 ) -> xr.Dataset:
     r"""Look for the paints of a library in a flight line, at a stated rate of false alarms.
 
-    Lazy, but for the wavelengths: computing reads the line twice, for the background and for the search, some
-    lines at a time. All bits are the same for any chunks.
+    Lazy except for the wavelengths: computing reads the line twice, for the background and for the search,
+    some lines at a time. Results have the same bits for any chunks.
 
     Parameters
     ----------
     line
-        ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality``, where it has it.
+        ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality`` where present.
     library
         Paints to look for: ``reflectance`` (signature, band) [1] of the body under its clear coat
         (``specular_component`` excluded), interpolated to the bands of the line.
     method
         "ace", the adaptive coherence (cosine) estimator; "matched_filter"; or "spectral_angle".
     false_alarm_rate
-        Share of the background of which any paint may score above its threshold. Pixels that show none of the
-        paints but are explained by one all the same are no background by default: the rate says nothing of
-        them, and ``explained_share`` is how many they can be.
+        Share of the background in which any paint may score above its threshold. By default pixels that a
+        paint explains are left out of the background, whether they show it or not: the rate does not hold for
+        them, and ``explained_share`` is their number.
     unknown_rate
-        Share of ``others`` that may be taken for a paint of the library; by default the same; 1 rejects
-        nothing.
+        Share of ``others`` that may be taken for a paint of the library; by default ``false_alarm_rate``; 1
+        rejects nothing.
     others
-        A library of paints that may be there and are not looked for; the starter library by default. Those
-        whose names the library has are left out. The rate holds for paints like these: give those of your
-        cars. Under ``1 / unknown_rate`` spectra the limits get stricter than they need to be.
+        A library of paints that may occur and are not looked for; by default the starter library. Paints
+        named in ``library`` are left out. The rate holds for paints like these: pass the paints of your cars.
+        With fewer than ``1 / unknown_rate`` spectra the limits are stricter than necessary.
     background
-        Which pixels show none of the paints for certain, (along_track, cross_track) bool: covariance
-        and thresholds come from these alone. By default thresholds come from all but those that a paint
-        explains. The rate holds for pixels like these: let them include whatever looks like the paints.
+        Pixels that certainly show none of the paints, (along_track, cross_track) bool: covariance and
+        thresholds come from these alone. By default thresholds come from all pixels that no paint explains.
+        The rate holds for pixels like these: include objects that look like the paints.
     exclude
-        Flags of pixels that are left out of the background, and not detected; those that signatures leave
-        out by default.
+        Flags of pixels that are left out of the background, and not detected; by default the flags that
+        signatures exclude.
     sky
-        Spectrum (band,) that a clear coat mirrors in any amount, which is taken out of pixels and paints;
-        "auto" for the diffuse light from above, where the line tells it; None for none.
+        Spectrum (band,) of the sky that a clear coat mirrors in any amount, projected out of pixels and
+        paints; "auto" for the diffuse light from above, where the line declares it; None for no sky.
     shrinkage
-        Weight of its own diagonal in the covariance, 0 to 1, for lines of few pixels.
+        Weight of the diagonal in the covariance, 0 to 1, for lines with few pixels.
 
     Returns
     -------
     Dataset
         (along_track, cross_track): ``best_paint``, number of the paint, which the attribute
-        ``flag_meanings`` names, -1 where a value is missing; ``detection_score`` of it; ``paint_distance``
+        ``flag_meanings`` names, -1 where a value is missing; its ``detection_score``, ``paint_distance``
         and ``paint_level``; ``detected``. (signature): ``score_threshold``, ``distance_limit``, 0 where a
-        paint cannot be told from others at that rate. ``checked_rate`` with ``checked_rate_u``: share of
-        alarms in each eighth of the line's background under thresholds from the rest, and half of its 95 %
-        interval. ``explained_share`` of the valid pixels was left out of that background since a paint
-        explains them, be they the paint or not; 0 with ``background=``.
+        paint cannot be distinguished from others at this rate. ``checked_rate`` with ``checked_rate_u``: mean
+        share of alarms in an eighth of the line's background under thresholds from the rest, and half of its
+        95 % interval. ``explained_share``: share of the valid pixels that was left out of the background
+        since a paint explains them, whether they show it or not; 0 with ``background=``.
 
     Raises
     ------
     SchemaError
-        Variables, options or bands that cannot be used; all are listed. When computed: fewer valid pixels of
-        background than bands, or too few for the rate.
+        Variables, options or bands cannot be used; all are listed. When computed: the background has fewer
+        valid pixels than bands, or too few for the rate.
 
     Warns
     -----
@@ -124,25 +133,25 @@ def detect(
     Notes
     -----
     With mean and covariance of the background :math:`\mu, C`, a pixel :math:`x` and a paint :math:`t` less
-    :math:`\mu`, products :math:`\langle a, b \rangle = a^T C^{-1} b` and the sky's direction taken out,
+    :math:`\mu`, products :math:`\langle a, b \rangle = a^T C^{-1} b` and the sky's direction projected out,
 
     .. math:: s_{ACE} = \pm \frac{\langle t, x \rangle^2}{\langle t, t \rangle \langle x, x \rangle}, \qquad
               s_{MF} = \frac{\langle t, x \rangle}{\langle t, t \rangle}
 
-    [1]_ [2]_; the sign is that of the product. The score of the spectral angle is its cosine, without
-    :math:`\mu` and :math:`C`. C is that of all valid pixels, with ``background=`` of those
-    pixels alone; its diagonal has the weight ``shrinkage``.
+    [1]_ [2]_ with the sign of the product. The score of the spectral angle is its cosine, without
+    :math:`\mu` and :math:`C`. C is computed from all valid pixels, with ``background=`` from those pixels
+    alone; its diagonal has the weight ``shrinkage``.
 
-    *Threshold*: each paint's is the score of the same rank among the background's, such that the share with
-    any paint above is the rate; drawn from pixels spread over all lines (128 MiB of them). Target pixels
-    that no paint explains stay among them and raise it: then fewer false alarms than stated, and fewer
-    detections; ``background=`` mends that.
+    *Threshold*: the score of the same rank in the background for each paint, chosen such that the share of
+    pixels above the threshold of any paint is the rate; from pixels spread over all lines (128 MiB of
+    samples). Target pixels that no paint explains stay in the background and raise the threshold: there are
+    fewer false alarms than stated, and fewer detections; ``background=`` avoids this.
 
     *Unknown paints*: :math:`x = a t + m s + r` by least squares with the sky s; a pixel is rejected where
-    :math:`|r| / |a t|` is above the paint's ``distance_limit``, or a outside of 0.25 to 2.5. The limit is
-    that within which a share ``unknown_rate`` of the others lies for any paint. White, silver and grey
-    paints mostly cannot be told from one another at 1e-3: they are not detected, and not in error.
-    A metallic paint at another angle is another spectrum: look for its signature of a like geometry.
+    :math:`|r| / |a t|` is above the paint's ``distance_limit``, or a outside of 0.25 to 2.5. A share
+    ``unknown_rate`` of ``others`` lies within the limit of any paint. White, silver and grey paints mostly
+    cannot be distinguished at 1e-3: they are not detected, which is no error. A metallic paint at another
+    angle has another spectrum: look for its signature of a similar geometry.
 
     References
     ----------
@@ -168,59 +177,68 @@ def detect(
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a detection")
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
-    _check(line, variables["reflectance"], method, false_alarm_rate, rate, shrinkage)
+    cube = variables["reflectance"]
+    problems = Problems("paints cannot be looked for in this line", SchemaError)
+    if set(cube.dims) != set(CUBE) or not cube.size:
+        problems.add(
+            f"reflectance has dims {dict(cube.sizes)}", expected="lines, bands and columns", code="dims-wrong"
+        )
+    if method not in METHODS:
+        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
+    for found, is_valid, expected in (
+        (f"false_alarm_rate={false_alarm_rate!r}", 0.0 < false_alarm_rate < 1.0, "a share between 0 and 1"),
+        (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
+        (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
+    if "good" in line.variables and line["good"].dims != (BAND,):
+        problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
+    problems.raise_if_any()
     if "wavelength_shift" in line.variables:
-        from hyperpaint.radiometry import to_nominal
-
         variables["reflectance"] = to_nominal(line)["reflectance"]
     paints, bands, unknown = _spectra(line, variables["wavelength"].values, library, others)
-    cube, clear = _blocks(line, variables["reflectance"], exclude)
+    # blocks of 32 whole lines
+    cube = variables["reflectance"].transpose(*CUBE)
+    cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
+    if "quality" in line.variables:
+        bits = schema.require(line, ["quality"], "a detection")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
+        flags = np.uint16(int(EXCLUDED if exclude is None else exclude))
+        clear = (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
+    else:
+        clear = da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
     detector = _lazy_detector(
-        line, cube, clear if background is None else clear & _mask(background, clear), bands, paints, unknown,
-        DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None), sky,
-    )  # fmt: skip
+        line,
+        cube,
+        clear if background is None else clear & _mask(background, clear),
+        bands,
+        paints,
+        unknown,
+        DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None),
+        sky,
+    )
     names = [str(name) for name in library[SIGNATURE].values]
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
     return _search(line, cube, clear, detector, names, attrs)
 
 
-def _check(
-    line: xr.Dataset, cube: xr.DataArray, method: str, alarms: float, unknown: float, shrinkage: float
-) -> None:
-    problems = Problems("paints cannot be looked for in this line", SchemaError)
-    if set(cube.dims) != set(CUBE) or not cube.size:
-        problems.add(f"reflectance has dims {dict(cube.sizes)}, expected lines, bands and columns")
-    if method not in METHODS:
-        problems.add(f"method={method!r}, expected {', '.join(METHODS)}")
-    if not 0.0 < alarms < 1.0:
-        problems.add(f"false_alarm_rate={alarms!r}, expected a share between 0 and 1")
-    if not 0.0 < unknown <= 1.0:
-        problems.add(f"unknown_rate={unknown!r}, expected a share, 1 to reject nothing")
-    if not 0.0 <= shrinkage <= 1.0:
-        problems.add(f"shrinkage={shrinkage!r}, expected 0 to 1")
-    if "good" in line.variables and line["good"].dims != (BAND,):
-        problems.add(f"'good' has dims {line['good'].dims}, expected ({BAND!r},)")
-    problems.raise_if_any()
-
-
 def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
-    """Return the paints (signature, band), the bands compared, and spectra of others (other, band)."""
-    from hyperpaint.paints.starter_paints import starter_library
-
+    """Return the paints (signature, band), the bands compared, and spectra of other paints (other, band)."""
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     good = np.isfinite(nm)
     if "good" in line.variables:
         good &= line["good"].values.astype(bool)
     bands = np.flatnonzero(good & np.isfinite(paints).all(axis=0) if len(paints) else good & False)
-    if bands.size < _FEWEST_BANDS:
+    if bands.size < MIN_BANDS:
         raise SchemaError(
-            f"all {len(paints)} paints of the library have values in {bands.size} of the line's "
+            f"the {len(paints)} paints of the library have values in {bands.size} of the line's "
             f"{int(good.sum())} good bands",
-            expected=f"paints, and at least {_FEWEST_BANDS} bands that they share",
-            mend="take a library that covers the wavelengths of the line, without paints that have gaps",
+            expected=f"at least 1 paint and {MIN_BANDS} common bands",
+            mend="use a library that covers the wavelengths of the line and has no gaps",
+            code="bands-not-shared",
         )
     if others is None:
         others = starter_library(wavelength=np.unique(nm[bands]))
@@ -231,104 +249,105 @@ def _spectra(
     if not len(unknown):
         raise SchemaError(
             f"no paint of others= has values in all {bands.size} bands that line and library share",
-            mend="give others= a library that covers them, with paints that the library lacks",
+            mend="pass others= a library that covers these bands, with paints that library= lacks",
+            code="other-paints-missing",
         )
-    return paints[:, bands], bands, unknown[:: -(-len(unknown) // _MOST_OTHERS)]
+    return paints[:, bands], bands, unknown[:: -(-len(unknown) // MAX_OTHER_SPECTRA)]
 
 
 def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
-    """Return the spectra of a library at other wavelengths (spectrum, band), those of its members too."""
+    """Return the spectra of a library (spectrum, band), and its members if wanted, at wavelengths [nm]."""
     names = [
         "reflectance",
         "wavelength",
         *(["member_reflectance"] if "member_reflectance" in library else []),
     ]
     variables = schema.require(library, names if members else names[:2], "a detection", LIBRARY_VARIABLES)
-    own = np.asarray(variables["wavelength"].values, np.float64)
+    wavelength = np.asarray(variables["wavelength"].values, np.float64)
     spectra = [np.asarray(variables["reflectance"].values, np.float64)]
     if members and "member_reflectance" in variables:
-        rows = np.asarray(variables["member_reflectance"].values, np.float64).reshape(-1, own.size)
+        rows = np.asarray(variables["member_reflectance"].values, np.float64).reshape(-1, wavelength.size)
         spectra.append(rows[np.isfinite(rows).any(axis=1)])
-    return np.array([interpolated(nm, own, each) for each in np.concatenate(spectra)]).reshape(-1, nm.size)
-
-
-def _blocks(line: xr.Dataset, reflectance: xr.DataArray, exclude: Quality | int | None) -> tuple[Any, Any]:
-    """Return the cube, and which pixels are free of flags, as dask arrays in blocks of 32 whole lines."""
-    import dask.array as da
-
-    cube = reflectance.transpose(*CUBE).chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
-    if "quality" not in line.variables:
-        return cube, da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
-    bits = schema.require(line, ["quality"], "a detection")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
-    flags = np.uint16(int(EXCLUDED if exclude is None else exclude))
-    return cube, (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
+    return np.array([interpolated(nm, wavelength, spectrum) for spectrum in np.concatenate(spectra)]).reshape(
+        -1, nm.size
+    )
 
 
 def _mask(background: Any, clear: Any) -> Any:
-    import dask.array as da
-
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
         if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
-            raise SchemaError(f"background= has dims {background.dims}", expected="lines and columns")
+            raise SchemaError(
+                f"background= has dims {background.dims}", expected="lines and columns", code="dims-wrong"
+            )
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
     if mask.shape != clear.shape or mask.dtype != bool:
         raise SchemaError(
             f"background= is {mask.dtype} of shape {mask.shape}",
-            expected=f"bool of shape {clear.shape}, one a pixel",
+            expected=f"bool of shape {clear.shape}",
+            code="grid-mismatch",
         )
     return mask.rechunk(clear.chunks)
 
 
 def _lazy_detector(
-    line: xr.Dataset, cube: Any, clear: Any, bands: Ints, paints: Floats, unknown: Floats,
-    settings: DetectorSettings, sky: Any,
-) -> Any:  # fmt: skip
-    """Return the detector, delayed: sums over blocks in their order, then what follows from them."""
-    import dask
-
+    line: xr.Dataset,
+    cube: Any,
+    clear: Any,
+    bands: Ints,
+    paints: Floats,
+    unknown: Floats,
+    settings: DetectorSettings,
+    sky: Any,
+) -> Any:
+    """Return the delayed detector: sums over blocks in their order, then thresholds."""
     blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
     part = dask.delayed(_part_of, pure=True)
-    parts = [part(*each, bands, number, size) for number, each in enumerate(zip(blocks, masks, strict=True))]
+    parts = [
+        part(*block_and_mask, bands, number, size)
+        for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
+    ]
     join = dask.delayed(joined_parts, pure=True)
     while len(parts) > 1:
-        parts = [join(parts[at : at + _JOINED_AT_ONCE]) for at in range(0, len(parts), _JOINED_AT_ONCE)]
+        parts = [join(parts[at : at + JOINED_PARTS]) for at in range(0, len(parts), JOINED_PARTS)]
     if isinstance(sky, str) and sky == "auto":
         of_light = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
         sky = dask.delayed(_sky_of)(line[of_light], bands)
     elif sky is not None:
         sky = np.asarray(sky, np.float64)
         if sky.shape != (cube.shape[1],):
-            raise SchemaError(f"sky= has shape {sky.shape}", expected=f"({cube.shape[1]},), one a band")
+            raise SchemaError(
+                f"sky= has shape {sky.shape}",
+                expected=f"({cube.shape[1]},), one value a band",
+                code="length-mismatch",
+            )
         sky = sky[bands]
     return dask.delayed(make_detector, pure=True)(parts[0], bands, paints, sky, unknown, settings)
 
 
 def _after(first: Any, array: Any) -> Any:
-    """Return a dask array under other keys, of which nothing is computed before a delayed object is.
+    """Return a copy of a dask array under other keys, computed only after a delayed object.
 
-    Blocks that two passes shared would all be held from the first to the second, and read ahead of it.
-    `dask.graph_manipulation` has bind for this, but loses the keys of rechunks.
+    Blocks shared by two passes would all be held in memory from the first to the second, and read ahead of
+    it. `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
     """
-    import dask.array as da
-    from dask._task_spec import DataNode, Task, TaskRef, convert_legacy_graph
-    from dask.highlevelgraph import HighLevelGraph
-
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
     copy = {}
     for key, task in graph.items():
-        own = keys[key]
+        new_key = keys[key]
         if isinstance(task, DataNode):
-            copy[own] = Task(own, _second, TaskRef(first.key), task.value)
+            copy[new_key] = Task(new_key, _second, TaskRef(first.key), task.value)
         elif isinstance(task, Task) and not task.dependencies:
-            copy[own] = Task(own, _call_second, TaskRef(first.key), task.func, *task.args, **task.kwargs)
+            copy[new_key] = Task(
+                new_key, _call_second, TaskRef(first.key), task.func, *task.args, **task.kwargs
+            )
         else:
-            copy[own] = task.substitute(keys, key=own)
+            copy[new_key] = task.substitute(keys, key=new_key)
     name = f"again-{array.name}"
     graph = HighLevelGraph.from_collections(name, copy, dependencies=[first])
     return da.Array(graph, name, array.chunks, meta=array._meta)
@@ -348,10 +367,7 @@ def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> 
 
 
 def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
-    """Return what a level coat mirrors, but for a factor (band,); None where the line does not tell."""
-    from hyperpaint.surroundings.corrections import sky_above
-    from hyperpaint.surroundings.light_split import says_its_split, split_of
-
+    """Return the sky that a level coat mirrors, up to a factor (band,); None where it is not declared."""
     if not says_its_split(line):
         return None
     split = split_of(line, None, None).mean()
@@ -362,23 +378,28 @@ def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
 def _search(
     line: xr.Dataset, cube: Any, clear: Any, detector: Any, names: list[str], attrs: dict[str, Any]
 ) -> xr.Dataset:
-    import dask.array as da
-    import xarray as xr
-
-    from hyperpaint.base.many_outputs import split_outputs
 
     cube = _after(detector, cube)
     blocks = da.blockwise(
-        search_block, "lbx", cube, "lbx", clear, "lx", detector=detector, dtype=object, concatenate=True,
-        meta=np.empty((0, 0, 0), object), adjust_chunks={"b": 1},
-    )  # fmt: skip
+        search_block,
+        "lbx",
+        cube,
+        "lbx",
+        clear,
+        "lx",
+        detector=detector,
+        dtype=object,
+        concatenate=True,
+        meta=np.empty((0, 0, 0), object),
+        adjust_chunks={"b": 1},
+    )
     layout = {number: ("lx", schema.dtype_of(name)) for number, name in enumerate(_LAYERS)}
     pixel = (ALONG_TRACK, CROSS_TRACK)
     arrays = {
         name: schema.label(xr.DataArray(array, dims=pixel), name)
         for name, array in zip(_LAYERS, split_outputs(blocks, "lbx", layout).values(), strict=True)
     }
-    for name, field in _OF_DETECTOR.items():
+    for name, field in _DETECTOR_FIELDS.items():
         dims = schema.VARIABLES[name].dims
         data = da.from_delayed(getattr(detector, field), (len(names),) * len(dims), np.float64)
         arrays[name] = schema.label(xr.DataArray(data, dims=dims), name)
@@ -404,15 +425,15 @@ def search_block(cube: Array, clear: Bools, detector: Detector) -> tuple[Array, 
         spectra = np.ascontiguousarray(values.T, np.float64)
         whole = np.asarray(np.isfinite(spectra).all(axis=1))
         spectra[~whole] = 0.0
-        own = scores(spectra, detector.project, detector.method)
-        apart, levels = distances(spectra, detector.paints, detector.sky)
-        passes: Array = (own >= detector.threshold) & detector.is_near(apart, levels)
-        standing = (own - detector.usual) / scale
+        paint_scores = scores(spectra, detector.project, detector.method)
+        paint_distances, levels = distances(spectra, detector.paints, detector.sky)
+        passes: Array = (paint_scores >= detector.threshold) & detector.is_near(paint_distances, levels)
+        standing = (paint_scores - detector.usual) / scale
         some = np.max(passes, axis=1, keepdims=True)
         chosen = np.where(whole[:, None], np.where(passes >= some, standing, -np.inf), 0.0)
         paint = np.argmax(chosen, axis=1)
         place = np.arange(len(paint))
-        for layer, of_paints in ((score, own), (distance, apart), (level, levels)):
+        for layer, of_paints in ((score, paint_scores), (distance, paint_distances), (level, levels)):
             layer[number] = np.where(whole, of_paints[place, paint], np.nan)
         best[number] = np.where(whole, paint, -1)
         detected[number] = some[:, 0] & whole & clear[number]

@@ -1,10 +1,11 @@
-"""Scores of spectra against paints, and how far spectra are from each paint: arrays alone, float64."""
+"""Scores of spectra against paints, and distances of spectra from paints: plain arrays, float64."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from hyperpaint.base.arrays import Array, Floats
 
@@ -12,7 +13,7 @@ METHODS = ("ace", "matched_filter", "spectral_angle")
 
 
 class Projection(NamedTuple):
-    """Where spectra are compared: z = (x - offset) matrix."""
+    """Linear map of spectra in which they are compared: z = (x - offset) matrix."""
 
     offset: Floats  #: (band,)
     matrix: Floats  #: (band, band): whitens, and takes the mirrored sky away
@@ -29,17 +30,15 @@ def projection(
     paints : (signature, band)
         Reflectance.
     sky : (band,), or None
-        Spectrum of what a clear coat mirrors, in any amount; None where none is taken away.
+        Spectrum of the mirrored sky, which is projected out; None to keep it.
     mean, covariance : (band,), (band, band)
-        Of the background; None for the spectral angle, which knows none.
+        Statistics of the background; None for the spectral angle, which does not use them.
     """
     bands = paints.shape[1]
     offset = np.zeros(bands) if mean is None else mean
     # covariance = L L', z = L^-1 (x - mean) has unit covariance
     whitening = np.eye(bands)
     if covariance is not None:
-        from scipy.linalg import solve_triangular
-
         whitening = solve_triangular(np.linalg.cholesky(covariance), whitening, lower=True).T
     matrix = whitening
     if sky is not None:
@@ -53,35 +52,34 @@ def scores(spectra: Floats, project: Projection, method: str) -> Floats:
     """Return the scores (spectrum, signature) of spectra (spectrum, band), by one of `METHODS`.
 
     With z and t the projected spectrum and paint: ACE is (z't)^2 / (z'z t't) with the sign of z't, the
-    matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z has no length, as
-    that of a pixel of zeros.
+    matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z is zero.
     """
     z = (spectra - project.offset) @ project.matrix
     product = z @ project.targets.T
-    own = np.einsum("kb,kb->k", project.targets, project.targets)
+    target_square = np.einsum("kb,kb->k", project.targets, project.targets)
     if method == "matched_filter":
-        return np.asarray(product / own)
-    length = np.sqrt(np.einsum("nb,nb->n", z, z)[:, None] * own)
+        return np.asarray(product / target_square)
+    length = np.sqrt(np.einsum("nb,nb->n", z, z)[:, None] * target_square)
     cosine = np.divide(product, length, out=np.zeros_like(product), where=length > 0.0)
     return np.asarray(cosine * np.abs(cosine) if method == "ace" else cosine)
 
 
 def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Array, Array]:
-    r"""Return how far spectra (spectrum, band) are from each paint (signature, band), and at which level.
+    r"""Return distance and level of spectra (spectrum, band) for each paint (signature, band).
 
     Least squares fit x = a t + m sky + rest; the level is a, the distance \|rest\| / \|a t\|, infinite where
     a is not positive. Both (spectrum, signature) [1].
     """
     product, square = spectra @ paints.T, np.einsum("nb,nb->n", spectra, spectra)
-    own = length = np.einsum("kb,kb->k", paints, paints)
+    paint_square = length = np.einsum("kb,kb->k", paints, paints)
     if sky is not None:
         unit = sky / np.linalg.norm(sky)
         of_sky = paints @ unit
         in_sky = spectra @ unit
         product = product - np.outer(in_sky, of_sky)
-        square, own = square - in_sky**2, own - of_sky**2
+        square, paint_square = square - in_sky**2, paint_square - of_sky**2
     with np.errstate(invalid="ignore", divide="ignore"):
-        level = product / own
+        level = product / paint_square
         rest = np.sqrt(np.maximum(square[:, None] - product * level, 0.0))
         distance = np.where(level > 0.0, rest / (level * np.sqrt(length)), np.inf)
     return distance, level

@@ -1,4 +1,4 @@
-"""What a detector knows of the background: its statistics, and thresholds of a stated false-alarm rate."""
+"""Statistics of the background, and thresholds at a stated false-alarm rate."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from .detectors import Projection, distances, projection, scores
 class DetectionRules:
     """Thresholds of detection."""
 
-    #: Most memory of the pixels from which thresholds are drawn [byte]: 123,000 pixels of 272 bands.
+    #: Maximum memory of the pixels from which thresholds are drawn [byte]: 123,000 pixels of 272 bands.
     sample_bytes: int = 2**27
-    #: Least and most level at which a pixel is still a paint [1]: a panel turned from a high sun, or towards
-    #: a low one; beyond, black passes for dark glass, and what is merely proportional for the paint.
+    #: Lowest and highest level of a pixel of a paint [1]: a body part turned from a high sun, or towards a
+    #: low one; beyond, dark glass passes for black, and any proportional spectrum for the paint.
     min_level: float = 0.25
     max_level: float = 2.5
-    #: Distance that a pixel's noise alone makes [1], at a signal-to-noise ratio of 100.
+    #: Distance caused by a pixel's noise alone [1], at a signal-to-noise ratio of 100.
     min_distance: float = 0.01
-    #: Pixels within the distance at which so many times the rate of other paints would be accepted are taken
-    #: for the paint itself, not for background: half of a car's pixels lie beyond the limit.
+    #: Factor of the rate of other paints at whose distance limit pixels are taken for the paint itself, not
+    #: for background: half of a car's pixels lie beyond the limit [1].
     target_rate_ratio: float = 10.0
-    #: A share of pixels so taken for the paint that is so many times the rate of false alarms is warned of.
+    #: Share of such pixels over the rate of false alarms above which a warning is given [1].
     explained_ratio: float = 10.0
     #: Parts of the line that check one another's thresholds.
     folds: int = 8
-    #: Pixels of the sample that a threshold leaves above it at the least: fewer say nothing of a rate.
+    #: Minimum number of sample pixels above a threshold: fewer determine no rate.
     min_alarms: float = 5.0
 
 
 DETECTION = DetectionRules()
 
-_TOGETHER = 4096
-"""Pixels of the sample that are looked at together."""
+#: Sample pixels processed together.
+PIXELS_AT_ONCE = 4096
 
 
 class BackgroundPart(NamedTuple):
@@ -57,7 +57,7 @@ class BackgroundPart(NamedTuple):
 def background_part(cube: Array, is_valid: Bools, number: int, size: int) -> BackgroundPart:
     """Return the sums of a block (line, band, column) over its valid pixels (line, column).
 
-    ``size`` pixels are drawn as the sample, by the block's number alone, and of them the valid ones kept.
+    ``size`` pixels are drawn as the sample, seeded by the block's number alone; the valid ones are kept.
     """
     lines, bands, columns = cube.shape
     total, products = np.zeros(bands), np.zeros((bands, bands))
@@ -85,7 +85,7 @@ def joined_parts(parts: Sequence[BackgroundPart]) -> BackgroundPart:
 
 
 class DetectorSettings(NamedTuple):
-    """What a detector is asked for."""
+    """Settings of a detector."""
 
     method: str
     rate: float
@@ -95,7 +95,7 @@ class DetectorSettings(NamedTuple):
 
 
 class Detector(NamedTuple):
-    """All that a block needs to be searched."""
+    """All data needed to search a block."""
 
     method: str
     bands: Ints  #: Of the cube, those that are compared
@@ -110,7 +110,7 @@ class Detector(NamedTuple):
     explained_share: float  #: Of pixels that a paint explains, which were left out of the background
 
     def is_near(self, distance: Array, level: Array) -> Bools:
-        """Return which spectra each paint explains (spectrum, signature)."""
+        """Return the spectra that each paint explains (spectrum, signature)."""
         return _is_near(distance, level, self.distance_limit)
 
 
@@ -127,24 +127,25 @@ def make_detector(
     others: Floats,
     settings: DetectorSettings,
 ) -> Detector:
-    """Return the detector of an image, from the sums over all of it.
+    """Return the detector of an image, from the sums over the whole image.
 
-    Takes ``bands`` of the cube that are compared, and in these ``paints`` (signature, band), ``sky`` (band,)
-    and ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few
-    pixels. Warns where many pixels that the paints explain were left out: the rate says nothing of these.
+    Takes the compared ``bands`` of the cube, and on these ``paints`` (signature, band), ``sky`` (band,) and
+    ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few pixels.
+    Warns where many pixels that the paints explain were left out of the background.
     """
     if not part.pixels:
         raise SchemaError(
-            f"the line has no pixel that is free of flags and has a value in all {bands.size} bands",
-            expected="a background to be searched",
+            f"the line has no background pixel without flags and with values in all {bands.size} bands",
             mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
             option="give --keep with flags",
+            code="background-empty",
         )
     if part.pixels <= bands.size:
         raise SchemaError(
             f"{part.pixels} valid pixels for the covariance of {bands.size} bands",
             expected="more pixels than bands",
-            mend="take a longer line, fewer bands, or exclude= with fewer flags",
+            mend="use a longer line, fewer bands, or exclude= with fewer flags",
+            code="background-too-small",
         )
     mean = part.total / part.pixels
     covariance = (part.products - part.pixels * np.outer(mean, mean)) / (part.pixels - 1)
@@ -156,58 +157,70 @@ def make_detector(
             project = projection(paints, sky, mean, shrunk)
     except np.linalg.LinAlgError as error:
         raise SchemaError(
-            "the covariance of the background is singular: some bands follow from others",
-            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in bands that were interpolated",
+            "the covariance of the background is singular: some bands depend linearly on others",
+            mend="raise shrinkage=, such as to 0.001, or set 'good' to False in interpolated bands",
             option="give --shrinkage 0.001",
+            code="covariance-singular",
         ) from error
     of_others = distances(others, paints, sky)
     limit = _distance_limits(of_others, settings.unknown_rate)
     if settings.has_targets and settings.unknown_rate < 1.0:
-        # pixels that a paint explains may be the very paint: they are no background
+        # pixels that a paint explains may show it: they are no background
         reach = _distance_limits(of_others, min(DETECTION.target_rate_ratio * settings.unknown_rate, 0.5))
     else:
         reach = np.full(len(paints), -1.0)
     is_background, values = np.ones(len(part.sample), bool), np.empty((len(part.sample), len(paints)))
-    for first in range(0, len(values), _TOGETHER):
-        here = slice(first, first + _TOGETHER)
+    for first in range(0, len(values), PIXELS_AT_ONCE):
+        here = slice(first, first + PIXELS_AT_ONCE)
         spectra = part.sample[here].astype(np.float64)
         is_background[here] = ~_is_near(*distances(spectra, paints, sky), reach).any(axis=1)
         values[here] = scores(spectra, project, settings.method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
     if explained > DETECTION.explained_ratio * settings.rate:
         warnings.warn(
-            f"{100.0 * explained:.2g} % of the pixels are so like the paints that they were left out of the "
-            f"background: false_alarm_rate={settings.rate:g} holds for the others alone; where these "
-            "are not all the paints themselves, pass background=, or give --background, with like pixels "
-            "that show none",
-            PaintWarning,
+            PaintWarning(
+                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were left out of the "
+                f"background: false_alarm_rate={settings.rate:g} holds for the other pixels only; where "
+                "these pixels are not all the paints themselves, pass background= (--background) with "
+                "similar pixels that show no paint",
+                code="background-resembles-paints",
+            ),
             stacklevel=2,
         )
     values = values[is_background]
     threshold = _score_thresholds(values, settings.rate)
     checked, half = _checked_rate(values, part.block[is_background], settings.rate)
     return Detector(
-        settings.method, bands, paints, sky, project, np.median(values, axis=0), threshold, limit, checked,
-        half, explained,
-    )  # fmt: skip
+        settings.method,
+        bands,
+        paints,
+        sky,
+        project,
+        np.median(values, axis=0),
+        threshold,
+        limit,
+        checked,
+        half,
+        explained,
+    )
 
 
 def _joint_rank(ranks: Ints, allowed: float) -> int:
-    """Return the largest rank at which no more rows than allowed are ranked so or better for any paint.
+    """Return the largest rank that at most ``allowed`` rows reach for any paint.
 
-    Ranks (row, signature) begin at 1; that of a row is the best it has for any paint (Westfall and Young's
-    minP), so that the rate is one of all paints together.
+    Ranks (row, signature) begin at 1; the rank of a row is its best for any paint (Westfall and Young's
+    minP), so that the rate holds for all paints together.
     """
     best = np.sort(ranks.min(axis=1))
     count = int(np.floor(allowed + 1e-9))
     if count >= best.size:
         return int(best[-1])
-    # rows of the rank that is cut through are all left out
+    # all rows of the rank at the limit are left out
     return int(best[count]) - 1
 
 
 def _ranks(values: Floats) -> Ints:
-    """Return the place of every value in its column, 1 for the smallest."""
+    """Return the rank of every value in its column, 1 for the smallest."""
     order = np.argsort(values, axis=0, kind="stable")
     ranks = np.empty(values.shape, np.int64)
     np.put_along_axis(ranks, order, np.arange(1, len(values) + 1)[:, None], axis=0)
@@ -215,26 +228,27 @@ def _ranks(values: Floats) -> Ints:
 
 
 def _score_thresholds(values: Floats, rate: float) -> Floats:
-    """Return the score of each paint that, for any of them, a share ``rate`` of the background reaches."""
+    """Return the score thresholds that a share ``rate`` of the background passes for any paint."""
     allowed = rate * (len(values) + 1)
     if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
         need = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
         raise SchemaError(
-            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} pixels of background",
-            expected=f"at least {need}",
-            mend="ask for a higher rate, search a longer line or look for fewer paints",
-            option="give --rate",
+            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
+            expected=f"at least {need} pixels",
+            mend="pass a higher rate, search a longer line or look for fewer paints",
+            option="give a higher --rate",
+            code="false-alarm-rate-too-low",
         )
     rank = _joint_rank(_ranks(-values), allowed)
     return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])
 
 
 def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
-    """Return the distance from each paint within which, for any of them, a share ``rate`` of others is.
+    """Return the distance limits within which, for any paint, a share ``rate`` of other paints lies.
 
-    0 of a paint that has others so near that its own pixels would not be told from them: it takes no part of
-    the rate. Closer than the nearest of the others the share is taken to grow in proportion to the distance:
-    it grows faster wherever paints differ in more than one way, so that fewer come within than is stated.
+    0 for a paint that has others so near that its own pixels cannot be separated from them; it uses up no
+    part of the rate. Closer than the nearest other paint the share is taken as proportional to the distance.
+    It grows faster where paints differ in more than one dimension, so that fewer lie within than stated.
     """
     distance = np.where(others[1] > 0.0, others[0], np.inf)
     if rate >= 1.0:
@@ -255,7 +269,7 @@ def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
 def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, float]:
     """Return the share of pixels above thresholds drawn from other parts of the line, and its half interval.
 
-    The 95 % interval is Student's over the parts: neighbouring pixels are alike, parts are not.
+    The 95 % interval is Student's over the parts: neighbouring pixels are correlated, parts are not.
     """
     from scipy.stats import t
 
@@ -266,11 +280,11 @@ def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, floa
     fold = part_of * folds // numbers.size
     shares = []
     for number in range(folds):
-        held = fold == number
+        is_held_out = fold == number
         try:
-            threshold = _score_thresholds(values[~held], rate)
+            threshold = _score_thresholds(values[~is_held_out], rate)
         except SchemaError:
             return float("nan"), float("nan")
-        shares.append((values[held] >= threshold).any(axis=1).mean())
+        shares.append((values[is_held_out] >= threshold).any(axis=1).mean())
     half = t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds)
     return float(np.mean(shares)), float(half)

@@ -1,27 +1,29 @@
-"""Which regions, such as cars, show a paint that was looked for."""
+"""Regions, such as cars, that show a detected paint."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SIGNATURE
-
-if TYPE_CHECKING:
-    import xarray as xr
+from hyperpaint.paints.signatures.line_sources import lines_of
+from hyperpaint.regions import pixels_of
+from hyperpaint.regions.geojson import regions_from
 
 _COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
 
 def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
-    r"""Tell which regions, such as cars, show a paint that was looked for.
+    """Return the paint that each region, such as a car, shows, and its significance.
 
-    Eager. Pixels of one thing are alike, so that they are not counted as so many witnesses: the share that is
-    detected is compared with that of the region's own outline laid on the rest of the line, side by side.
+    Eager. Pixels of one object are correlated and cannot be counted as independent. The detected share is
+    therefore compared with the shares inside copies of the region's outline, laid side by side on the rest of
+    the line.
 
     Parameters
     ----------
@@ -33,9 +35,9 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     Returns
     -------
     Dataset
-        (region): ``pixels`` that it has; ``detected_share`` [1] of its most frequent paint, which is
-        ``paint``, empty where none is detected; ``p_value``, the chance of so large a share of any of the
-        paints where none is, of ``placements`` outlines: it is 1 / (placements + 1) at the least.
+        (region): ``pixels`` in it; ``detected_share`` [1] of its most frequent paint, which is ``signature``,
+        empty where none is detected; ``p_value``, the probability that an outline without paint has as large
+        a share of any paint, from ``placements`` outlines, at least 1 / (placements + 1).
 
     Raises
     ------
@@ -57,23 +59,17 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     >>> cars["signature"].item(), cars.detected_share.item(), round(cars.p_value.item(), 2)
     ('red', 1.0, 0.04)
     """
-    import xarray as xr
-
-    from hyperpaint.paints.signatures.line_sources import lines_of
-    from hyperpaint.regions import pixels_of
-    from hyperpaint.regions.geojson import regions_from
-
     detections = schema.rename_to_roles(detections)
     variables = schema.require(detections, ["detected", "best_paint"], "detected regions")
     detected, best = variables["detected"].values, variables["best_paint"].values
     region_list = regions_from(regions)
     if region_list.coordinates == "sensor":
-        lines_of(detections, region_list)  # refuses those of other flight lines
+        lines_of(detections, region_list)  # raises for regions of other flight lines
     places = pixels_of(region_list, detections)
     problems = Problems("these regions cannot be searched", SchemaError)
     for name, (along, _) in zip(region_list.names, places, strict=True):
         if not along.size:
-            problems.add(f"region {name!r} holds no pixel of the line")
+            problems.add(f"region {name!r} holds no pixel of the line", code="region-empty")
     problems.raise_if_any()
     taken = np.zeros(detected.shape, bool)
     for place in places:
@@ -85,7 +81,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
         counts = _counts(shown[along, across], len(names))
         paint = int(counts.argmax())
         share = counts[paint] / along.size
-        # the paint was chosen by its share: compared with that of the paint that each place would choose
+        # the paint was chosen by its share: every copy is compared by its best paint
         elsewhere = _shares_elsewhere(shown, len(names), taken, along, across)
         p = (1 + int((elsewhere >= share).sum())) / (1 + elsewhere.size)
         rows.append((along.size, share, names[paint] if counts[paint] else "", p, elsewhere.size))
@@ -101,12 +97,12 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
 
 
 def _counts(shown: Array, paints: int) -> Ints:
-    """Return the number of pixels of each paint, of those that show one; -1 shows none."""
+    """Return the number of pixels of each paint (paint,); pixels of -1 show none."""
     return np.bincount(shown[shown >= 0], minlength=paints)
 
 
 def _shares_elsewhere(shown: Array, paints: int, taken: Bools, along: Ints, across: Ints) -> Floats:
-    """Return the largest share of a paint in an outline, wherever it fits beside itself off all regions."""
+    """Return the largest share of a paint in copies of an outline, tiled outside all regions (copy,)."""
     along, across = along - along.min(), across - across.min()
     high, wide = along.max() + 1, across.max() + 1
     shares = [

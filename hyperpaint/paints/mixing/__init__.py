@@ -1,9 +1,7 @@
-"""New paints from old: mixtures, shades, and variants drawn from a measured population.
+"""Synthetic paints: mixtures, shades, and variants drawn from a measured population.
 
 A paint library comes in, a library of synthetic paints goes out. For the accessor and workflows.
 """
-
-from __future__ import annotations
 
 from .recipes import mix_paints, shade_paints
 from .synthetic_paints import sample_paints

@@ -6,7 +6,8 @@ A layer so thick that nothing shines through, with absorption K and scattering S
 
 (Kubelka & Munk, Z. techn. Phys. 12, 593, 1931). Under an interface that mirrors k1 of the light from outside
 and k2 of the diffuse light from inside, light is thrown back at the layer again and again. The sum over the
-returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, is what leaves beside the mirror image:
+returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, leaves the surface beside the mirror
+image:
 
 .. math:: R = k_1 + \frac{(1 - k_1) (1 - k_2) R_\infty}{1 - k_2 R_\infty}
 
@@ -18,18 +19,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
@@ -59,7 +58,7 @@ def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class Interface:
-    """The surface of a paint, which mirrors light on both of its sides.
+    """The surface of a paint, which reflects light on both sides.
 
     Attributes
     ----------
@@ -72,7 +71,7 @@ class Interface:
     Raises
     ------
     SchemaError
-        One is outside 0 to below 1; both are listed.
+        A value is negative, or 1 and more; all are listed.
 
     Examples
     --------
@@ -88,88 +87,90 @@ class Interface:
         problems = Problems("there is no such interface of a paint", SchemaError)
         for name, value in (("k1", self.k1), ("k2", self.k2)):
             if not 0.0 <= value < 1.0:
-                problems.add(f"{name}={value!r}, expected a reflectance from 0 to below 1")
+                problems.add(
+                    f"{name}={value!r}", expected="a reflectance from 0 to below 1", code="value-out-of-range"
+                )
         problems.raise_if_any()
 
     def seen(self, layer: npt.ArrayLike) -> Floats:
-        """Return what leaves of a layer's reflectance, without the mirror image: from 0 to 1 - k1."""
+        """Return the reflectance above the interface of a layer, without mirrored light: 0 to 1 - k1."""
         inside = np.asarray(layer, np.float64)
         return np.asarray((1.0 - self.k1) * (1.0 - self.k2) * inside / (1.0 - self.k2 * inside))
 
     def layer(self, seen: npt.ArrayLike) -> Floats:
-        """Return the reflectance of the layer below; undoes `seen`, and is above 1 for more than 1 - k1."""
+        """Return the reflectance of the layer below; inverse of `seen`, above 1 for inputs above 1 - k1."""
         body = np.asarray(seen, np.float64)
         return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
 
 
-BLACKEST = 1e-3
-"""Of a layer without an interface [1]: blacker is no paint (soot in a binder is 0.02), but noise, whose K/S
-would drown all others in a mixture."""
+#: Lowest reflectance of a layer without an interface [1]: values below are noise (soot in a binder is 0.02),
+#: whose K/S would dominate any mixture.
+MIN_LAYER_REFLECTANCE = 1e-3
 
-_FEW = 0.05
-"""Share of a spectrum that may be darker than its own interface, by noise."""
+#: Share of a spectrum that may be darker than its interface, by noise [1].
+MAX_DARK_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Coating:
-    """What lies between a layer of paint and its reflectance as the library holds it."""
+    """Interface and mirrored light between a layer of paint and its reflectance in the library."""
 
     interface: Interface  #: Of the layer.
-    mirrored: Floats  #: (band,) or (): Mirrored light that the reflectance holds [1].
+    mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
-        """Return K/S [1] of spectra (signature, ..., band); NaN where there is none.
+        """Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
 
-        Raises `SchemaError`: over a twentieth of the spectra of a paint is darker than the light that the
-        coat mirrors; all such paints are listed. Warns of values that no such layer can have; they are
-        replaced by the nearest that it can.
+        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light that the coat
+        mirrors; all such paints are listed. Warns of values that no such layer can have; they are replaced by
+        the nearest possible value.
         """
         values = np.asarray(reflectance, np.float64)
         layer = self.interface.layer(values - self.mirrored)
-        # far below 0, where the denominator has changed its sign, is dark as well
-        low = (layer < BLACKEST) | (values < self.mirrored)
+        # also dark: far below 0, where the denominator changes its sign
+        low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
         high = ~low & (layer > 1.0)
         self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
         if low.any() or high.any():
             finite_count = int(np.isfinite(values).sum())
             msg = (
-                f"{int(low.sum())} of {finite_count} reflectances are darker than any layer of paint under "
-                f"an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
-                f"replaced by what is nearest, of R_inf = {BLACKEST:g} and 1"
+                f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
+                f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
+                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1"
             )
-            warnings.warn(msg, PaintWarning, stacklevel=4)
-        layer = np.where(low, BLACKEST, np.minimum(layer, 1.0))
+            warnings.warn(PaintWarning(msg, code="reflectance-outside-model"), stacklevel=4)
+        layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
     def reflectance(self, ratio: npt.ArrayLike) -> Floats:
-        """Return the reflectance of layers by their K/S [1], 0 to 1; undoes `ratio`."""
-        seen = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
-        return np.asarray(np.clip(seen, 0.0, 1.0))
+        """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
+        reflectance = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
+        return np.asarray(np.clip(reflectance, 0.0, 1.0))
 
     def _refuse_dark(self, dark: Bools, is_finite: Any, names: list[str]) -> None:
         if not self.mirrored.any():
             return
         problems = Problems("the library's reflectance cannot hold that much mirrored light", SchemaError)
-        for name, one, there in zip(names, dark, is_finite, strict=True):
-            share = float(one.sum() / max(int(there.sum()), 1))
-            if share > _FEW:
-                problems.add(f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}")
-        if len(problems):
-            problems.add(
-                "pass mirrored= what it holds of mirrored light: 0 for none; outdoors k1 times the diffuse "
-                "fraction of the light; or use remove_mirrored_sky first"
-            )
+        for name, is_dark, has_value in zip(names, dark, is_finite, strict=True):
+            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
+            if share > MAX_DARK_SHARE:
+                problems.add(
+                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                    mend="pass mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
+                    "times the diffuse fraction), or call remove_mirrored_sky first",
+                    code="paint-too-dark",
+                )
         problems.raise_if_any()
 
 
 def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:
-    """Return what lies between the layers of a library's paints and their reflectance.
+    """Return the coating between the layers of a library's paints and their reflectance.
 
     Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
-    `Interface`; ``mirrored``: mirrored light that the reflectance holds [1]: a number, or one a band. None:
-    none where the library says that it is excluded, or has it apart as ``specular_reflectance``; else k1.
+    `Interface`; ``mirrored``: mirrored light in the reflectance [1], a number, or one a band. By default 0
+    where the library declares mirrored light excluded, or holds it as ``specular_reflectance``; else k1.
 
-    Raises `SchemaError`: one of them is no reflectance, or the attribute says neither; all are listed.
+    Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     """
     interface = Interface(k1, k2)
     problems = Problems("the light that the coat mirrors is not known", SchemaError)
@@ -177,13 +178,17 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     try:
         stated = mirror_reflection(library)
     except SchemaError as error:
-        problems.add(str(error))
+        problems.add_error(str(library.attrs.get("title", "the library")), error)
     if mirrored is None:
         mirrored = 0.0 if stated == EXCLUDED else k1
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
-        problems.add(f"mirrored= has shape {values.shape}, expected a number or one a band")
+        problems.add(
+            f"mirrored= has shape {values.shape}", expected="a number or one a band", code="length-mismatch"
+        )
     elif not ((values >= 0.0) & (values < 1.0)).all():
-        problems.add("mirrored= leaves 0 to below 1")
+        problems.add(
+            f"mirrored={mirrored!r:.40}", expected="values from 0 to below 1", code="value-out-of-range"
+        )
     problems.raise_if_any()
     return Coating(interface, values)

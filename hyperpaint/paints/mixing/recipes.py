@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
@@ -18,13 +19,10 @@ from hyperpaint.base.units import takes_quantities
 from .kubelka_munk import coating_of
 from .synthetic_paints import MEMBERS, SPECULAR, specular_of, synthetic_library
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 Method = Literal["kubelka-munk", "linear"]
 
+#: How paints are mixed: as pigments in a pot, or as areas side by side.
 METHODS = ("kubelka-munk", "linear")
-"""How paints are mixed: as pigments in a pot, or as areas side by side."""
 
 
 @takes_quantities()
@@ -45,45 +43,44 @@ def mix_paints(
     library
         A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     recipes
-        Of every new paint, by its name: parts of each of its parents, by their names. Only their ratio
-        counts.
+        Parts of each parent by its name, for every new paint by its name. Only the ratio of the parts
+        matters.
     method
         "kubelka-munk" mixes pigments in a pot: absorption and scattering add up. "linear" mixes areas side by
         side, as a pixel does: reflectances add up.
     scattering
-        Scattering of a part of a paint relative to that of a part of another [1], by name; 1 where it is not
-        said. White (rutile) scatters several times more than coloured pigments do.
+        Relative scattering of a part of a paint [1], by name; 1 by default. White (rutile) scatters several
+        times more than coloured pigments.
     k1, k2
         Reflectance of the coat for light from outside, and for diffuse light from inside [1]; the defaults
-        are those of an index of 1.5. Not used by "linear".
+        are for an index of 1.5. Not used by "linear".
     mirrored
-        Part of the library's reflectance that was mirrored by the coat [1], a number or one a band. By
-        default 0 where the library says that it is excluded (attribute ``mirror_reflection``), else k1.
-        Outdoors it is about k1 times the diffuse fraction of the light.
+        Part of the library's reflectance that the coat mirrors [1], a number or one a band. By default 0
+        where the library excludes it (attribute ``mirror_reflection``), else k1. Outdoors it is about k1
+        times the diffuse fraction of the light.
 
     Returns
     -------
     Dataset
-        A paint library with ``reflectance`` (signature, band), float32 [1], 0 to 1; mirrored light is in it
-        as it is in the library. ``member_reflectance`` (signature, member, band), where all parents have
-        some: the first of each parent are mixed, then the second, as far as the parent with the fewest has
-        some; NaN beyond; with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates ``provenance``
+        A paint library with ``reflectance`` (signature, band), float32 [1], 0 to 1, including mirrored light
+        where the library does. ``member_reflectance`` (signature, member, band), where all parents have
+        members: the first members of all parents are mixed, then the second, up to the smallest number of
+        members; NaN beyond; with ``reflectance_sd`` and ``reflectance_quantiles``. Coordinates ``provenance``
         ("synthetic"), ``parents``, ``weights`` (JSON, normalised to 1) and ``method`` (signature).
 
     Raises
     ------
     SchemaError
-        It is no paint library; recipes name paints that are not there, or there more than once, or parts
-        below 0; an option is none; or paints are darker than the mirrored light that they are to hold. All
-        are listed.
+        The library lacks variables; recipes name unknown or ambiguous paints, or negative parts; an option is
+        invalid; or paints are darker than the mirrored light in them. All are listed.
     UnitsError
         Units cannot be read.
 
     Warns
     -----
     PaintWarning
-        Some reflectances no such layer can have, or of areas are outside 0 to 1; they are replaced by the
-        nearest. Parents of a paint have different numbers of members.
+        Some reflectances are impossible for such a layer, or outside 0 to 1 with "linear"; they are replaced
+        by the nearest possible value. Parents of a paint have different numbers of members.
 
     Notes
     -----
@@ -93,8 +90,8 @@ def mix_paints(
 
     (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
     reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.kubelka_munk`. Absorption
-    rules: a part of black in nine of white is far darker than a tenth. What a coat mirrors, where the library
-    has it apart as ``specular_reflectance``, is averaged. A band that is NaN in one parent is NaN. Eager.
+    dominates: one part of black in nine of white darkens by far more than a tenth. The
+    ``specular_reflectance`` of a library is averaged. A band that is NaN in one parent is NaN. Eager.
 
     Examples
     --------
@@ -118,7 +115,13 @@ def mix_paints(
     settings: dict[str, Any] = {}
     if method == "linear":
         areas = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
-        mix = {name: _clipped(array) for name, array in areas.items()}
+        for array in areas.values():
+            outside = int(((array < 0.0) | (array > 1.0)).sum())
+            if outside:
+                finite_count = int(np.isfinite(array).sum())
+                msg = f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale"
+                warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
+        mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
         scatter = np.array([(scattering or {}).get(name, 1.0) for name in parents])
@@ -131,7 +134,7 @@ def mix_paints(
         named = [f"{name} {number:g}" for name, number in (scattering or {}).items()]
         settings = {"k1": k1, "k2": k2, "scattering": ", ".join(named) if scattering is not None else "equal"}
     if MEMBERS in values:
-        _tell_of_partners(weights > 0.0, values[MEMBERS])
+        _warn_of_unpaired(weights > 0.0, values[MEMBERS])
     values = _trimmed(specular | mix)
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 
@@ -147,30 +150,30 @@ def shade_paints(
     library
         A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     depths
-        Of shade, relative to the paint as it is [1]: pigment per scatterer. 0.1 is a tint, a part of the
-        paint in nine of a white that absorbs nothing; 2 has twice the pigment. To darken with black, mix it
-        in: `hyperpaint.paints.mix_paints`.
+        Depths of shade relative to the paint [1]: pigment per scatterer. 0.1 is a tint, one part of the paint
+        in nine of a white without absorption; 2 has twice the pigment. To darken with black, mix it in with
+        `hyperpaint.paints.mix_paints`.
     k1, k2, mirrored
         See `hyperpaint.paints.mix_paints`.
 
     Returns
     -------
     Dataset
-        A paint library as of `hyperpaint.paints.mix_paints`, every paint at every depth, named
-        ``"<paint> x <depth>"``; the coordinate ``depth`` (signature) [1] says which.
+        A paint library as from `hyperpaint.paints.mix_paints`, every paint at every depth, named
+        ``"<paint> x <depth>"``, with the coordinate ``depth`` (signature) [1].
 
     Raises
     ------
     SchemaError
-        It is no paint library, a depth is not above 0, an option is none, or paints are darker than the
-        mirrored light that they are to hold. All of a kind are listed.
+        The library lacks variables, a depth is not above 0, an option is invalid, or paints are darker than
+        the mirrored light in them. All of a kind are listed.
     UnitsError
         Units cannot be read.
 
     Warns
     -----
     PaintWarning
-        Some reflectances no such layer can have; they are replaced by the nearest.
+        Some reflectances are impossible for such a layer; they are replaced by the nearest possible value.
 
     Notes
     -----
@@ -186,7 +189,11 @@ def shade_paints(
     """
     factors = np.asarray(depths, np.float64)
     if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
-        raise SchemaError(f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]")
+        raise SchemaError(
+            f"depths={depths!r:.60}",
+            expected="numbers above 0, such as [0.1, 0.5, 2]",
+            code="value-out-of-range",
+        )
     _require(library)
     names = [str(name) for name in library[SIGNATURE].values]
     coating = coating_of(library, k1, k2, mirrored)
@@ -220,13 +227,12 @@ def _averaged(weights: Floats, values: Floats) -> Floats:
 
 
 def _require(library: xr.Dataset) -> None:
-    """Refuse what is no paint library."""
     names = [SIGNATURE, "reflectance", "wavelength"]
     schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
-    """Return what can be mixed of paints, by variable, float64 [1]; of all paints without names."""
+    """Return the spectra to mix by variable, float64 [1]; of all paints where ``parents`` is None."""
     if parents is not None:
         names = [str(name) for name in library[SIGNATURE].values]
         library = library.isel({SIGNATURE: [names.index(name) for name in parents]})
@@ -236,7 +242,7 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
     if SPECULAR in library.variables:
         spectra[SPECULAR] = np.asarray(specular_of(library), np.float64)
     if MEMBERS in spectra:
-        # members are mixed by their turn: what is none comes after them all
+        # members are mixed in order: absent ones go to the end
         absent = ~np.isfinite(spectra[MEMBERS]).any(axis=2)
         order = np.argsort(absent, axis=1, kind="stable")[:, :, np.newaxis]
         spectra[MEMBERS] = np.take_along_axis(spectra[MEMBERS], order, axis=1)
@@ -244,7 +250,7 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
 
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
-    """Return spectra without what no paint has of members."""
+    """Return spectra without trailing members that no paint has."""
     if MEMBERS not in values:
         return values
     most = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
@@ -252,30 +258,20 @@ def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
     return {**others, MEMBERS: values[MEMBERS][:, :most]} if most else others
 
 
-def _tell_of_partners(taken: Bools, members: Floats) -> None:
-    """Warn of members that the other parents of a paint have none for.
+def _warn_of_unpaired(taken: Bools, members: Floats) -> None:
+    """Warn of members without a partner among the other parents.
 
     Takes ``taken``: whether a paint has a parent (new, parent); ``members``: of the parents (parent, member,
     band).
     """
     counts = np.isfinite(members).any(axis=2).sum(axis=1)
-    alone = np.array([int((counts[own] - counts[own].min()).sum()) for own in taken])
+    alone = np.array([int((counts[has_parent] - counts[has_parent].min()).sum()) for has_parent in taken])
     if alone.any():
         msg = (
             f"{alone.sum()} members of the parents of {int((alone > 0).sum())} of {len(alone)} paints have "
-            "no partner and were left out; for more, draw as many of each parent first, with sample_paints"
+            "no partner and were left out; draw equally many of each parent with sample_paints first"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=3)
-
-
-def _clipped(reflectance: Floats) -> Floats:
-    """Return reflectance from 0 to 1; warn where it was none."""
-    outside = int(((reflectance < 0.0) | (reflectance > 1.0)).sum())
-    if outside:
-        finite_count = int(np.isfinite(reflectance).sum())
-        msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped; check the scale"
-        warnings.warn(msg, PaintWarning, stacklevel=4)
-    return np.clip(reflectance, 0.0, 1.0)
+        warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=3)
 
 
 def _checked(
@@ -284,39 +280,53 @@ def _checked(
     method: str,
     scattering: Mapping[str, float] | None,
 ) -> dict[str, dict[str, float]]:
-    """Return shares by name of the new paint and of its parents, each recipe's sum 1."""
+    """Return the shares of every recipe by name of paint and parent, normalised to 1."""
     _require(library)
     problems = Problems("paints cannot be mixed", SchemaError)
     paint_names = [str(name) for name in library[SIGNATURE].values]
     if method not in METHODS:
-        problems.add(f"method={method!r}, expected one of {', '.join(METHODS)}")
+        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
     if not recipes:
-        problems.add('there is no recipe; expected some, such as {"grey": {"white": 9, "black": 1}}')
+        problems.add(
+            "recipes= is empty",
+            mend='pass some, such as {"grey": {"white": 9, "black": 1}}',
+            code="empty-input",
+        )
     shares = {}
     for name, recipe in recipes.items():
-        wrong = [text for parent in recipe if (text := _name_problem(str(parent), paint_names))]
+        for parent in recipe:
+            _check_name(str(parent), f"{name!r}", paint_names, problems)
         parts = np.array([*recipe.values()], np.float64)
         if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
-            wrong.append(f"parts are {list(recipe.values())}, expected 0 or more, not all 0")
-        for text in wrong:
-            problems.add(f"{name!r}: {text}")
-        if not wrong:
+            problems.add(
+                f"{name!r}: parts are {list(recipe.values())}",
+                expected="0 or more, not all 0",
+                code="value-out-of-range",
+            )
+        elif not len(problems):
             shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
     for name, number in (scattering or {}).items():
-        if text := _name_problem(name, paint_names):
-            problems.add(f"scattering: {text}")
+        _check_name(name, "scattering", paint_names, problems)
         if not 0.0 < number < np.inf:
-            problems.add(f"scattering of {name!r} is {number!r}, expected a number above 0")
+            problems.add(
+                f"scattering of {name!r} is {number!r}",
+                expected="a number above 0",
+                code="value-out-of-range",
+            )
     problems.raise_if_any()
     return shares
 
 
-def _name_problem(name: str, paint_names: list[str]) -> str:
-    """Return why a name does not say one paint; nothing where it does."""
+def _check_name(name: str, subject: str, paint_names: list[str], problems: Problems) -> None:
+    """Note a name that no paint has, or several."""
     count = paint_names.count(name)
-    if count == 1:
-        return ""
-    if count:
-        return f"{count} paints are named {name!r}; give them different names, or leave some out with isel"
-    close = difflib.get_close_matches(name, paint_names, 1)
-    return f"there is no paint {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")
+    if count > 1:
+        problems.add(
+            f"{subject}: {count} paints are named {name!r}",
+            mend="give them different names, or leave some out with isel",
+            code="paint-ambiguous",
+        )
+    elif not count:
+        close = difflib.get_close_matches(name, paint_names, 1)
+        mend = f"did you mean {close[0]!r}?" if close else ""
+        problems.add(f"{subject}: there is no paint {name!r}", mend=mend, code="paint-unknown")

@@ -1,4 +1,4 @@
-"""The library that new paints make, and variants of paints drawn from the spread of their pixels."""
+"""Libraries of synthetic paints, and variants of paints drawn from the spread of their pixels."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import json
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
@@ -18,14 +19,11 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SI
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Single pixels of a paint, or variants (signature, member, band).
 MEMBERS = "member_reflectance"
-"""Single pixels of a paint, or variants (signature, member, band)."""
 
+#: Reflectance of the coat (signature, band), present in some libraries.
 SPECULAR = "specular_reflectance"
-"""What a coat mirrors (signature, band), which not every library has."""
 
 _DIMS = {
     "reflectance": (SIGNATURE, BAND),
@@ -41,19 +39,19 @@ _MEANINGS = {
     SPECULAR: "Reflectance of the clear coat and of flakes, near the mirror direction",
     MEMBERS: "Reflectance of synthetic variants of a paint",
 }
-_LASTING = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
-"""Attributes of reflectance that are as true of what is made from it."""
+#: Attributes of reflectance that hold for paints made from it.
+_INHERITED_ATTRS = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    """Return texts of any length, as stores hold them."""
+    """Return texts of any length as an object array, the form in which stores hold them."""
     column = np.empty(len(texts), object)
     column[:] = list(texts)
     return column
 
 
 def specular_of(library: xr.Dataset) -> Array:
-    """Return what the coats of a library mirror (signature, band) [1]."""
+    """Return the specular reflectance of the coats of a library (signature, band) [1]."""
     return np.asarray(convert(library[SPECULAR], "1").transpose(SIGNATURE, BAND).values)
 
 
@@ -67,12 +65,10 @@ def synthetic_library(
 ) -> xr.Dataset:
     """Return new paints as a library.
 
-    Takes ``library``: what they were made from; its bands are theirs; ``names``: of the new paints;
-    ``values``: spectra by the name of their variable; ``parents``: what each was made from, and by which
-    shares; ``method``: how; ``**attrs``: of the library.
+    Takes ``library``: source of the bands and attributes; ``names`` of the new paints; ``values``: spectra by
+    the name of their variable; ``parents``: shares of the parents of each paint; ``method``: name of the
+    method; ``**attrs``: attributes of the library.
     """
-    import xarray as xr
-
     paints = xr.Dataset()
     if MEMBERS in values and values[MEMBERS].shape[1] > 1:
         values = {**values, **_spread(values[MEMBERS])}
@@ -83,7 +79,7 @@ def synthetic_library(
         variable_attrs = {"long_name": _MEANINGS[name], "units": "1"}
         paints[name] = (_DIMS[name], np.asarray(array, np.float32), variable_attrs)
     before = library["reflectance"].attrs
-    paints["reflectance"].attrs |= {key: before[key] for key in _LASTING if key in before}
+    paints["reflectance"].attrs |= {key: before[key] for key in _INHERITED_ATTRS if key in before}
     bands = {name: array for name, array in library.coords.items() if array.dims == (BAND,)}
     paints = paints.assign_coords(bands).assign_coords(
         {
@@ -92,8 +88,12 @@ def synthetic_library(
                 name: (SIGNATURE, text_column(column), {"long_name": meaning})
                 for name, meaning, column in (
                     ("provenance", "Where the paint comes from", ["synthetic"] * len(names)),
-                    ("parents", "Paints it was made from, as JSON", [_json(list(one)) for one in parents]),
-                    ("weights", "Shares of the parents, as JSON", [_shares(one) for one in parents]),
+                    (
+                        "parents",
+                        "Paints it was made from, as JSON",
+                        [_json(list(shares)) for shares in parents],
+                    ),
+                    ("weights", "Shares of the parents, as JSON", [_shares(shares) for shares in parents]),
                     ("method", "How it was made", [method] * len(names)),
                 )
             },
@@ -109,9 +109,9 @@ def synthetic_library(
 
 
 def _spread(members: Array) -> dict[str, Array]:
-    """Return how far members (signature, member, band) are apart; NaN of fewer than two, or one."""
+    """Return standard deviation and quantiles of members (signature, member, band); NaN where undefined."""
     # one paint after the other: a copy of all members would double the memory
-    spreads = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
+    spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in members]
     return {
         "reflectance_sd": np.stack([sd for sd, _ in spreads]),
         "reflectance_quantiles": np.stack([quantiles for _, quantiles in spreads]),
@@ -123,7 +123,7 @@ def _spread_of_paint(members: Array) -> tuple[Array, Array]:
     finite_count = np.isfinite(members).sum(axis=0)
     sd = np.full(finite_count.size, np.nan)
     quantiles = np.full((len(QUANTILES), finite_count.size), np.nan)
-    # the variants of numpy that pass over NaN are slower by far
+    # numpy's functions for NaN are far slower
     whole = bool(finite_count.size) and bool((finite_count == len(members)).all())
     sd_of, quantile_of = (np.std, np.quantile) if whole else (np.nanstd, np.nanquantile)
     if (two := finite_count > 1).any():
@@ -144,12 +144,12 @@ def _shares(parents: Mapping[str, float]) -> str:
 
 Form = Literal["members", "paints"]
 
+#: Smallest margin of the logit beyond 0 and 1 [1].
 _MARGIN = 0.005
-"""How far beyond 0 and 1 the logit begins at least [1]."""
 
+#: Distance of a population's median from the ends of the logit [spreads], where it is nearly linear: with 4,
+#: noise as large as the reflectance grows by 16 %; with 8, shade is no longer a factor.
 _NOISE = 6.0
-"""Spreads of a population that its median keeps from where the logit begins, which is nearly linear then:
-with 4, noise as large as the reflectance grows by 16 %; with 8, what shade takes is no longer a factor."""
 
 _METHOD = "smoothed bootstrap of principal components of logit reflectance"
 
@@ -167,51 +167,51 @@ def sample_paints(
     count
         Variants of each paint.
     seed
-        Another seed draws others. A paint's variants do not depend on the other paints.
+        Seed of the random numbers. A paint's variants do not depend on the other paints.
     form
-        "members": one new paint for each, the variants its members, as textures want it. "paints": every
-        variant is a paint of its own.
+        "members": one new paint for each paint, with the variants as members, as textures use them.
+        "paints": every variant is a paint.
     bandwidth
-        How far variants are from single members, in standard deviations of the population [1]: 0 repeats
-        members, and above 1 they are nearly normally distributed. By default Silverman's rule.
+        Distance of variants from single members, in standard deviations of the population [1]: 0 repeats
+        members, and above 1 variants are nearly normally distributed. By default Silverman's rule.
 
     Returns
     -------
     Dataset
-        A paint library: ``reflectance`` (signature, band), of "members" their mean, float32 [1], 0 to 1;
-        ``member_reflectance``, ``reflectance_sd`` and ``reflectance_quantiles`` of "members". Coordinates
-        that the library has of its paints, such as make and colour, and ``provenance`` ("synthetic"),
+        A paint library: ``reflectance`` (signature, band), float32 [1], 0 to 1, with "members" their mean;
+        with "members" also ``member_reflectance``, ``reflectance_sd`` and ``reflectance_quantiles``.
+        Coordinates of the library's paints, such as make and colour, and ``provenance`` ("synthetic"),
         ``parents``, ``weights`` and ``method``. Names end in "(synthetic)", or "(synthetic 1)" and so on.
 
     Raises
     ------
     SchemaError
-        It has no members, or too few that are whole; or an option is out of range; all are listed.
+        The library has no members, or too few with all bands; or an option is out of range; all are listed.
     UnitsError
         Units cannot be read.
 
     Warns
     -----
     PaintWarning
-        Members were left out for what they lack, or lie outside 0 to 1 by more than 0.005.
+        Members were left out for missing bands, or lie outside 0 to 1 by more than 0.005.
 
     Notes
     -----
-    Members are brought to an unbounded scale, :math:`z = \ln((R + m) / (1 + m' - R))`, and their principal
-    components found. The margins m and m' of a band are 0.005, or more where the population is noise about 0
-    or 1: the median is six spreads (1.4826 times the median absolute deviation) away from either end. A
-    variant is a member chosen at random, moved along all components at random, and drawn towards the mean, so
-    that mean and covariance stay nearly those of the members (Silverman, Density Estimation, 1986, section
-    6.4.1):
+    Members are transformed to an unbounded scale, :math:`z = \ln((R + m) / (1 + m' - R))`, and their
+    principal components computed. The margins m and m' of a band are 0.005, or more where the population is
+    noise about 0 or 1: the median is six spreads (1.4826 times the median absolute deviation) away from
+    either end. A variant is a member chosen at random, moved along all components at random, and shrunk
+    towards the mean, so that mean and covariance stay nearly those of the members (Silverman, Density
+    Estimation, 1986, section 6.4.1):
 
     .. math:: z = \bar z + \frac{(z_I - \bar z) + h \epsilon}{\sqrt{1 + h^2}},
               \qquad \epsilon \sim N(0, \Sigma), \qquad h = \left(\frac{4}{n (d + 2)}\right)^{1 / (d + 4)}
 
-    d is the number of components that matter, :math:`(\sum \lambda)^2 / \sum \lambda^2`. Tails and groups of
-    the population stay, blurred, which a normal distribution would lose. No variant is more than h standard
-    deviations beyond the members of a band, nor outside 0 to 1: what is below becomes 0, which lifts the mean
-    of a black paint's variants. The standard deviation of noise as large as the reflectance grows by up to a
-    tenth. Bands that half of the members lack are NaN.
+    d is the effective number of components, :math:`(\sum \lambda)^2 / \sum \lambda^2`. Tails and groups of
+    the population, which a normal distribution would lose, stay, blurred. No variant is more than h standard
+    deviations beyond the members of a band, nor outside 0 to 1: values below 0 become 0, which raises the
+    mean of a black paint's variants. The standard deviation of noise as large as the reflectance grows by up
+    to a tenth. Bands that half of the members lack are NaN.
 
     Examples
     --------
@@ -221,15 +221,30 @@ def sample_paints(
     >>> drawn["signature"].item(), dict(drawn.member_reflectance.sizes)
     ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
-    members = _members(library, count, form, bandwidth)
-    names = [str(name) for name in library[SIGNATURE].values]
+    required = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
+    variables, wrong = schema.find(library, required, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
+    problems.extend(wrong)
+    if count < 1:
+        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
+    if form not in ("members", "paints"):
+        problems.add(f"form={form!r}", expected="members or paints", code="choice-unknown")
+    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
+        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
+    problems.raise_if_any()
+    members = np.asarray(variables["member_reflectance"].values)
+    names = [str(name) for name in library[SIGNATURE].values]
     drawn = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
     left_out = outside = 0
     for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
         bands, whole = _whole(np.asarray(spectra, np.float64))
         if len(whole) < 2:
-            problems.add(f"{name!r} has {len(whole)} whole members, expected at least 2; leave the paint out")
+            problems.add(
+                f"{name!r} has {len(whole)} members with values in all bands",
+                expected="at least 2",
+                mend="leave the paint out",
+                code="members-too-few",
+            )
             continue
         left_out += int(np.isfinite(spectra).any(axis=1).sum()) - len(whole)
         outside += int(((whole <= -_MARGIN) | (whole >= 1.0 + _MARGIN)).sum())
@@ -238,21 +253,24 @@ def sample_paints(
     problems.raise_if_any()
     if left_out or outside:
         msg = (
-            f"{left_out} members lack bands and were left out; {outside} values outside 0 to 1 by more than "
-            f"{_MARGIN:g}, where variants end"
+            f"{left_out} members lack bands and were left out; {outside} values are outside 0 to 1 by more "
+            f"than {_MARGIN:g}, the range of variants"
         )
-        warnings.warn(msg, PaintWarning, stacklevel=2)
+        warnings.warn(PaintWarning(msg, code="members-left-out"), stacklevel=2)
     return _library(library, drawn, form, seed)
 
 
 def draw_variants(
     members: Floats, count: int, rng: np.random.Generator, bandwidth: float | None = None
 ) -> Floats:
-    """Return variants (count, band) of spectra (member, band) of at least two members [1], 0 to 1.
+    """Return variants (count, band) of at least two spectra (member, band) [1], 0 to 1.
 
     See `sample_paints`.
     """
-    below, above = _margins(members)
+    # margins of the logit below 0 and above 1, from the robust standard deviation
+    middle = np.median(members, axis=0)
+    deviation = 1.4826 * np.median(np.abs(members - middle), axis=0)
+    below, above = (np.maximum(_MARGIN, _NOISE * deviation - away) for away in (middle, 1.0 - middle))
     inside = np.clip(members, -0.8 * below, 1.0 + 0.8 * above)
     logit = np.log((inside + below) / (1.0 + above - inside))
     mean = logit.mean(axis=0)
@@ -264,12 +282,12 @@ def draw_variants(
         bandwidth = (4.0 / (size * (matter + 2.0))) ** (1.0 / (matter + 4.0))
     moved = rng.standard_normal((count, len(spread))) * (spread / np.sqrt(size)) @ components
     chosen = logit[rng.integers(size, size=count)] - mean
-    # of the members, the covariance is divided by one less than their number
+    # the covariance of the members is divided by their number less one
     scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
     varied = mean + scale * (chosen + bandwidth * moved)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
     variants = share * (1.0 + below + above) - below
-    # the tails of a logit near its ends are longer than those of what is measured
+    # near its ends a logit has longer tails than the measured values
     centre, beyond = inside.mean(axis=0), bandwidth * inside.std(axis=0)
     wider = np.sqrt(size / (size - 1.0))
     low = centre + wider * (inside.min(axis=0) - centre) - beyond
@@ -277,33 +295,8 @@ def draw_variants(
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
 
 
-def _margins(members: Floats) -> tuple[Floats, Floats]:
-    """Return how far below 0, and above 1, the logit of a band begins (band,) [1]."""
-    middle = np.median(members, axis=0)
-    # of a normal distribution, its standard deviation, which single members do not change
-    spread = 1.4826 * np.median(np.abs(members - middle), axis=0)
-    below, above = (np.maximum(_MARGIN, _NOISE * spread - away) for away in (middle, 1.0 - middle))
-    return below, above
-
-
-def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> Floats32:
-    """Return the population (signature, member, band), if all options can be."""
-    names = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
-    variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
-    problems = Problems("variants cannot be drawn", SchemaError)
-    problems.extend(wrong)
-    if count < 1:
-        problems.add(f"count={count!r}, expected 1 or more")
-    if form not in ("members", "paints"):
-        problems.add(f"form={form!r}, expected members or paints")
-    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
-        problems.add(f"bandwidth={bandwidth!r}, expected 0 or more, or None")
-    problems.raise_if_any()
-    return np.asarray(variables["member_reflectance"].values)
-
-
 def _whole(spectra: Floats) -> tuple[Bools, Floats]:
-    """Return the bands that most members have, and the members that have all of these."""
+    """Return the bands that most members have (band,), and the members with values in all of these."""
     is_finite = np.isfinite(spectra)
     is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
@@ -312,7 +305,6 @@ def _whole(spectra: Floats) -> tuple[Bools, Floats]:
 
 
 def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
-    """Return what was drawn, with what is known of the paints."""
     count = drawn.shape[1]
     repeats = 1 if form == "members" else count
     which = np.repeat(np.arange(library.sizes[SIGNATURE]), repeats)

@@ -1,10 +1,8 @@
-"""Paint signatures: what a paint reflects, from regions of calibrated flight lines.
+"""Paint signatures: reflectance of paints from regions of calibrated flight lines.
 
 Flight lines and regions come in, a paint library with spread and uncertainties goes out. For validation,
 report, workflows and the accessor.
 """
-
-from __future__ import annotations
 
 from .extraction import EXCLUDED, extract_signatures
 

@@ -1,23 +1,24 @@
-r"""How much sky a coat mirrors over what its index predicts, from how the pixels of one panel differ.
+r"""Sky mirrored by a coat relative to its Fresnel reflectance, from the variation of pixels of a body part.
 
-A part of a panel that leans towards the sun by :math:`\beta` gets more direct light, and mirrors a place of
-the sky :math:`2 \beta` nearer to the sun. To first order its spectrum changes by
+A part of a body part that leans towards the sun by :math:`\beta` gets more direct light, and mirrors a place
+of the sky :math:`2 \beta` nearer to the sun. To first order its spectrum changes by
 
 .. math:: \beta \left[ \tan\theta_s (f_{dir} + g f_{dif}) (\bar\rho - k F_0 f_{dif} L_z)
           + 2 k F_0 f_{dif} L' \right]
 
 with the sky's radiance above :math:`L_z` over its mean, its slope towards the sun :math:`L'`, the gain of
-diffuse light g, and the coat's strength k: 1 where it mirrors what its index says. The first principal
-component of a region's pixels is that direction; two amounts are fitted to it, of which the quotient is k.
-Only where a body is dark does the mirror have a part in it that can be told.
+diffuse light g, and the coat's strength k: 1 where it mirrors as its index predicts. The first principal
+component of a region's pixels is this direction; two amounts are fitted to it, whose quotient is k. Only on
+a dark body is the mirrored part large enough to be measured.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
@@ -26,32 +27,29 @@ from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.surroundings.corrections import NORMAL_REFLECTANCE
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 @dataclass(frozen=True)
 class StrengthRules:
-    """Where a coat's strength can be told.
+    """Conditions under which the strength of a coat can be measured.
 
     Attributes
     ----------
     min_members
-        Pixels that are kept, at least: fewer have no principal component to speak of.
+        Minimum number of member pixels: fewer have no reliable principal component.
     sun_zenith_deg
         Least and largest zenith angle of the sun [degree]: leans change little under a high sun, and more
         than to first order under a low one.
     min_share
-        Share of the pixels' variance that is in the first component, at least [1]: else it is noise.
+        Minimum share of the pixels' variance in the first component [1]: below, it is noise.
     max_misfit
-        Part of the component that the two amounts do not explain, at most [1].
+        Largest part of the component that the two amounts do not explain [1].
     max_u
-        Standard uncertainty of the strength that is still told, at most [1].
+        Largest standard uncertainty of a strength that is reported [1].
     slope_deg
         Zenith angle to both sides over which the sky's slope is taken [degree]: twice a usual lean.
     first_order
-        What leans beyond the first order leave uncertain of the strength, relative: panels of mirror geometry
-        whose parts lean by 2.5 degrees (tests) [1].
+        Relative uncertainty of the strength from leans beyond the first order [1]: from body parts of mirror
+        geometry whose parts lean by 2.5 degrees (tests).
     """
 
     min_members: int = 40
@@ -66,8 +64,8 @@ class StrengthRules:
 RULES = StrengthRules()
 
 
-class PanelLight(NamedTuple):
-    """The light on a panel under a clear sky (band,)."""
+class ClearSkyLight(NamedTuple):
+    """The light on a body part under a clear sky (band,)."""
 
     diffuse: Floats  # f_dif [1]
     above: Floats  # L_z over the mean of the sky [1]
@@ -76,8 +74,8 @@ class PanelLight(NamedTuple):
     sun_zenith: float  # [degree]
 
     @classmethod
-    def clear(cls, wavelength: Floats, diffuse: Floats, sun_zenith: float) -> PanelLight:
-        """Return that of a clear sky at bands [nm] with a diffuse fraction [1]."""
+    def clear(cls, wavelength: Floats, diffuse: Floats, sun_zenith: float) -> ClearSkyLight:
+        """Return the light of a clear sky at bands [nm] with a diffuse fraction [1]."""
         turn = RULES.slope_deg
         towards, away, above = (
             radiance_towards_sun(wavelength, sun_zenith, angle) for angle in (turn, -turn, 0.0)
@@ -86,10 +84,10 @@ class PanelLight(NamedTuple):
         return cls(diffuse, above, slope, sunward_gain(wavelength, sun_zenith), sun_zenith)
 
 
-def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
-    """Return a coat's strength [1], its standard uncertainty, and why it cannot be told; empty where it can.
+def strength_of(members: Floats, light: ClearSkyLight) -> tuple[float, float, str]:
+    """Return a coat's strength [1], its standard uncertainty, and the reason where it cannot be measured.
 
-    ``members`` (member, band): reflectance of single pixels as they were seen, the mirrored sky in it.
+    ``members`` (member, band): reflectance of single pixels, the mirrored sky included.
     """
     unknown = (np.nan, np.nan)
     if len(members) < RULES.min_members:
@@ -108,16 +106,16 @@ def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
     mirror = NORMAL_REFLECTANCE * light.diffuse
     lit = np.tan(np.radians(light.sun_zenith)) * (1.0 - light.diffuse + light.gain * light.diffuse)
     columns = np.stack([lit * mean, 2.0 * mirror * light.slope - lit * mirror * light.above], axis=1)
-    scaled, seen = columns / noise[:, None], directions[0] / noise
+    scaled, measured = columns / noise[:, None], directions[0] / noise
     normal = np.linalg.inv(scaled.T @ scaled)
-    amounts = normal @ scaled.T @ seen
+    amounts = normal @ scaled.T @ measured
     misfit = directions[0] - columns @ amounts
     lost = float((misfit**2).sum())
     if lost > RULES.max_misfit:
         return *unknown, f"{lost:.0%} of the differences are neither lean nor mirrored sky"
     strength = float(amounts[1] / amounts[0])
-    # misfits are smooth over the bands: of a spectrum some ten are independent
-    excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, seen.size / 10.0)
+    # misfits are smooth over the bands: some ten of a spectrum are independent
+    excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, measured.size / 10.0)
     slope = np.array([-strength, 1.0]) / amounts[0]
     u = float(np.hypot(np.sqrt(slope @ normal @ slope * excess), RULES.first_order * strength))
     if not u <= RULES.max_u:
@@ -128,9 +126,8 @@ def strength_of(members: Floats, light: PanelLight) -> tuple[float, float, str]:
 def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
     """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (signature).
 
-    Of a library with ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of each paint, before its coat is
-    corrected; a mirrored sky that was subtracted is added again. Light that was corrected leaves nothing to
-    be told.
+    Needs ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of each paint, before the coat correction; a
+    subtracted mirrored sky is added again. After a correction of the light the strength cannot be measured.
     """
     attrs = library["reflectance"].attrs
     added = NORMAL_REFLECTANCE if mirror_reflection(library) == EXCLUDED else 0.0
@@ -139,22 +136,22 @@ def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> 
     nm = library["wavelength"].values
     clear = {SKY_STATES.index("clear"), SKY_STATES.index("hazy")}
     for number in range(library.sizes[SIGNATURE]):
-        one = library.isel({SIGNATURE: number})
-        members = one["member_reflectance"].values.astype(np.float64)
+        paint = library.isel({SIGNATURE: number})
+        members = paint["member_reflectance"].values.astype(np.float64)
         members = members[np.isfinite(members).any(axis=1)]
         # bands at the ends may have no value in any pixel
         used = good & (np.isfinite(members).sum(axis=0) > 0.9 * len(members))
         members = members[:, used][np.isfinite(members[:, used]).all(axis=1)]
-        diffuse, sun = one["diffuse_fraction"].values[used].astype(np.float64), float(one["sun_zenith"])
-        sun = sun if sun_zenith is None else sun_zenith  # what is said goes before the clock
+        diffuse, sun = paint["diffuse_fraction"].values[used].astype(np.float64), float(paint["sun_zenith"])
+        sun = sun if sun_zenith is None else sun_zenith  # the argument takes precedence over the clock
         if changed := [name for name in ("light_corrected", "tilt", "coat_corrected") if name in attrs]:
             columns.append((np.nan, np.nan, f"the light was changed before ({changed[0]})"))
         elif not (np.isfinite(diffuse).all() and np.isfinite(sun)):
-            columns.append((np.nan, np.nan, "nothing says how the light divides, or where the sun is"))
-        elif int(one["sky_state"]) not in clear:
-            columns.append((np.nan, np.nan, f"the sky is {SKY_STATES[int(one['sky_state'])]}, not clear"))
+            columns.append((np.nan, np.nan, "the diffuse fraction or the position of the sun is unknown"))
+        elif int(paint["sky_state"]) not in clear:
+            columns.append((np.nan, np.nan, f"the sky is {SKY_STATES[int(paint['sky_state'])]}, not clear"))
         else:
-            light = PanelLight.clear(nm[used], diffuse, min(sun, 89.0))
+            light = ClearSkyLight.clear(nm[used], diffuse, min(sun, 89.0))
             columns.append(strength_of(members + added * light.diffuse * light.above, light))
     names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
     variables: dict[str, Any] = {

@@ -1,27 +1,37 @@
-"""Signatures of the body under a clear coat, of those regions that are paint."""
+"""Correction of the clear coat for those regions that are paint."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.regions import Regions
 from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 
-if TYPE_CHECKING:
-    import xarray as xr
+#: Words of a region's ``kind`` or ``material`` that say it has no clear coat.
+_NO_PAINT = frozenset(
+    {
+        "asphalt",
+        "concrete",
+        "glass",
+        "grass",
+        "ground",
+        "leaf",
+        "line",
+        "soil",
+        "target",
+        "tyre",
+        "vegetation",
+        "wall",
+        "white panel",
+        "window",
+    }
+)
 
-_NO_PAINT = frozenset({
-    "asphalt", "concrete", "glass", "grass", "ground", "leaf", "line", "soil", "target", "tyre", "vegetation",
-    "wall", "white panel", "window",
-})  # fmt: skip
-"""Words of a region's ``kind`` or ``material`` that say it has no clear coat."""
-
+#: Words of ``finish`` or ``kind`` of paints whose signature holds at one geometry, the coat included.
 _AT_A_GEOMETRY = frozenset({"metallic", "pearl"})
-"""Words of a region's ``finish``, or ``kind``: what these send holds at its geometry, the coat included."""
 
 
 def without_coat(
@@ -30,17 +40,15 @@ def without_coat(
     index: float,
     sun_zenith: float | None,
 ) -> xr.Dataset:
-    """Return a library without the share of a coat of some index.
+    """Return a library without the share of a coat of the given index.
 
-    Regions that are no paint, and those of metallic paint, stay as they are.
+    Regions that are no paint, and metallic paint, stay unchanged.
     """
-    import xarray as xr
-
     words = [
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions
     ]
-    is_paint = np.array([not own & (_NO_PAINT | _AT_A_GEOMETRY) for own in words])
+    is_paint = np.array([not region_words & (_NO_PAINT | _AT_A_GEOMETRY) for region_words in words])
     if not is_paint.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)

@@ -1,17 +1,18 @@
 """`extract_signatures`: from regions of flight lines to a library of paints.
 
 Only the blocks of lines that hold wanted pixels are computed, one task a block; the task keeps the wanted
-pixels and bands. Pixels come back in the order they were asked for, so that results have the same bits for
-any chunking.
+pixels and bands. Pixels are returned in the order of the request, so that results have the same bits for any
+chunking.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import Problems, SchemaError
@@ -21,18 +22,16 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.regions import Regions, pixels_of, regions_from
 
+from .aspecular_geometry import with_aspecular_geometry
 from .coat_strength import with_coat_strength
 from .coated_paints import without_coat
 from .line_sources import Smoothing, Source, lines_of, source_of
 from .map_cells import Shown, shown_pixels
-from .panel_geometry import with_panel_geometry
 from .pixel_gathering import gather
 from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Flags of pixels whose reflectance differs from the surface's.
 EXCLUDED = (
     Quality.SATURATED
     | Quality.IRRADIANCE_GAP
@@ -42,12 +41,11 @@ EXCLUDED = (
     | Quality.ADJACENCY
     | Quality.MIXED_EDGE
 )
-"""Flags of pixels whose reflectance is not that of the surface."""
 
+#: Maximum size of the samples held at once [byte]; a larger region is processed some bands at a time.
 GATHERED_BYTES = 64 * 2**20
-"""Samples of pixels that are held at once; a region of more is done some bands at a time."""
+#: Maximum size of a region whose spectra are needed whole [byte].
 WHOLE_BYTES = 256 * 2**20
-"""Samples of a region whose spectra are needed whole."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -72,51 +70,53 @@ def extract_signatures(
     r"""Make a paint library: one signature a region, with spread, uncertainty and provenance.
 
     Eager: gathers the pixels of the regions, then reduces them. Only the blocks of lines that regions touch
-    are read. At most 64 MiB of samples are gathered at once, whatever the regions' size (256 of a region for
-    the geometric median); a region of more is read several times, some bands at a time.
+    are read. At most 64 MiB of samples are gathered at once, for regions of any size (256 MiB of a region for
+    the geometric median); a larger region is read several times, some bands at a time.
 
     Parameters
     ----------
     line
-        A flight line with ``reflectance``, or with what `hyperpaint.reflectance` needs to compute it; or a
-        map of one, as `hyperpaint.geometry.orthorectify` makes it; several by name, or a DataTree of them.
+        A flight line with ``reflectance``, or with the inputs of `hyperpaint.reflectance`; or a map of one
+        from `hyperpaint.geometry.orthorectify`; several by name, or a DataTree of them.
     regions
-        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`. Those in
-        coordinates of a map may be of another reference system; a line that has poses but no places is
-        located for them, with the height of the ground that it says.
+        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`. Regions
+        in coordinates of a map may have another reference system; a line that has poses but no places is
+        located for them, with its declared height of the ground.
     exclude
-        Pixels with one of these flags are left out; 0 leaves out none. By default those of pixels whose
-        reflectance is not that of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency
-        and mixed_edge; of a region whose property ``excluded_flags`` names others, as `propose_regions` does
-        for roofs that it has judged by their brightness, those.
+        Pixels with one of these flags are left out; 0 leaves out none. By default the flags of pixels whose
+        reflectance differs from the surface's: saturated, irradiance_gap, no_data, glint, shadow, adjacency
+        and mixed_edge; or the flags in the property ``excluded_flags`` of a region, which `propose_regions`
+        sets for roofs that it has judged by their brightness.
     members
-        How many pixels of a region are kept as they are, at most.
+        Maximum number of single pixels stored with a signature.
     centre
-        "trimmed_mean": per band, without what is farther from the centre than three spreads, until nothing
-        more is; "geometric_median" of whole spectra; or "median" per band.
+        "trimmed_mean": per band, leaving out values farther from the centre than three spreads until no more
+        are; "geometric_median" of whole spectra; or "median" per band.
     smooth
         Method of `hyperpaint.radiometry.smooth`, or its arguments by name; applied to the spectrum of every
         pixel.
     specular_sky
         Subtract the sky that a clear coat mirrors, see `hyperpaint.surroundings.remove_mirrored_sky`.
     sun_zenith
-        For that [degree]; by default from time and position of each line.
+        Zenith angle of the sun for these corrections [degree]; by default from time and position of each
+        line.
     diffuse
-        For that, see `hyperpaint.surroundings.survey`; by default what each line says of its light.
+        Diffuse part of the light for these corrections, see `hyperpaint.surroundings.survey`; by default as
+        each line declares it.
     coat
-        Divide by what the clear coat lets through of a low sun and of the sky, over what it lets through near
-        the normal, see `hyperpaint.surroundings.correct_coat`; needs reflectance without the mirrored sky. By
-        default where that is subtracted. Regions whose property ``kind`` or ``material`` says that they are
-        no paint, such as "asphalt", are left as they are.
+        Divide by the transmission of the clear coat for a low sun and the sky, over its transmission near the
+        normal, see `hyperpaint.surroundings.correct_coat`; needs reflectance without the mirrored sky. By
+        default done where that is subtracted. Regions whose property ``kind`` or ``material`` names no paint,
+        such as "asphalt", stay unchanged.
     coat_index
         Refractive index of the coat [1].
     min_pixels
-        Pixels that a region must have left.
+        Minimum number of pixels left in a region.
     drop_small
-        Leave a region with fewer out, and name it in the attribute ``left_out``, in place of an error. With
-        no region left it is one all the same.
+        Leave out regions with fewer pixels, and list them in the attribute ``left_out``, instead of an error.
+        Without any region left it is an error.
     seed
-        Another seed keeps other members.
+        Seed of the choice of members.
     progress
         Called with work done and to do.
 
@@ -125,53 +125,54 @@ def extract_signatures(
     Dataset
         ``reflectance``, ``reflectance_sd``, ``reflectance_u_random``, ``reflectance_u_systematic``
         (signature, band), ``reflectance_quantiles`` (signature, quantile, band), ``member_reflectance``
-        (signature, member, band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded``
+        (signature, member, band), all float32 [1], NaN where unknown; ``n``, ``n_eff`` and ``n_excluded``
         (signature) pixels; ``quality`` (signature), the flags of the pixels that were used; ``quality_share``
-        (signature, flag), how many of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``,
+        (signature, flag), the share of all pixels with each flag [1]; ``sun_zenith``, ``sun_azimuth``,
         ``view_zenith``, ``view_azimuth``, ``relative_azimuth`` [degree] and ``irradiance_age`` [s]
-        (signature); ``diffuse_fraction``, ``diffuse_fraction_u`` (signature, band) [1], NaN where nothing
-        says it, and ``sky_state`` (signature); ``coat_transmission``, ``coat_transmission_u`` and
+        (signature); ``diffuse_fraction``, ``diffuse_fraction_u`` (signature, band) [1], NaN where
+        undeclared, and ``sky_state`` (signature); ``coat_transmission``, ``coat_transmission_u`` and
         ``reflectance_u_coat`` (signature, band) [1] where the coat was corrected. ``coat_strength`` and
-        ``coat_strength_u`` (signature) [1], the sky that a coat mirrors over what its index predicts, where
-        dark curved panels tell it; else NaN, and ``coat_strength_reason``. ``aspecular_angle``, between the
-        view and the direction in which a level panel mirrors the sun, and ``aspecular_range``, by how much
-        that may differ over the panel (signature) [degree]; ``flop`` (signature, band), how reflectance
-        changes from the dark to the bright end of the panel, relative [1]. Coordinates: ``signature``,
-        ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every
-        property of the regions. Attributes say how it was made; those of reflectance what it is: its
-        ``quantity``, that of the body under a coat, of the body through it, or of its outside;
-        ``mirror_reflection`` and ``specular_component``, whether it holds the sky that a coat mirrors
-        ("included" or "excluded"); and ``geometry``.
+        ``coat_strength_u`` (signature) [1], the mirrored sky over the prediction from the coat's index, where
+        dark curved body parts show it; else NaN, and ``coat_strength_reason``. ``aspecular_angle``, between
+        the view and the direction in which a level body part mirrors the sun, and ``aspecular_range``, its
+        possible variation over the body part (signature) [degree]; ``flop`` (signature, band), the relative
+        change of reflectance from the dark to the bright end of the body part [1]. Coordinates:
+        ``signature``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON),
+        and every property of the regions. Attributes hold the settings; attributes of reflectance define it:
+        ``quantity``, of the body under a coat, of the body through the coat, or of its outside;
+        ``mirror_reflection`` and ``specular_component``, whether the mirrored sky is "included" or
+        "excluded"; and ``geometry``.
 
     Raises
     ------
     FormatError
         The regions cannot be read.
     SchemaError, UnitsError
-        Options, lines or regions that cannot be used: a region without pixels, or with too few left (see
-        ``drop_small``); flight lines of different bands; a sky that was removed before, or a sun whose place
-        is not known. All of a kind are listed.
+        Options, lines or regions cannot be used: a region has no pixels, or too few left (see
+        ``drop_small``); flight lines have different bands; the mirrored sky was removed before, or the
+        position of the sun is unknown. All of a kind are listed.
 
     Notes
     -----
-    A metallic or pearl paint (regions whose ``finish`` or ``kind`` says so) has no reflectance but at a
-    geometry: its signature holds at its ``aspecular_angle`` under its sun and sky, the coat's share is not
-    divided out of it, and ``flop`` shows what changes with the angle.
+    A metallic or pearl paint (by ``finish`` or ``kind`` of its region) has a reflectance at one geometry
+    only: its signature holds at its ``aspecular_angle`` under its sun and sky, the coat's share is not
+    divided out of it, and ``flop`` shows the change with the angle.
 
-    Of a map that says which pixel of the flight line a cell shows, every pixel counts once, and members are
-    named by their places in the flight line; a map of nearest pixels leaves some out, so that more are had
-    of the located line itself.
+    In a map with the indices of the pixels that its cells show, every pixel counts once, and members have
+    their places in the flight line; a map of nearest pixels leaves some out, so that the located line itself
+    has more.
 
-    Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
-    that band only. The direction of view is that of the line's ``view_zenith`` and ``view_azimuth``, else of
-    ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` as the line declares them, and its
-    ``boresight``; without any it is NaN, and the attribute ``view_geometry`` says what is missing. The
-    standard uncertainties are those of the mean of these pixels. Of a flight line that holds its calibration
-    they are source by source, as `hyperpaint.radiometry.mean_uncertainty` tells: ``reflectance_u_random`` is
-    what bands do not share as one, ``reflectance_u_systematic`` what they do, ``reflectance_errors``
-    (signature, error_source, band) has each, and ``error_correlation`` (signature, lag, band) is that of
-    neighbouring bands, nominal wavelengths and smoothing included; see `hyperpaint.paints.covariance`. Of a
-    map, and of reflectance that was corrected or stored without its calibration,
+    Spectra are resampled to the nominal wavelengths first. A sample that is missing in a pixel is missing in
+    that band only. The direction of view follows from the line's ``view_zenith`` and ``view_azimuth``, else
+    from ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` in the line's declared
+    convention, and its ``boresight``; without any it is NaN, and the attribute ``view_geometry`` names the
+    missing variables. The standard uncertainties hold for the mean of these pixels. For a flight line with
+    its calibration they are propagated source by source, see `hyperpaint.radiometry.mean_uncertainty`:
+    ``reflectance_u_random`` is the part that bands do not share, ``reflectance_u_systematic`` the part that
+    they share, ``reflectance_errors`` (signature, error_source, band) has each source, and
+    ``error_correlation`` (signature, lag, band) is the correlation of neighbouring bands, nominal wavelengths
+    and smoothing included; see `hyperpaint.paints.covariance`. For a map, and for reflectance that was
+    corrected or stored without its calibration,
 
     .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
               u_s = \overline{u_{s,i}}, \qquad
@@ -179,9 +180,9 @@ def extract_signatures(
 
     over the :math:`n_b` pixels that have a value in a band, NaN where none has, with :math:`c_{ij}` the
     autocorrelation of reflectance at the distance of two pixels, averaged over bands; :math:`n_{eff}` is
-    :math:`n / 1.3` at most, since the camera moves on while a line is exposed.
-    Smoothing makes the random one smaller than is stated there. How far another part of the paint may differ,
-    ``reflectance_sd`` and the quantiles say. All bits are the same for any chunking, in any order of the
+    at most :math:`n / 1.3`, since the camera moves on while a line is exposed.
+    Smoothing makes the random part smaller than stated there. ``reflectance_sd`` and the quantiles show how
+    far another part of the paint may differ. Results have the same bits for any chunking and any order of the
     regions.
 
     Examples
@@ -200,7 +201,10 @@ def extract_signatures(
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
         if value is not None and not (specular_sky or coat):
             raise SchemaError(
-                f"{option}={value!r:.40} is for the mirrored sky and the coat; pass specular_sky=True as well"
+                f"{option}={value!r:.40} is used for the mirrored sky and the coat only",
+                mend="pass specular_sky=True as well",
+                option="give --specular-sky as well",
+                code="argument-missing",
             )
     lines = lines_of(line, region_list)
     sources = {
@@ -221,34 +225,36 @@ def extract_signatures(
     excluded = [
         excluded_of(region, options.exclude) if exclude is None else exclude for region in region_list
     ]
-    for number, each in enumerate(rounds):
+    for number, gathering_round in enumerate(rounds):
         reported = part_of(progress, number, len(rounds))
-        _reduce(each, sources[each.line], drafts, options, excluded, reported)
+        _reduce(gathering_round, sources[gathering_round.line], drafts, options, excluded, reported)
     small = _small(region_list, drafts, min_pixels)
-    kept = [number for number in range(len(region_list)) if number not in small]
-    if small and not (drop_small and kept):
+    large_enough = [number for number in range(len(region_list)) if number not in small]
+    if small and not (drop_small and large_enough):
         problems = Problems("there are regions with too few pixels left", SchemaError)
         for text in small.values():
             problems.add(
-                f"{text}; draw it elsewhere, exclude less, lower min_pixels, or pass drop_small=True"
+                text,
+                mend="draw it elsewhere, exclude fewer flags, lower min_pixels, or pass drop_small=True",
+                code="region-too-small",
             )
         problems.raise_if_any()
-    left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
-    library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
-    if sun_zenith is not None:  # which goes before that of the clock, here and in what is made of the library
-        told = np.full(library.sizes[SIGNATURE], float(sun_zenith))
-        library = library.assign(sun_zenith=library["sun_zenith"].copy(data=told))
+    remaining = Regions(tuple(region_list[k] for k in large_enough), region_list.coordinates, region_list.crs)
+    library = paint_library(
+        remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, options.notes
+    )
+    if sun_zenith is not None:  # takes precedence over the clock
+        zenith = np.full(library.sizes[SIGNATURE], float(sun_zenith))
+        library = library.assign(sun_zenith=library["sun_zenith"].copy(data=zenith))
     library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:
-        library = without_coat(library, left, coat_index, sun_zenith)
-    library = with_panel_geometry(library)
+        library = without_coat(library, remaining, coat_index, sun_zenith)
+    library = with_aspecular_geometry(library)
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 
 @dataclass(frozen=True)
 class _Options:
-    """How signatures are made; see `extract_signatures`."""
-
     exclude: int
     members: int
     centre: str
@@ -258,27 +264,33 @@ class _Options:
     def check(self, regions: Regions) -> None:
         problems = Problems("signatures cannot be extracted", SchemaError)
         if not len(regions):
-            problems.add("there is no region; draw some, or have some proposed")
+            problems.add(
+                "there is no region", mend="draw regions, or call propose_regions", code="empty-input"
+            )
         if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
-            given = f"exclude={self.exclude!r:.40}"
-            problems.add(f"{given}, expected flags such as Quality.GLINT | Quality.SHADOW, or 0")
-        if self.members < 0:
-            problems.add(f"members={self.members}, expected 0 or more")
+            problems.add(
+                f"exclude={self.exclude!r:.40}",
+                expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+                code="choice-unknown",
+            )
+        for name, value, least in (("members", self.members, 0), ("min_pixels", self.min_pixels, 1)):
+            if value < least:
+                problems.add(f"{name}={value}", expected=f"{least} or more", code="value-out-of-range")
         if self.centre not in CENTRES:
-            problems.add(f"centre={self.centre!r:.40}, expected one of {', '.join(CENTRES)}")
-        if self.min_pixels < 1:
-            problems.add(f"min_pixels={self.min_pixels}, expected 1 or more")
+            problems.add(
+                f"centre={self.centre!r:.40}", expected=f"one of {', '.join(CENTRES)}", code="choice-unknown"
+            )
         problems.raise_if_any()
 
     @property
     def notes(self) -> dict[str, Any]:
-        """Attributes of the library that say the same."""
+        """Settings as attributes of the library."""
         return {**asdict(self), "exclude": " ".join(flag_names(self.exclude)) or "none"}
 
 
 @dataclass(frozen=True)
 class _Round:
-    """Some bands of some regions of one line, which are gathered together."""
+    """Some bands of some regions of one flight line, gathered together."""
 
     line: str
     batch: list[int]
@@ -286,10 +298,14 @@ class _Round:
 
 
 def _reduce(
-    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, excluded: Sequence[int],
+    part: _Round,
+    source: Source,
+    drafts: Sequence[Draft],
+    options: _Options,
+    excluded: Sequence[int],
     progress: Progress | None,
-) -> None:  # fmt: skip
-    """Gather the pixels of some regions, and reduce them; ``excluded`` has the flags of every draft."""
+) -> None:
+    """Gather and reduce the pixels of some regions; ``excluded`` holds the excluded flags of every draft."""
     batch = [drafts[position] for position in part.batch]
     along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
     # reading is the first half of the work, reducing the second
@@ -298,25 +314,26 @@ def _reduce(
     of_lines = {key: values[key] for key in source.small}
     start = 0
     for position, draft in zip(part.batch, batch, strict=True):
-        own = slice(start, start + draft.along.size)
-        start = own.stop
+        rows = slice(start, start + draft.along.size)
+        start = rows.stop
         if part.bands.start == 0:
-            present = values["present"][own]
-            planes = {name: values[name][own] for name in source.planes}
+            present = values["present"][rows]
+            planes = {name: values[name][rows] for name in source.planes}
             draft.choose(present, planes, of_lines, excluded[position], options.members, options.seed)
         if draft.n >= options.min_pixels:
-            draft.take_bands({name: cube[own] for name, cube in spectra.items()}, part.bands, options.centre)
+            draft.take_bands({name: cube[rows] for name, cube in spectra.items()}, part.bands, options.centre)
         if progress is not None:
             progress(along.size + start, 2 * along.size)
 
 
 _DEGREES_WITHOUT_CRS = (
-    "they name no crs, and are taken for columns and lines: if they are longitude and latitude, say so by "
-    'Regions(..., coordinates="map", crs="OGC:CRS84"), or by "crs": "OGC:CRS84" beside "features" in the file'
+    "without a crs the coordinates are columns and lines: if they are longitude and latitude, pass "
+    'Regions(..., coordinates="map", crs="OGC:CRS84"), or write "crs": "OGC:CRS84" beside "features" in '
+    "the file"
 )
 
 
-# --- what can be said before anything is read --------------------------------------------------------------
+# --- checks before anything is read ------------------------------------------------------------------------
 
 
 def _check_bands(sources: Mapping[str, Source]) -> None:
@@ -327,7 +344,11 @@ def _check_bands(sources: Mapping[str, Source]) -> None:
             source.wavelength, reference.wavelength, rtol=0.0, atol=1e-3
         )
         if not same:
-            problems.add(f"bands of {name!r} are not those of {first!r}; extract them one by one")
+            problems.add(
+                f"bands of {name!r} differ from those of {first!r}",
+                mend="extract the lines one by one",
+                code="bands-differ",
+            )
     problems.raise_if_any()
 
 
@@ -337,29 +358,26 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
     for name, (_, positions) in lines.items():
         part = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
         line = sources[name].line
+        # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
+        corners = np.abs(np.concatenate([region.polygon for region in part]))
+        could_be_degrees = part.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
         for position, place in zip(positions, shown_pixels(line, pixels_of(part, line)), strict=True):
             places[position] = place
             if not place.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
                 problems.add(
                     f"region {regions[position].name!r} holds no pixel of the line ({size})",
-                    mend=_DEGREES_WITHOUT_CRS if _could_be_degrees(part) else "",
+                    mend=_DEGREES_WITHOUT_CRS if could_be_degrees else "",
+                    code="region-empty",
                 )
     problems.raise_if_any()
     return places
 
 
-def _could_be_degrees(regions: Regions) -> bool:
-    """Tell whether regions that are taken for the sensor's may be longitude and latitude, as in RFC 7946."""
-    low, high = np.array([-180.0, -90.0]), np.array([180.0, 90.0])
-    corners = np.concatenate([region.polygon for region in regions])
-    return regions.coordinates == "sensor" and bool(((corners >= low) & (corners <= high)).all())
-
-
 def _rounds(
     source: Source, positions: Sequence[int], places: Sequence[Shown], *, whole: bool
 ) -> Iterator[tuple[list[int], slice]]:
-    """Yield which regions are gathered together, and which bands of them; ``whole``: all where possible."""
+    """Yield the regions gathered together, and their bands; ``whole``: all bands at once where possible."""
     bands = source.wavelength.size
     pixel = 4 * len(source.cubes) * bands
     batch: list[int] = []
@@ -388,14 +406,15 @@ def _refuse_divided(
         if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
             name, count = regions[part.batch[0]].name, places[part.batch[0]].size
             problems.add(
-                f"region {name!r} has {count} pixels, more than {WHOLE_BYTES >> 20} MiB; "
-                'cut it smaller, or take centre="trimmed_mean"'
+                f"region {name!r} has {count} pixels: more than {WHOLE_BYTES >> 20} MiB",
+                mend='cut it smaller, or pass centre="trimmed_mean"',
+                code="region-too-large",
             )
     problems.raise_if_any()
 
 
 def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:
-    """Return what is to be said of the regions with too few pixels left, by their position."""
+    """Return a description of every region with too few pixels left, by its position."""
     texts = {}
     for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):
         if draft.n < min_pixels:

@@ -1,4 +1,4 @@
-"""Flight lines as signatures are drawn from them: nominal wavelengths, smoothed, lazy, directions of view."""
+"""Flight lines prepared for signatures: nominal wavelengths, smoothed, lazy, with directions of view."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import contextlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.cameras import directions
+from hyperpaint.geometry.georeference.geodesy import meridian_convergence
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
@@ -23,7 +28,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smooth,
     smoothing_matrix,
     to_nominal,
-)  # fmt: skip
+)
 from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
@@ -33,27 +38,24 @@ from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_o
 
 from .map_cells import middle_of_map
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Variables of a line that turn its camera.
 ATTITUDE = ("roll", "pitch", "heading")
-"""Variables of a line that turn its camera."""
 
 _PIXELS = ("view_zenith", "view_azimuth")
 _LEVEL = (0.0, 0.0, 0.0)
-_ALONG_THE_VERTICAL = 1e-6
-"""Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds."""
+#: Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds.
+MIN_HORIZONTAL_PART = 1e-6
 
 
 class Viewing:
-    """What a flight line says of its directions of view.
+    """Directions of view of a flight line.
 
-    Those of pixels, ``view_zenith`` and ``view_azimuth`` (along_track, cross_track), go before
-    ``look_across``, or else ``look_angle`` (cross_track), with `ATTITUDE` (along_track) [degree], as the line
-    declares its angles, and with its ``boresight``. ``planes`` and ``lines`` are the variables of pixels and
-    lines, ``look`` and ``ahead`` (cross_track,) the look angles across and along the track [degree], None
-    where they are not needed; ``description`` says where directions are from, or why they are not known: what
-    cannot be used is named there, not refused.
+    ``view_zenith`` and ``view_azimuth`` of pixels (along_track, cross_track) take precedence over
+    ``look_across``, or else ``look_angle`` (cross_track), with `ATTITUDE` (along_track) [degree], in the
+    declared convention of the line and with its ``boresight``. ``planes`` and ``lines`` are the variables of
+    pixels and lines, ``look`` and ``ahead`` (cross_track,) the look angles across and along the track
+    [degree], None where not needed; ``description`` names the source of the directions, or why they are
+    unknown, with unusable variables, which raise no error.
     """
 
     def __init__(self, line: xr.Dataset) -> None:
@@ -66,7 +68,7 @@ class Viewing:
         self.look: Floats | None = None
         self.ahead: Floats | None = None
         self.boresight: tuple[float, ...] = tuple(map(float, line.attrs.get("boresight", _LEVEL)))
-        #: What roll, pitch and heading mean, in degrees; None where that is nothing to convert
+        #: Convention of roll, pitch and heading [degree]; None where they need no conversion
         self.convention = _declared(line, problems)
         look = next((name for name in ("look_across", "look_angle") if name in variables), None)
         if "view_zenith" in variables:
@@ -89,9 +91,9 @@ class Viewing:
 def mean_view(
     viewing: Viewing, pixels: Mapping[str, Array], lines: Mapping[str, Array], across: Array
 ) -> tuple[float, float]:
-    r"""Return zenith angle and azimuth of the mean direction to the camera [degree], NaN where not known.
+    r"""Return zenith angle and azimuth of the mean direction to the camera [degree], NaN where unknown.
 
-    Takes ``viewing``: of the line; ``pixels``, ``lines`` (pixel,): its variables at the pixels, and at their
+    Takes ``viewing`` of the line; ``pixels``, ``lines`` (pixel,): its variables at the pixels, and at their
     lines; ``across`` (pixel,): columns.
 
     Notes
@@ -102,9 +104,8 @@ def mean_view(
     .. math:: R_z(heading) \, R_y(\theta) \, R_x(\phi) \, (0, \sin\alpha, \cos\alpha)^T
 
     in north, east and down, with the turn by the boresight before :math:`R_x` where there is one; the camera
-    is in the opposite direction. Directions are averaged as unit vectors,
-    so that pixels on both sides of the nadir are seen from above. Without azimuths the zenith angle is the
-    plain mean.
+    is in the opposite direction. Directions are averaged as unit vectors, so that pixels on both sides of the
+    nadir are seen from above. Without azimuths the zenith angle is the plain mean.
     """
     if viewing.planes:
         zenith = pixels["view_zenith"].astype(np.float64)
@@ -120,7 +121,7 @@ def mean_view(
     if not zenith.size:
         return np.nan, np.nan
     away = np.sin(np.radians(zenith))
-    turned = np.isfinite(azimuth) | (away < _ALONG_THE_VERTICAL)
+    turned = np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)
     if not turned.all():
         return float(zenith.mean()), np.nan
     angle = np.radians(np.where(np.isfinite(azimuth), azimuth, 0.0))
@@ -128,11 +129,11 @@ def mean_view(
     level = np.hypot(north, east)
     mean_zenith = float(np.degrees(np.arctan2(level, np.cos(np.radians(zenith)).mean())))
     mean_azimuth = float(np.degrees(np.arctan2(east, north)) % 360.0)
-    return mean_zenith, mean_azimuth if level > _ALONG_THE_VERTICAL else np.nan
+    return mean_zenith, mean_azimuth if level > MIN_HORIZONTAL_PART else np.nan
 
 
 def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
-    """Return what the angles of a line mean, in degrees; None where they are canonical or undeclared."""
+    """Return the angle convention of a line, in degrees; None where it is canonical or undeclared."""
     try:
         declared = Convention.from_attrs(line.attrs)
     except SchemaError as error:
@@ -140,7 +141,7 @@ def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
         return None
     if declared is None:
         return None
-    # units of the variables have been taken out already
+    # the variables were converted to degrees before
     declared = declared.replace(angle_unit="degree", height_reference="ellipsoid", geoid_undulation=None)
     return None if declared == declared.of_canonical else declared
 
@@ -148,7 +149,7 @@ def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
 def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> list[Floats]:
     """Return roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
 
-    Headings are NaN where it is not known which north they count from.
+    Headings are NaN where their reference north is unknown.
     """
     roll, pitch = lines["roll"], lines["pitch"]
     heading = lines.get("heading", np.full(roll.shape, np.nan))
@@ -160,7 +161,7 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
     is_known = np.isfinite(heading) & (convention.heading_reference != "grid" or convergence is not None)
     is_known &= convention.heading_reference != "magnetic" or convention.declination is not None
     if not is_known.all():
-        # the zenith angle needs no heading, if that is what the body is turned by first
+        # the zenith angle does not depend on the heading where that is the first rotation
         unreferenced = convention.replace(heading_reference="true")
         first = convention.euler_order.startswith("Z")
         whole = unreferenced.canonical(
@@ -171,9 +172,7 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
 
 
 def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
-    """Return grid north, east of true north (pixel,) [degree]; None where the map is not known."""
-    from hyperpaint.geometry.georeference.geodesy import meridian_convergence
-
+    """Return grid north, east of true north (pixel,) [degree]; None where the map is unknown."""
     if convention.grid_crs is None:
         return None
     with contextlib.suppress(MissingExtraError, SchemaError):
@@ -194,9 +193,6 @@ def _from_attitude(
     ``look`` and ``along`` are angles of the line of sight in the camera's frame, across and along the track.
     """
     if along is not None or any(boresight):
-        from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
-        from hyperpaint.geometry.georeference.cameras import directions
-
         sight = directions(look, np.zeros(look.shape) if along is None else along)
         level = np.zeros(roll.shape)
         turn = matrices(quaternions(roll, pitch, level)) @ matrices(quaternions(*boresight))
@@ -223,61 +219,59 @@ def relative_azimuth(first: float, second: float) -> float:
     return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
+#: Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing.
 Smoothing = str | Mapping[str, Any] | None
-"""Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing."""
 
 _NOISE_KNOWN = {"counts", "electrons_per_count", "read_noise"}
 _SMALL = ("time", "latitude", "longitude", "irradiance_age")
 
 
 class SplitOfLines(NamedTuple):
-    """How the light of each line divides."""
+    """Division of the light of each line into direct and diffuse."""
 
     fraction: Floats  # (along_track, band), diffuse part [1]
     u: Floats  # (along_track, band), its standard uncertainty [1]
     state: Array  # (along_track,), number of the sky's word
 
     def mean(self, lines: Array) -> dict[str, Any]:
-        """Return the mean over some lines, with the spread in its uncertainty, and the commonest sky."""
+        """Return the mean over some lines, with the spread in its uncertainty, and the most frequent sky."""
         rows = self.fraction[lines]
-        known = np.isfinite(rows).any(axis=1)
-        if not known.any():
+        has_value = np.isfinite(rows).any(axis=1)
+        if not has_value.any():
             return {}
-        rows, u = rows[known], self.u[lines][known]
+        rows, u = rows[has_value], self.u[lines][has_value]
         return {
             "diffuse_fraction": rows.mean(axis=0),
             "diffuse_fraction_u": np.sqrt((u**2).mean(axis=0) + rows.var(axis=0)),
-            "sky_state": int(np.bincount(self.state[lines][known] + 1).argmax()) - 1,
+            "sky_state": int(np.bincount(self.state[lines][has_value] + 1).argmax()) - 1,
         }
 
 
 @dataclass(frozen=True)
 class Source:
-    """What is drawn from one flight line."""
+    """Everything that signatures use of one flight line."""
 
     line: xr.Dataset  #: The line itself, dims named by role.
-    #: ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy. Where sources
-    #: of error are told apart, their sum is left out, and reflectance as it was measured may follow,
-    #: ``measured``.
+    #: ``reflectance`` at nominal wavelengths, and its uncertainties where known, lazy. With separate sources
+    #: of error their sum is left out, and the original reflectance may follow as ``measured``.
     cubes: dict[str, xr.DataArray]
     #: Variables of pixels and of lines.
     planes: dict[str, xr.DataArray]
     small: dict[str, xr.DataArray]
-    viewing: Viewing  #: From where its pixels are seen.
-    #: (band,), float64: [nm]; NaN where the width is not known.
+    viewing: Viewing  #: Directions of view of its pixels.
+    #: (band,), float64 [nm]; NaN where the width is unknown.
     wavelength: Floats
     fwhm: Floats
-    good: Bools  #: (band,), bool:
-    light: SplitOfLines | None  #: How the light of each line divides; None where nothing says it.
-    smoothing: str  #: How spectra are smoothed; "none".
-    corrections: dict[str, str]  #: What was corrected, by name, see `CORRECTIONS`.
-    components: dict[str, str]  #: What enters the uncertainties, by name.
-    errors: LineErrors | None  #: Sources of error; None where they are not told apart.
-    axis: NominalAxis | None  #: How columns are brought to nominal wavelengths; None where they are there.
-    filtering: Array | None  #: (band, band): What spectra are multiplied by to smooth them.
-    said: dict[
-        str, str
-    ]  #: ``quantity`` and ``mirror_reflection`` of the line's reflectance, where it says them.
+    good: Bools  #: (band,)
+    light: SplitOfLines | None  #: Division of the light of each line; None where undeclared.
+    smoothing: str  #: Method of smoothing, or "none".
+    corrections: dict[str, str]  #: Corrections by name, see `CORRECTIONS`.
+    components: dict[str, str]  #: Error sources in the uncertainties, by name.
+    errors: LineErrors | None  #: Sources of error; None where only their sum is known.
+    axis: NominalAxis | None  #: Resampling of columns to nominal wavelengths; None where not needed.
+    filtering: Array | None  #: (band, band): Smoothing matrix of spectra.
+    #: ``quantity`` and ``mirror_reflection`` of the line's reflectance, where declared.
+    declared: dict[str, str]
 
 
 def source_of(
@@ -287,23 +281,21 @@ def source_of(
     sun_zenith: float | None = None,
     diffuse: Any = None,
 ) -> Source:
-    """Return what signatures need of a flight line; nothing of a cube is computed.
+    """Return the data of a flight line that signatures use; no cube is computed.
 
-    Raises `SchemaError`, `UnitsError`: there is no reflectance, and none can be computed; it is smoothed
-    already, or the mirrored sky removed; or it is not known where the sun is.
+    Raises `SchemaError`, `UnitsError`: reflectance is missing and cannot be computed; it is smoothed already,
+    or the mirrored sky removed; or the position of the sun is unknown.
     """
-    import xarray as xr
-
     line = schema.rename_to_roles(line)
     middle = middle_of_map(line)
     if "reflectance" not in line.variables:
         line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_KNOWN)
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
-    # a map has of every cell what a line has once
+    # a map has values of every cell where a line has one a line
     of_cells = {
-        name: line[own].reset_coords(drop=True)
-        for name, own in (("time", "line_time"), ("irradiance_age", "irradiance_age"))
-        if own in line.variables and set(line[own].dims) == {ALONG_TRACK, CROSS_TRACK}
+        name: line[stored_name].reset_coords(drop=True)
+        for name, stored_name in (("time", "line_time"), ("irradiance_age", "irradiance_age"))
+        if stored_name in line.variables and set(line[stored_name].dims) == {ALONG_TRACK, CROSS_TRACK}
     }
     optional = [
         name
@@ -313,13 +305,13 @@ def source_of(
     variables = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
     line = line.assign({name: variables[name] for name in names})
     before = variables["reflectance"].attrs.get("smoothing")
-    # nominal wavelengths come with new attributes; what was corrected stays so
+    # resampling to nominal wavelengths drops attributes; those of corrections are kept
     corrected = {
         key: variables["reflectance"].attrs[key]
         for key in CORRECTIONS
         if key in variables["reflectance"].attrs
     }
-    said = {
+    declared = {
         key: str(variables["reflectance"].attrs[key])
         for key in ("mirror_reflection", "quantity")
         if key in variables["reflectance"].attrs
@@ -338,7 +330,11 @@ def source_of(
     filtering = None
     if smoothing is not None:
         if before is not None:
-            raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")
+            raise SchemaError(
+                f"the reflectance is smoothed already ({before})",
+                mend="leave out smooth=",
+                code="already-smoothed",
+            )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
         if errors is not None:
@@ -376,20 +372,17 @@ def source_of(
         errors=errors,
         axis=axis,
         filtering=filtering,
-        said=said,
+        declared=declared,
     )
 
 
 def _light_of(
     line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
 ) -> SplitOfLines | None:
-    """Return how the light of each line divides, small and in memory; None where nothing says so."""
-    import dask
-    import xarray as xr
-
+    """Return the division of the light of each line, in memory; None where the line does not declare it."""
     if not needed and (diffuse is None and not says_its_split(line)):
         return None
-    with warnings.catch_warnings():  # the correction has warned already
+    with warnings.catch_warnings():  # remove_mirrored_sky has warned already
         warnings.simplefilter("ignore", PaintWarning)
         split = split_of(line, diffuse, sun_zenith)
     shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
@@ -403,36 +396,34 @@ def _light_of(
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:
-    """Return the flight lines that regions are on, located where need be, and the regions' positions on each.
+    """Return the flight lines that regions are on, located if needed, and the regions' positions on each.
 
-    Raises `SchemaError`: a region names another line than there is, or none where there are several.
+    Raises `SchemaError`: a region names an unknown flight line, or none where there are several.
     """
     problems = Problems("regions cannot be found on their flight lines", SchemaError)
-    given = _by_name(line)
-    only = next(iter(given)) if len(given) == 1 else None
-    # a map of several lines holds the regions of each
-    shown = () if only is None else lines_of_cells(schema.rename_to_roles(given[only]))
-    # a line that does not say its name is taken to be the regions' one
+    lines_by_name = _by_name(line)
+    only = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None
+    # a map of several lines may hold regions of each
+    shown = () if only is None else lines_of_cells(schema.rename_to_roles(lines_by_name[only]))
+    # a line without a name is taken for the one flight line of the regions
     nameless = only == "" and len(regions.flightlines) < 2 and not shown
     lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
     for position, region in enumerate(regions):
         is_own = nameless or not region.flightline or region.flightline.replace(" ", "_") in shown
         wanted = only if only is not None and is_own else region.flightline
-        if wanted in given:
+        if wanted in lines_by_name:
             if wanted not in lines:
-                lines[wanted] = (located_for(regions, given[wanted]), [])
+                lines[wanted] = (located_for(regions, lines_by_name[wanted]), [])
             lines[wanted][1].append(position)
             continue
-        held = ", ".join(map(repr, shown or given)) or "no flight line"
+        names = " or ".join(map(repr, shown or lines_by_name)) or "no flight line"
         naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-        problems.add(f"region {region.name!r} {naming}; there is {held}")
+        problems.add(f"region {region.name!r} {naming}", expected=names, code="flightline-unknown")
     problems.raise_if_any()
     return lines
 
 
 def _by_name(line: Any) -> dict[str, xr.Dataset]:
-    import xarray as xr
-
     if isinstance(line, xr.Dataset):
         return {str(line.attrs.get("name", "")): line}
     if isinstance(line, xr.DataTree):
@@ -444,5 +435,7 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
     if isinstance(line, Mapping):
         return dict(line)
     raise SchemaError(
-        f"line is {type(line).__name__}, expected a Dataset, several by name, or a DataTree of them"
+        f"line is {type(line).__name__}",
+        expected="a Dataset, several by name, or a DataTree of them",
+        code="type-wrong",
     )

@@ -1,6 +1,6 @@
 """Cells of a map as pixels of the flight line that they show.
 
-Nearest resampling repeats pixels and leaves others out; statistics are of pixels, each of them once.
+Nearest resampling repeats some pixels and leaves others out; statistics count every pixel once.
 """
 
 from __future__ import annotations
@@ -8,23 +8,23 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Ints
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
 
 
 class Shown(NamedTuple):
-    """The pixels of a region: where they are read, and which of the flight line they are."""
+    """Pixels of a region: their cells, and their positions in the flight line."""
 
     cells: Pixels
     pixels: Pixels
@@ -41,21 +41,19 @@ def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
     """Return the pixels in regions, each once, from the cells of a map that lie in them (eager).
 
     ``line`` is a flight line or a map, its dims named by role; ``places`` are positions in it, by region. A
-    pixel that several cells show is in the region where that cell is which lies nearest to its centre, and is
-    read there. Cells that show nothing are no pixels. Of a flight line, and of a map that does not say which
-    pixels its cells show, positions are left as they are.
+    pixel shown by several cells belongs to the region of the cell nearest to its centre, and is read there.
+    Empty cells are no pixels. Positions in a flight line, or in a map without indices of its pixels, are
+    returned unchanged.
     """
-    import dask
-
     if not set(_PLACES) <= set(line.variables):
         return [Shown(place, place) for place in places]
-    # so far may the cell lie that is nearest to the centre of a pixel
+    # largest distance of the cell nearest to the centre of a pixel
     attrs = {"spacing_across": 1.0, "spacing_along": 1.0, "gsd": 1.0, **line.attrs}
     reach = 1 + math.ceil(max(attrs["spacing_across"], attrs["spacing_along"]) / attrs["gsd"])
     windows = [_window(place, reach) for place in places]
     names = [*_PLACES, *(["flightline"] if lines_of_cells(line) else [])]
     planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in names]
-    # together: what regions share is read once
+    # computed together: cells shared by regions are read once
     tables = dask.compute(*([plane.isel(window).data for plane in planes] for window in windows))
     return [
         _once(place, window, *table) for place, window, table in zip(places, windows, tables, strict=True)
@@ -63,7 +61,6 @@ def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
 
 
 def _window(place: Pixels, reach: int) -> dict[str, slice]:
-    """Return the cells around a region."""
     if not place[0].size:
         return {ALONG_TRACK: slice(0, 0), CROSS_TRACK: slice(0, 0)}
     return {
@@ -81,9 +78,9 @@ def _once(
     at_sample: np.ndarray,
     of_line: np.ndarray | None = None,
 ) -> Shown:
-    """Return every pixel once, of the cells of a window (row, col) that lie in a region.
+    """Return every pixel once, from the cells of a window (row, col) that lie in a region.
 
-    In a map of several flight lines the same line and column are a pixel of each of them.
+    In a map of several flight lines, the same line and column are a different pixel of each flight line.
     """
     corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
     inside = np.zeros(line.shape, bool)
@@ -104,9 +101,7 @@ def _once(
 
 
 def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
-    """Return latitude and longitude of the middle of a map [degree]; None of a flight line, or unknown."""
-    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
-
+    """Return latitude and longitude of the middle of a map [degree]; None for a flight line, or unknown."""
     mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
     axes = [line.variables.get(name) for name in ("x", "y")]
     wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
@@ -118,7 +113,7 @@ def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
         a, b, c, d, e, f = map(float, str(mapping["GeoTransform"]).split())
         col, row = line.sizes[CROSS_TRACK] / 2, line.sizes[ALONG_TRACK] / 2
         middle = [a + b * col + c * row, d + e * col + f * row]
-    # the sun's place is the only use: it is missing then, and nothing else
+    # only the position of the sun depends on it, which is then unknown
     with contextlib.suppress(MissingExtraError, SchemaError):
         ((longitude, latitude),) = between_maps(np.array([middle]), crs_of(wkt), "EPSG:4326").tolist()
         return latitude, longitude

@@ -1,11 +1,13 @@
-"""Spectra of chosen pixels of a lazy cube: only the blocks that hold some are computed, one task a block."""
+"""Spectra of chosen pixels of a lazy cube: only blocks with chosen pixels are computed, one task a block."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
@@ -13,11 +15,8 @@ from hyperpaint.io.store.computing import client_in_force
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.surroundings.scratch import trim_memory
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_TOGETHER = 16
-"""Blocks that are computed at a time."""
+#: Blocks computed at a time.
+BLOCKS_AT_ONCE = 16
 
 
 def gather(
@@ -33,14 +32,12 @@ def gather(
 
     Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
     cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: which bands; ``small``:
-    variables (along_track), which are read whole, in the same pass; ``progress``: called with blocks done and
-    to do. Values are those of the planes (pixel,) and of the small variables (along_track,), and ``present``
-    (pixel,), whether a pixel has a value in any band of the first cube, also in one that was not asked for.
+    variables (along_track), read whole in the same pass; ``progress``: called with blocks done and to do.
+    Values are those of the planes (pixel,) and of the small variables (along_track,), and ``present``
+    (pixel,), whether a pixel has a value in any band of the first cube, also in bands outside ``bands``.
     """
-    import dask
-
     first = next(iter(cubes.values()))
-    # lines of the slabs that a flight line is computed in; a map has tiles, and rows of any width
+    # a flight line is computed in slabs of lines, a map in its tiles
     sizes = (line_chunked(first) if first.chunks is None else first).variable.chunksizes
     blocked: dict[str, Any] = {dim: sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK)}
     aligned = [cube.transpose(*CUBE).chunk({**blocked, BAND: -1}) for cube in cubes.values()]
@@ -67,12 +64,12 @@ def gather(
     values |= {name: np.empty(along.size, plane.dtype) for name, plane in planes.items()}
     values["present"] = np.empty(along.size, bool)
     outputs = [*spectra.values(), *(values[name] for name in planes), values["present"]]
-    # what is copied is let go, or everything would be held twice
-    for start in range(0, max(len(tasks), 1), _TOGETHER):
-        part = tasks[start : start + _TOGETHER]
+    # results are deleted once copied, or everything would be held twice
+    for start in range(0, max(len(tasks), 1), BLOCKS_AT_ONCE):
+        part = tasks[start : start + BLOCKS_AT_ONCE]
         share = None if progress is None else _share(progress, start, len(tasks))
         results = _computed([*part, *([] if start else lazy.values())], share)
-        for pixel, taken in zip(wanted[start : start + _TOGETHER], results, strict=False):
+        for pixel, taken in zip(wanted[start : start + BLOCKS_AT_ONCE], results, strict=False):
             for out, piece in zip(outputs, taken, strict=True):
                 out[pixel] = piece
         if not start:
@@ -83,28 +80,23 @@ def gather(
 
 
 def _share(progress: Progress, before: int, tasks: int) -> Progress:
-    """Return the progress of some of all tasks."""
     return lambda done, _: progress(min(before + done, tasks), tasks)
 
 
 def _whole(array: xr.DataArray) -> Any:
-    """Return a lazy variable of one dim as one task, which shares what it needs with all others."""
-    import dask
-
+    """Return a lazy variable of one dim as one task, which shares its inputs with all others."""
     return dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
 
 
 def _taken(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
-    """Return pixels of a block's cubes, (pixel, band), of its planes, and which have a value, (pixel,)."""
+    """Return pixels of a block's cubes (pixel, band) and planes, and whether they have a value (pixel,)."""
     spectra = [block[rows, bands, columns].astype(np.float32, copy=False) for block in blocks[:cubes]]
     present = np.asarray(np.isfinite(blocks[0]).any(axis=1))[rows, columns]
     return [*spectra, *(block[rows, columns] for block in blocks[cubes:]), present]
 
 
 def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
-    """Compute everything at once, so that what the tasks share is computed once."""
-    import dask
-
+    """Compute all tasks at once, so that shared inputs are computed once."""
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
     client = client_in_force()

@@ -16,19 +16,19 @@ from hyperpaint.regions import Region
 CENTRES = ("trimmed_mean", "geometric_median", "median")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
+#: Distance from the centre beyond which a value is left out of the trimmed mean [spreads].
 TRIM_SIGMAS = 3.0
-"""Spreads beyond which a value is not counted in the trimmed mean."""
+#: Standard deviation of a normal distribution over its median absolute deviation.
 _SIGMA_OF_DEVIATION = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-_MOST_ROUNDS = 100
+MAX_ITERATIONS = 100
 
-_SETTLED = 1e-7
-"""Change of reflectance at which the geometric median is found."""
+#: Change of reflectance at which the geometric median has converged [1].
+CONVERGED_CHANGE = 1e-7
 
 
 @dataclass(frozen=True)
 class BandSummary:
-    """What is typical of every band."""
+    """Centre and spread of every band."""
 
     #: (band,), float64: Centre of the values, and their standard deviation; NaN where there are none (for sd,
     #: less than two).
@@ -38,16 +38,14 @@ class BandSummary:
 
 
 def summarise(values: Array, centre: str) -> BandSummary:
-    """Return what is typical of pixels, band by band.
+    """Return centre and spread of pixels, band by band.
 
-    Takes ``values`` (pixel, band): reflectance; what is not finite is missing, in that band only; ``centre``:
-    one of `CENTRES`.
+    Takes ``values`` (pixel, band): reflectance, a value that is not finite is missing in that band only;
+    ``centre``: one of `CENTRES`.
 
-    Notes
-    -----
-    The trimmed mean leaves out what is farther from the centre than three spreads: first from the median, in
-    median absolute deviations, then from the mean of what is left, in its standard deviations, until nothing
-    more is left out.
+    Notes ----- The trimmed mean leaves out values farther from the centre than three spreads: first from the
+    median, in median absolute deviations, then from the mean of the remaining values, in their standard
+    deviations, until no more are left out.
     """
     bands = values.shape[1]
     middle, spread = np.full(bands, np.nan), np.full(bands, np.nan)
@@ -66,7 +64,7 @@ def summarise(values: Array, centre: str) -> BandSummary:
 
 
 def _quantiles(ordered: Floats) -> Floats:
-    """Return the quantiles of ascending values, linear between them; numpy's own takes ten times as long."""
+    """Return linear quantiles of ascending values; numpy's own function takes ten times as long."""
     place = np.array(QUANTILES) * (ordered.size - 1)
     below = place.astype(np.intp)
     above = np.minimum(below + 1, ordered.size - 1)
@@ -78,15 +76,14 @@ def _median(ordered: Floats) -> float:
 
 
 def _trimmed_mean(ordered: Floats) -> float:
-    """Return the iterated trimmed mean of ascending values."""
     centre = _median(ordered)
     spread = _SIGMA_OF_DEVIATION * _median(np.sort(np.abs(ordered - centre)))
     retained = ordered
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         reach = TRIM_SIGMAS * spread
         first = int(np.searchsorted(retained, centre - reach, "left"))
         last = int(np.searchsorted(retained, centre + reach, "right"))
-        # rounding may leave nothing of values that are all the same
+        # rounding may remove all of several equal values
         if first >= last or (first == 0 and last == retained.size):
             break
         retained = retained[first:last]
@@ -95,34 +92,36 @@ def _trimmed_mean(ordered: Floats) -> float:
 
 
 def geometric_median(values: Array) -> Floats:
-    """Return the spectrum whose distances to all others have the smallest sum (band,), by Weiszfeld's rule.
+    """Return the spectrum with the smallest sum of distances to all others (band,), by Weiszfeld's rule.
 
-    Takes ``values`` (pixel, band): what is not finite is missing; the distance of a spectrum is over the
-    bands that it has.
+    Takes ``values`` (pixel, band): values that are not finite are missing; the distance of a spectrum is over
+    the bands that it has.
     """
-    there = np.isfinite(values)
-    filled = np.where(there, values, 0.0).astype(np.float64)
-    count = np.maximum(there.sum(axis=1), 1)
-    seen = there.any(axis=0)
-    centre = np.array([np.median(v[k]) if k.any() else 0.0 for v, k in zip(filled.T, there.T, strict=True)])
-    for _ in range(_MOST_ROUNDS):
-        away = np.sqrt((np.where(there, filled - centre, 0.0) ** 2).sum(axis=1) / count)
-        # a spectrum that is the centre would weigh without end
-        weight = 1.0 / np.maximum(away, _SETTLED)
-        total = (there * weight[:, None]).sum(axis=0)
-        moved = (filled * weight[:, None]).sum(axis=0) / np.where(seen, total, 1.0)
+    has_value = np.isfinite(values)
+    filled = np.where(has_value, values, 0.0).astype(np.float64)
+    count = np.maximum(has_value.sum(axis=1), 1)
+    band_has_value = has_value.any(axis=0)
+    centre = np.array(
+        [np.median(v[k]) if k.any() else 0.0 for v, k in zip(filled.T, has_value.T, strict=True)]
+    )
+    for _ in range(MAX_ITERATIONS):
+        away = np.sqrt((np.where(has_value, filled - centre, 0.0) ** 2).sum(axis=1) / count)
+        # a spectrum at the centre would have infinite weight
+        weight = 1.0 / np.maximum(away, CONVERGED_CHANGE)
+        total = (has_value * weight[:, None]).sum(axis=0)
+        moved = (filled * weight[:, None]).sum(axis=0) / np.where(band_has_value, total, 1.0)
         change = np.abs(moved - centre).max(initial=0.0)
         centre = moved
-        if change < _SETTLED:
+        if change < CONVERGED_CHANGE:
             break
-    return np.where(seen, centre, np.nan)
+    return np.where(band_has_value, centre, np.nan)
 
 
 def chosen_members(along: Array, across: Array, most: int, seed: int) -> npt.NDArray[np.intp]:
-    """Return which pixels stand for all (member,), in order: those whose hash is smallest.
+    """Return the pixels that represent all (member,), in order: those with the smallest hashes.
 
-    The hash is of a pixel's position and the seed, so that the choice is of the pixels alone: not of chunks,
-    nor of how many regions there are. A pixel that is left out makes room for one more, and moves no other.
+    The hash depends on a pixel's position and the seed only, so that the choice does not depend on chunks or
+    the number of regions. Leaving out a pixel adds one other, and keeps all others.
 
     Takes ``along``, ``across`` (pixel,): positions in the line; ``most``: how many are chosen; ``seed``:
     another seed, another choice.
@@ -145,24 +144,22 @@ def _mix(state: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return np.asarray(mixed ^ (mixed >> np.uint64(31)))
 
 
+#: Pixels that are worth one at least, whatever their values say: 1 + 2 c.
+#: While a line is exposed the camera moves on by some 0.7 of a pixel. A pixel then sees a trapezium along the
+#: track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.3 + 2 * 0.7 / 3) = 0.15.
 SMEAR = 1.3
-"""Pixels that are worth one at least, whatever their values say: 1 + 2 c.
 
-While a line is exposed the camera moves on by some 0.7 of a pixel. A pixel then sees a trapezium along the
-track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.3 + 2 * 0.7 / 3) = 0.15.
-"""
+#: Minimum number of pixels for an estimate of their correlation.
+MIN_CORRELATED_PIXELS = 32
 
-FEWEST = 32
-"""Pixels from which their correlation can be estimated."""
-
-_MOST_CELLS = 2**18
-"""Cells of the grid on which correlation is looked at; of a larger region its first lines are."""
+#: Maximum size of the grid on which correlation is computed [pixel]; of a larger region the first lines.
+MAX_GRID_PIXELS = 2**18
 
 
 def effective_pixels(values: Array, along: Array, across: Array) -> float:
-    r"""Return the number of independent pixels that would fix the mean as well as these.
+    r"""Return the number of independent pixels whose mean is as certain as the mean of these pixels.
 
-    Takes ``values`` (pixel, band): reflectance in some bands; NaN where it is missing; ``along``, ``across``
+    Takes ``values`` (pixel, band): reflectance in some bands, NaN where missing; ``along``, ``across``
     (pixel,): positions in the line.
 
     Notes
@@ -170,40 +167,42 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
     .. math:: n_{eff} = n^2 \Big/ \sum_{ij} \overline{c_{ij}}
 
     with :math:`c_{ij}` the autocorrelation of a band's values at the distance of two pixels, summed from the
-    centre outwards until it is not told from zero (as `hyperpaint.radiometry.mean_uncertainty`), averaged
-    over bands: the harmonic mean of their numbers. Values are cut at three robust spreads from the median
-    first, since single outliers hide what their neighbours have in common. It is n / 1.3 at most, see
-    `SMEAR`, and just that of fewer than 32 pixels, of which it cannot be estimated.
+    centre outwards until it cannot be distinguished from zero (as `hyperpaint.radiometry.mean_uncertainty`),
+    averaged over bands: the harmonic mean of their numbers. Values are first clipped at three robust spreads
+    from the median, since single outliers hide the correlation of their neighbours. At most n / 1.3, see
+    `SMEAR`, and exactly that for fewer than 32 pixels, from which it cannot be estimated.
     """
     count = len(values)
     most = max(1.0, count / SMEAR)
-    if count < FEWEST:
+    if count < MIN_CORRELATED_PIXELS:
         return most
     rows, columns = along - along.min(), across - across.min()
     width = int(columns.max()) + 1
-    part = rows < max(1, _MOST_CELLS // width)
+    part = rows < max(1, MAX_GRID_PIXELS // width)
     rows, columns, values = rows[part], columns[part], values[part]
     shares = []
     for band in range(values.shape[1]):
-        there = np.isfinite(values[:, band])
-        if there.sum() >= FEWEST:
-            column = values[there, band].astype(np.float64)
+        has_value = np.isfinite(values[:, band])
+        if has_value.sum() >= MIN_CORRELATED_PIXELS:
+            column = values[has_value, band].astype(np.float64)
             middle = np.median(column)
             reach = 3.0 * 1.4826 * np.median(np.abs(column - middle))
             plane = np.full((int(rows.max()) + 1, width), np.nan)
-            plane[rows[there], columns[there]] = np.clip(column, middle - reach, middle + reach)
-            shares.append(there.sum() / effective_number(plane))
+            plane[rows[has_value], columns[has_value]] = np.clip(column, middle - reach, middle + reach)
+            shares.append(has_value.sum() / effective_number(plane))
     return float(np.clip(count / np.mean(shares), 1.0, most)) if shares else most
 
 
 def excluded_of(region: Region, usual: int) -> int:
-    """Return the flags of the pixels of a region that are left out, which it may name itself."""
+    """Return the flags whose pixels are left out of a region: ``usual``, unless the region names others."""
     names = region.properties.get("excluded_flags")
     if names is None:
         return usual
     flags = {flag.name.lower(): int(flag) for flag in Quality if flag.name}
     if not isinstance(names, list) or not set(names) <= set(flags):
         raise SchemaError(
-            f"region {region.name!r}: excluded_flags is {names!r:.80}, expected a list of {', '.join(flags)}"
+            f"region {region.name!r}: excluded_flags is {names!r:.80}",
+            expected=f"a list of {', '.join(flags)}",
+            code="choice-unknown",
         )
     return sum(flags[name] for name in set(names))

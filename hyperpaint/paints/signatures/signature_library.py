@@ -1,12 +1,13 @@
-"""One signature, band by band, and the dataset that holds all of them."""
+"""One signature, band by band, and the dataset of all signatures."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
@@ -31,31 +32,28 @@ from .line_sources import Source, mean_view, relative_azimuth
 from .map_cells import Shown
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Number of good bands, spread over all, in which the correlation of pixels is computed.
 _CORRELATED_BANDS = 8
-"""Good bands, spread over all, that the correlation of pixels is looked at in."""
 
 _NAT = np.datetime64("NaT", "ns")
 
-_UNSAID_SKY = -1  # no number of `SKY_STATES`
+UNKNOWN_SKY = -1  # no number of `SKY_STATES`
 
 
 class Draft:
-    """What is known so far of the signature of one region, at a place of a flight line or of a map of it.
+    """The signature of one region, while it is computed, at a place of a flight line or of a map of it.
 
     ``n`` pixels are used, with ``flags``, ``excluded`` ones left out; ``share`` (flag,) of all has each flag
     [1]. ``spectra`` holds ``reflectance``, ``reflectance_sd``, and uncertainties (band,),
     ``reflectance_quantiles`` (quantile, band) and ``member_reflectance`` (member, band), float64, NaN where
-    not known; ``member_place`` numbers of the members along and across the track; ``at`` time, sun, view
+    unknown; ``member_place`` numbers of the members along and across the track; ``at`` time, sun, view
     and age of the irradiance.
     """
 
     def __init__(self, source: Source, place: Shown) -> None:
         bands = source.cubes["reflectance"].sizes[BAND]
         self.cells = place.cells
-        self._is_of_line = place.cells is place.pixels  # those of a map are positions in the line it shows
+        self._is_of_line = place.cells is place.pixels  # of a map: positions in the flight line it shows
         self.along, self.across = place.pixels
         self._lines = place.lines
         self.n = 0
@@ -81,13 +79,13 @@ class Draft:
 
     @property
     def n_eff(self) -> float:
-        """Independent pixels among those used."""
+        """Number of independent pixels among those used."""
         columns = np.concatenate([np.zeros((self.n, 0), np.float32), *self._columns], axis=1)
         along = self.along[self._used]
         if self._lines is not None and along.size:
-            # of several flight lines on a map: far apart, since pixels of two are no neighbours
-            own = np.unique(self._lines[self._used], return_inverse=True)[1]
-            along = along + own * (2 * int(np.ptp(along)) + 2)
+            # flight lines of a map are put far apart, since their pixels are no neighbours
+            flightline = np.unique(self._lines[self._used], return_inverse=True)[1]
+            along = along + flightline * (2 * int(np.ptp(along)) + 2)
         return effective_pixels(columns, along, self.across[self._used])
 
     def choose(
@@ -99,12 +97,12 @@ class Draft:
         most: int,
         seed: int,
     ) -> None:
-        """Choose the pixels that are used, and those that stand for them.
+        """Choose the pixels that are used, and their members.
 
         Takes ``present`` (pixel,): whether a pixel of the region has a value, without which it is left out;
-        ``planes``: variables of pixels (pixel,): ``quality``, its flags, none where it is not there; and what
-        its direction of view is made of; ``lines``: variables of the line (along_track,); ``exclude``: flags
-        of the pixels that are left out; ``most``, ``seed``: see `chosen_members`.
+        ``planes``: variables of pixels (pixel,): ``quality``, its flags, 0 where it is absent, and the
+        variables of the direction of view; ``lines``: variables of the line (along_track,); ``exclude``:
+        flags whose pixels are left out; ``most``, ``seed``: see `chosen_members`.
         """
         quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
         self._used = (quality & np.uint16(exclude) == 0) & present
@@ -119,7 +117,7 @@ class Draft:
         self.member_place = along[self._chosen], across[self._chosen]
         if self._is_of_line:
             numbers = (numbers_of(self._source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
-            rows, columns = (own.astype(np.int64) for own in numbers)
+            rows, columns = (axis.astype(np.int64) for axis in numbers)
             self.member_place = rows[self.member_place[0]], columns[self.member_place[1]]
         bands = self._source.cubes["reflectance"].sizes[BAND]
         self.spectra["member_reflectance"] = np.full((self._chosen.size, bands), np.nan)
@@ -128,7 +126,7 @@ class Draft:
         self.at = _geometry({**of_lines, **of_pixels})
         split = {} if self._source.light is None else self._source.light.mean(self.cells[0][self._used])
         unknown = np.full(bands, np.nan)
-        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": _UNSAID_SKY}
+        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": UNKNOWN_SKY}
         self.at |= split
         zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
         self.at |= {
@@ -145,14 +143,14 @@ class Draft:
         """
         values = cubes["reflectance"][self._used]
         summary = summarise(values, centre)
-        there = np.isfinite(values)
-        self._values[bands] = there.sum(axis=0)
+        has_value = np.isfinite(values)
+        self._values[bands] = has_value.sum(axis=0)
         self.spectra["reflectance"][bands] = summary.centre
         self.spectra["reflectance_sd"][bands] = summary.sd
         self.spectra["reflectance_quantiles"][:, bands] = summary.quantiles
         self.spectra["member_reflectance"][:, bands] = values[self._chosen]
-        own = (self._correlated >= bands.start) & (self._correlated < bands.stop)
-        self._columns.append(values[:, self._correlated[own] - bands.start])
+        in_round = (self._correlated >= bands.start) & (self._correlated < bands.stop)
+        self._columns.append(values[:, self._correlated[in_round] - bands.start])
         if self._sums is not None:
             measured = cubes.get("measured", cubes["reflectance"])[self._used]
             noise = cubes["reflectance_u_random"][self._used]
@@ -164,18 +162,18 @@ class Draft:
             return
         for name in UNCERTAINTIES:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
-                # the mean square of what is random, until the number of independent pixels is known
+                # mean square of random errors, until the number of independent pixels is known
                 power = 2.0 if name == "reflectance_u_random" else 1.0
-                self.spectra[name][bands] = _mean(cubes[name][self._used], there, power)
+                self.spectra[name][bands] = _mean(cubes[name][self._used], has_value, power)
 
     def finish(self) -> float:
         """Turn means into uncertainties of the mean; return the number of independent pixels."""
         n_eff = self.n_eff
         self._columns = []
         if self.errors is not None:
-            own = (self.errors.u_random, self.errors.u_systematic)
+            uncertainties = (self.errors.u_random, self.errors.u_systematic)
             missing = self._values == 0
-            for name, values in zip(UNCERTAINTIES, own, strict=True):
+            for name, values in zip(UNCERTAINTIES, uncertainties, strict=True):
                 self.spectra[name] = np.where(missing, np.nan, values)
             return n_eff
         # a band has as many fewer independent pixels as it has fewer values
@@ -186,9 +184,9 @@ class Draft:
 
 
 def _mean(values: Array, there: Array, power: float) -> Array:
-    """Return the mean of a power over pixels that have a reflectance (band,); NaN where none has."""
+    """Return the mean of a power over pixels that have a reflectance (band,); NaN without such pixels."""
     means = np.full(values.shape[1], np.nan)
-    # one band after the other: the order of the sum is then that of the pixels, however many bands there are
+    # band by band: the sum then runs in the order of the pixels for any number of bands
     for band, column in enumerate(values.T):
         finite_values = column[there[:, band] & np.isfinite(column)].astype(np.float64)
         if finite_values.size:
@@ -197,7 +195,7 @@ def _mean(values: Array, there: Array, power: float) -> Array:
 
 
 def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
-    """Return time, sun and age of the irradiance, from those of every pixel, or of its line."""
+    """Return mean time, sun and largest age of the irradiance, from the values of every pixel or its line."""
     time = lines.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
     time = time[~np.isnat(time)]
     middle = _NAT
@@ -218,8 +216,8 @@ def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
     }
 
 
-_MOST_PROPERTIES = 64
-"""Properties that become coordinates; all are in the coordinate ``region`` as well."""
+#: Maximum number of properties as coordinates; the coordinate ``region`` holds all of them.
+MAX_PROPERTIES = 64
 
 
 def paint_library(
@@ -231,12 +229,10 @@ def paint_library(
 ) -> xr.Dataset:
     """Return finished signatures as a dataset.
 
-    Takes ``regions``, ``drafts``, ``flightlines``: A region, its signature, and its flight line's name, in
-    the same order; ``sources``: the flight lines, by name; their bands are the same; ``notes``: attributes
-    that say how it was made.
+    Takes ``regions``, ``drafts``, ``flightlines``: regions, their signatures and the names of their flight
+    lines, in the same order; ``sources``: the flight lines, by name, with the same bands; ``notes``: settings
+    of the extraction, stored as attributes.
     """
-    import xarray as xr
-
     first = next(iter(sources.values()))
     most = max(draft.member_place[0].size for draft in drafts)
     values: dict[str, Any] = {
@@ -264,7 +260,13 @@ def paint_library(
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
     library = xr.Dataset()
-    components = _components(drafts, sources)
+    components = {}
+    for k, name in enumerate(UNCERTAINTIES):
+        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
+        texts += [
+            source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
+        ]
+        components[name] = {"components": _joined(texts)}
     for name, row in LIBRARY_VARIABLES.items():
         if name not in values:  # of a correction, which comes after
             continue
@@ -282,16 +284,22 @@ def paint_library(
         for name, column in _properties(regions).items()
     }
     library = library.assign_coords(properties)
+    # attributes of corrections prevent a second one
+    corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     library["reflectance"].attrs |= {
         "centre": notes["centre"],
         **_quantity(sources),
-        **_corrections(sources),
+        **{
+            name: _joined(source.corrections.get(name, "none") for source in sources.values())
+            for name in corrections
+        },
         "geometry": "sun and sky on a level surface, camera above: sun_zenith, view_zenith, "
         "relative_azimuth, diffuse_fraction of every paint",
     }
+    files = dict.fromkeys(str(source.line.attrs.get("source", "")) for source in sources.values())
     library.attrs = {
         "title": "Paint signatures",
-        "source": _sources(sources),
+        "source": ", ".join(text for text in files if text),
         "flightlines": list(sources),
         "regions": regions.digest,
         "coordinates_of_regions": regions.coordinates,
@@ -308,7 +316,7 @@ def paint_library(
 
 
 def _joined(texts: Iterable[str]) -> str:
-    """Return texts that several flight lines have, each once."""
+    """Return the texts of several flight lines, each once."""
     return "; ".join(dict.fromkeys(texts))
 
 
@@ -318,43 +326,19 @@ def _padded(values: Array, size: int, fill: float) -> Array:
     return padded
 
 
-def _components(drafts: Sequence[Draft], sources: Mapping[str, Source]) -> dict[str, dict[str, str]]:
-    """Return attributes of both uncertainties that say what entered them."""
-    attrs = {}
-    for k, name in enumerate(UNCERTAINTIES):
-        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
-        texts += [each.components.get(name, NONE_KNOWN) for each in sources.values() if each.errors is None]
-        attrs[name] = {"components": _joined(texts)}
-    return attrs
-
-
-def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
-    """Return attributes that say what was corrected, so that nothing is corrected again."""
-    names = dict.fromkeys(name for source in sources.values() for name in source.corrections)
-    return {
-        name: _joined(source.corrections.get(name, "none") for source in sources.values()) for name in names
-    }
-
-
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
-    """Return attributes that say what spectra hold of a coat; the line that holds most decides."""
+    """Return the attributes of the coat's share in spectra; the line with the largest share decides."""
 
     def of_line(source: Source) -> str:
-        is_apart = source.said.get("mirror_reflection") == EXCLUDED
+        is_apart = source.declared.get("mirror_reflection") == EXCLUDED
         if not (is_apart or "mirrored_sky_removed" in source.corrections):
             return OUTSIDE
         return BODY if "coat_corrected" in source.corrections else THROUGH_COAT
 
     lines = {of_line(source) for source in sources.values()}
-    quantity = next(each for each in (OUTSIDE, THROUGH_COAT, BODY) if each in lines)
+    quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in lines)
     word = INCLUDED if quantity == OUTSIDE else EXCLUDED
     return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
-
-
-def _sources(sources: Mapping[str, Source]) -> str:
-    """Return the names of the files that the flight lines were made from."""
-    names = (str(source.line.attrs.get("source", "")) for source in sources.values())
-    return ", ".join(dict.fromkeys(text for text in names if text))
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
@@ -363,8 +347,7 @@ def _properties(regions: Regions) -> dict[str, Array]:
     taken = {*LIBRARY_VARIABLES, BAND, "member"}
     usable = [name for name in names if name.isidentifier() and name not in taken and name[:2] != "__"]
     return {
-        name: _column([region.properties.get(name) for region in regions])
-        for name in usable[:_MOST_PROPERTIES]
+        name: _column([region.properties.get(name) for region in regions]) for name in usable[:MAX_PROPERTIES]
     }
 
 
@@ -375,10 +358,7 @@ def _column(values: Sequence[Any]) -> Array:
         if len(present) == len(values) and all(isinstance(value, int) for value in present):
             return np.array(values, np.int64)
         return np.array([np.nan if value is None else value for value in values], np.float64)
-    return np.array([_text(value) for value in values], object)
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    texts = ["" if value is None else value for value in values]
+    return np.array(
+        [text if isinstance(text, str) else json.dumps(text, ensure_ascii=False) for text in texts], object
+    )

@@ -1,10 +1,8 @@
-"""Regions proposed by rule: which pixels of which cars, in which order, and why.
+"""Proposed regions of car paint, ranked, with reasons.
 
-A line and its scene model come in; `Proposals`, regions with reasons and what was refused, go out. For the
-accessor and workflows. `rules` holds the thresholds.
+A line and its scene model come in; `Proposals`, regions with reasons and the refused pieces, go out. For the
+accessor and workflows. `proposal_rules` holds the thresholds.
 """
-
-from __future__ import annotations
 
 from .proposing import Proposals, propose_regions
 

@@ -1,11 +1,12 @@
-"""Whether the sun was free over a car while clouds were broken: by the record, and by a shadow beside it."""
+"""Free sun over a car under broken clouds, from the irradiance record and from a shadow beside the car."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME
@@ -14,79 +15,77 @@ from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.light_split import split_of
 from hyperpaint.surroundings.model import SHADED
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 @dataclass(frozen=True)
 class GapRules:
-    """Light between broken clouds."""
+    """Thresholds of light between broken clouds."""
 
-    #: Where sunlight and the light of the sky differ most [nm].
+    #: Wavelength from which sunlight and the light of the sky differ most [nm].
     infrared_nm: float = 780.0
-    #: Diffuse fraction of a line above a clear sky's, at most, in free sun: under a cloud that takes half of
-    #: the sunlight it is 0.1 higher and more [1].
+    #: Largest excess of a line's diffuse fraction over a clear sky's in free sun: under a cloud that takes
+    #: half of the sunlight it is at least 0.1 higher [1].
     max_above_clear: float = 0.08
-    #: Least over largest irradiance of the record, at most: of clouds that take less a shadow shows nothing.
+    #: Largest ratio of least to largest irradiance of the record: thinner clouds do not show in a shadow [1].
     max_dip: float = 0.65
-    #: Irradiance over that in free sun, below which a cloud begins [1].
+    #: Irradiance relative to free sun, below which a cloud begins [1].
     min_of_free: float = 0.95
-    #: Seconds before and after a line in which the sun has to be free: an edge at 8 m/s comes 80 m far.
+    #: Time of free sun required before and after a line [s]: a cloud's edge at 8 m/s moves 80 m.
     around_s: float = 10.0
-    #: Diffuse fraction that a shadow beside the car shows over that of the record, at most. It sees 0.6 to 1
+    #: Largest diffuse fraction in a shadow beside the car, relative to the record's. A shadow sees 0.6 to 1
     #: of the sky; under such a cloud the fraction is 2 to 3 times as large [1].
     max_over_record: float = 1.5
-    least_fraction: float = 0.06  #: That of the record, at least: light from around reaches every shadow [1].
-    min_px: int = 40  #: Pixels of the shadow, and of the same ground in the sun, at least.
+    #: Smallest diffuse fraction assumed for the record: light from around reaches every shadow [1].
+    least_fraction: float = 0.06
+    min_px: int = 40  #: Minimum number of pixels of the shadow, and of the same ground in the sun.
     sd: float = 0.025  #: Standard uncertainty of the level between clouds, relative [1].
-    around_px: int = 60  #: Margin around a part of a car in which its shadow may lie [pixel].
+    around_px: int = 60  #: Margin around a part of a car that may hold its shadow [pixel].
 
 
 GAPS = GapRules()
 
 
 class FreeSun(NamedTuple):
-    """What the record says of the sun between clouds."""
+    """State of the sun between clouds in the irradiance record."""
 
     lines: Bools  #: (line,): Whether it was free.
     fraction: float  #: Diffuse fraction of the infrared where it was [1].
 
 
 def sunny_lines(line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float | None) -> FreeSun | None:
-    """Return in which lines the record had free sun, between clouds that take much of it.
+    """Return the lines at which the record had free sun, between clouds that take much of it.
 
     None where clouds were not broken.
     """
     if "broken" not in str(model.attrs.get("sky_states", "")).split():
         return None
-    none = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
+    no_sun = FreeSun(np.zeros(line.sizes[ALONG_TRACK], bool), np.nan)
     if zenith is None or not {"irradiance", "time", IRRADIANCE_TIME} <= set(line.variables):
-        return none
+        return no_sun
     nm = line["wavelength"].values.astype(np.float64)
     infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
     fraction = split_of(line, diffuse, zenith).fraction
     if ALONG_TRACK not in fraction.dims:
-        return none
+        return no_sun
     record = line["irradiance"]
-    # a channel that some samples lack would move their means
+    # a channel missing in some samples would shift their means
     level = record.mean([dim for dim in record.dims if dim != IRRADIANCE_TIME], skipna=False).values
     if not np.nanmin(level) < GAPS.max_dip * np.nanmax(level):
-        return none
-    seen = fraction.isel({BAND: infrared}).mean(BAND).values
+        return no_sun
+    infrared_fraction = fraction.isel({BAND: infrared}).mean(BAND).values
     clear = float(diffuse_fraction(nm[infrared], zenith).mean())
-    free = _stays(np.asarray(seen < clear + GAPS.max_above_clear), level, line)
-    return FreeSun(free, float(seen[free].mean())) if free.any() else none
+    free = _stays(np.asarray(infrared_fraction < clear + GAPS.max_above_clear), level, line)
+    return FreeSun(free, float(infrared_fraction[free].mean())) if free.any() else no_sun
 
 
 def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
-    """Return the lines around which no sample of the record falls below what it is in free sun (line,)."""
+    """Return the lines around which every sample of the record has the level of free sun (line,)."""
     time, stamps = (
         line[name].values.astype("datetime64[ns]").astype(np.int64) for name in ("time", IRRADIANCE_TIME)
     )
     if not free.any():
         return free
-    known = np.isfinite(level)
-    stamps, level = stamps[known], level[known]
+    has_level = np.isfinite(level)
+    stamps, level = stamps[has_level], level[has_level]
     in_sun = np.median(np.interp(time[free], stamps, level))
     dark = stamps[level <= GAPS.min_of_free * in_sun]
     bounds = np.concatenate([[stamps[0]], dark, [stamps[-1]]])
@@ -98,10 +97,10 @@ def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
 def doubt_about_clouds(
     window: tuple[slice, slice], channels: Array, model: SceneModel, sun: FreeSun | None
 ) -> str:
-    """Return why the light of a car between broken clouds is not known; empty where it is.
+    """Return the reason why the light of a car under broken clouds is uncertain; empty where it is certain.
 
-    Takes ``window``: the part of the picture that it lies in; ``channels`` (line, column, channel):
-    reflectance [1]; ``sun``: see `sunny_lines`.
+    Takes ``window``: the part of the picture with the car; ``channels`` (line, column, channel): reflectance
+    [1]; ``sun``: see `sunny_lines`.
     """
     if sun is None:
         return ""
@@ -113,15 +112,15 @@ def doubt_about_clouds(
         )
     shape = channels.shape[:2]
     near = tuple(
-        slice(max(one.start - GAPS.around_px, 0), min(one.stop + GAPS.around_px, size))
-        for one, size in zip(window, shape, strict=True)
+        slice(max(part.start - GAPS.around_px, 0), min(part.stop + GAPS.around_px, size))
+        for part, size in zip(window, shape, strict=True)
     )
     infrared = model.channel_wavelength >= min(GAPS.infrared_nm, float(model.channel_wavelength.max()))
     brightness = channels[near][..., infrared].mean(axis=2)
     segment = model.segment[near]
     body = np.append(model.body, np.int32(-1))[segment]
     shaded = np.append(model.state == SHADED, False)[segment]
-    # sides of cars that are turned away from the sun are shaded, too
+    # only shadows on the ground: sides of cars turned away from the sun are shaded, too
     shaded &= np.append(model.ground > 0, False)[segment]
     fraction = _of_shadow(brightness, body, shaded)
     recorded = max(sun.fraction, GAPS.least_fraction)
@@ -136,7 +135,7 @@ def doubt_about_clouds(
 
 
 def _of_shadow(brightness: Array, body: Array, shaded: Bools) -> float | None:
-    """Return the diffuse fraction that the largest shadow shows; None without one beside its ground."""
+    """Return the diffuse fraction in the largest shadow; None without one beside its ground."""
     inside = shaded & (body >= 0) & np.isfinite(brightness)
     if not inside.any():
         return None

@@ -1,4 +1,4 @@
-"""Candidate regions: surfaces by their spectra, connected pieces of one body, and the measures of a piece."""
+"""Candidate regions: surfaces by their spectra, connected pieces of one body, and measures of a piece."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_opening, find_objects, label, uniform_filter
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
@@ -21,40 +22,36 @@ from .proposal_rules import SURFACES
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What segments of a scene model are by their spectra."""
+    """Classes of the segments of a scene model by their spectra."""
 
     level: Floats  #: (segment,): Mean reflectance [1].
-    #: (segment,): Whether it is like the largest body, or green as leaves.
+    #: (segment,): Whether it looks like the largest body, or like leaves.
     ground: Bools
     vegetation: Bools
 
     @classmethod
     def of(cls, model: SceneModel) -> Surfaces:
-        """Return those of a scene model."""
+        """Return the surfaces of a scene model."""
         spectrum = np.nan_to_num(model.spectrum)
         reference = np.nan_to_num(model.reference)
         length = np.linalg.norm(reference, axis=1, keepdims=True)
         direction = reference / np.maximum(length, 1e-9)
-        ground = _like_the_largest(model, direction, length[:, 0])
+        ground = np.zeros(0, bool)
+        if model.segments:
+            # ground: the largest body, and segments with its spectrum in any light
+            largest = largest_body(model)
+            level = length[:, 0] / max(float(length[largest, 0]), 1e-9)
+            like = (direction @ direction[largest] > SURFACES.min_ground_cosine) & (
+                np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
+            )
+            ground = np.asarray(like | (model.body == largest))
         leaves = is_vegetation(model.spectrum, model.channel_wavelength)
         return cls(spectrum.mean(axis=1), ground, leaves)
 
 
 def largest_body(model: SceneModel) -> int:
-    """Return the number of the body that most pixels show, which is taken for the ground."""
+    """Return the number of the body with most pixels, which is taken for the ground."""
     return int(np.argmax(np.bincount(model.body, weights=model.size, minlength=model.segments)))
-
-
-def _like_the_largest(model: SceneModel, direction: Floats, length: Floats) -> Bools:
-    """Return which segments are the largest body, or look like it, whatever their light (segment,)."""
-    if not model.segments:
-        return np.zeros(0, bool)
-    largest = largest_body(model)
-    level = length / max(float(length[largest]), 1e-9)
-    like = (direction @ direction[largest] > SURFACES.min_ground_cosine) & (
-        np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
-    )
-    return np.asarray(like | (model.body == largest))
 
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
@@ -62,7 +59,7 @@ _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.
 
 @dataclass(frozen=True)
 class Limits:
-    """What pixels of a region keep to; see `propose_regions`."""
+    """Limits for the pixels of a region; see `propose_regions`."""
 
     erode: int
     glint: float
@@ -74,22 +71,20 @@ class Limits:
 
 
 class Picture(NamedTuple):
-    """What is seen of a line."""
+    """A flight line prepared for proposals."""
 
     model: SceneModel  #: Its scene model.
     channels: Array  #: (line, column, channel): Reflectance in the model's channels [1].
     #: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
     layers: Mapping[str, Array]
-    zenith: float | None  #: Of the sun [degree]; None where it is not known.
-    shadow_side: Floats | None = None  #: (2,): Direction (line, column) in which shadows fall; None as well.
-    heights: HeightModel | None = None  #: None where the line has none.
-    sun: FreeSun | None = (
-        None  #: What the record says of it between clouds; None where these were not broken.
-    )
+    zenith: float | None  #: Zenith angle of the sun [degree]; None where unknown.
+    shadow_side: Floats | None = None  #: (2,): Direction (line, column) of shadows; None where unknown.
+    heights: HeightModel | None = None  #: Heights of the line, if it has them.
+    sun: FreeSun | None = None  #: Free sun between clouds in the record; None where clouds were not broken.
 
 
 def window_of(first: tuple[int, int], mask: Bools) -> tuple[slice, slice]:
-    """Return the part of a picture that a mask lies in whose first pixel is at a line and column."""
+    """Return the window of a mask in the picture, from the line and column of its first pixel."""
     (y, x), (lines, columns) = first, mask.shape
     return slice(y, y + lines), slice(x, x + columns)
 
@@ -103,7 +98,7 @@ class Piece(NamedTuple):
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The part of the picture that it lies in."""
+        """Window of the piece in the picture."""
         return window_of(self.first, self.inside)
 
     @property
@@ -113,15 +108,15 @@ class Piece(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """What is measured of a piece."""
+    """Measures of a piece."""
 
-    usable: Bools  #: (line, column): Pixels that a region can have: the largest connected set of them.
+    usable: Bools  #: (line, column): Pixels that a region can use: the largest connected set of them.
     spectrum: Floats  #: (channel,): Median of these [1].
-    lost: Mapping[str, float]  #: Share of the piece that is left out, by the reason.
-    pixels: int = 0  #: How many there are; what is measured of none is NaN.
+    lost: Mapping[str, float]  #: Share of the piece that is left out, by reason.
+    pixels: int = 0  #: Number of usable pixels; without any, the measures are NaN.
     angle: float = np.nan  #: Median spectral angle to the median [degree].
-    #: Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from pixel
-    #: to pixel, relative.
+    #: Brightness: half the range from the 5th to the 95th percentile, and the median change from pixel to
+    #: pixel, relative [1].
     spread: float = np.nan
     slope: float = np.nan
     #: Means over the usable pixels [1].
@@ -131,9 +126,7 @@ class Measures(NamedTuple):
 
 
 def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
-    """Yield the connected parts of bodies that have some pixels, in the order of bodies and lines."""
-    from scipy.ndimage import find_objects, label
-
+    """Yield the connected parts of bodies with at least ``least`` pixels, in order of bodies and lines."""
     body = np.append(model.body, np.int32(-1))[model.segment]
     shaded = np.append(model.state == SHADED, False)[model.segment]
     inside = (model.edge_distance > erode) & ~shaded & (body >= 0)
@@ -151,10 +144,10 @@ def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
 
 
 def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats | None = None) -> Measures:
-    """Return what is measured of a piece, and which of its pixels a region can have.
+    """Return the measures of a piece, with the pixels that a region can use.
 
-    ``brightness`` (line, column) is that of the piece's window, relative to what is level [1]; to its median
-    unless given.
+    ``brightness`` (line, column): of the piece's window, relative to its level part [1]; by default relative
+    to its median.
     """
     here = {name: layer[piece.window] for name, layer in picture.layers.items()}
     seen = picture.channels[piece.window].astype(np.float64)
@@ -167,9 +160,9 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         "adjacency": ~(_smoothed(here["adjacency"], inside) <= limits.adjacency),
     }
     lit = inside & ~left_out["shadow"]
-    own, most = _brightness(seen, lit)
-    brightness = own if brightness is None else _smoothed(brightness, lit)
-    # of dark paint, a tilt changes next to nothing
+    own_brightness, most = _brightness(seen, lit)
+    brightness = own_brightness if brightness is None else _smoothed(brightness, lit)
+    # a tilt changes almost nothing on dark paint
     allowed = max(limits.brightness, SURFACES.min_change / max(most, 1e-6))
     left_out["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)
     usable = piece.inside.copy()
@@ -179,12 +172,6 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         usable &= ~mask
     usable = _largest(usable)
     lost = {name: share for name, share in lost.items() if share}
-    return _measures(usable, seen, brightness, here, lost)
-
-
-def _measures(
-    usable: Bools, seen: Floats, brightness: Floats, here: Mapping[str, Array], lost: Mapping[str, float]
-) -> Measures:
     count = int(usable.sum())
     if not count:
         return Measures(usable, np.full(seen.shape[2], np.nan), lost)
@@ -193,26 +180,28 @@ def _measures(
     length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
     angles = np.degrees(np.arccos(np.clip(values @ middle / np.maximum(length, 1e-12), -1.0, 1.0)))
     low, high = np.quantile(brightness[usable], [0.05, 0.95])
-    steps = [np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)]
-    joined = np.concatenate(steps)
+    # steps between neighbouring pixels along both axes
+    both = (usable[1:] & usable[:-1], usable[:, 1:] & usable[:, :-1])
+    joined = np.concatenate([np.abs(np.diff(brightness, axis=axis))[both[axis]] for axis in (0, 1)])
     glint, shadow, adjacency = (
         float(here[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")
     )
     return Measures(
-        usable, middle, lost, pixels=count, angle=float(np.median(angles)), spread=0.5 * float(high - low),
-        slope=float(np.median(joined)) if joined.size else 0.0, glint=glint, shadow=shadow,
+        usable,
+        middle,
+        lost,
+        pixels=count,
+        angle=float(np.median(angles)),
+        spread=0.5 * float(high - low),
+        slope=float(np.median(joined)) if joined.size else 0.0,
+        glint=glint,
+        shadow=shadow,
         adjacency=adjacency,
-    )  # fmt: skip
-
-
-def _both(mask: Bools, axis: int) -> Bools:
-    return np.asarray(mask[1:] & mask[:-1] if axis == 0 else mask[:, 1:] & mask[:, :-1])
+    )
 
 
 def _smoothed(values: Array, valid: Bools) -> Floats:
-    """Return means over a square of what is known (line, column); NaN where nothing is."""
-    from scipy.ndimage import uniform_filter
-
+    """Return means of valid values over a square (line, column); NaN without valid values."""
     valid = valid & np.isfinite(values)
     total = uniform_filter(
         np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
@@ -223,7 +212,7 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
 
 
 def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
-    """Return how bright pixels are, relative to the median (line, column), and its largest reflectance."""
+    """Return the brightness of pixels relative to the median (line, column), and its largest reflectance."""
     if not valid.any():
         return np.full(valid.shape, np.nan), np.nan
     middle = np.median(seen[valid], axis=0)
@@ -232,9 +221,7 @@ def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
 
 
 def _largest(mask: Bools) -> Bools:
-    """Return the largest connected part of a mask without what is narrower than three pixels."""
-    from scipy.ndimage import binary_opening, label
-
+    """Return the largest connected part of a mask without parts narrower than three pixels."""
     opened = binary_opening(mask, np.ones((3, 3), bool))
     parts, count = label(opened)
     if not count:

@@ -1,4 +1,4 @@
-"""Cars: which pieces of paint belong to the same one, which part is its roof, and which part is proposed."""
+"""Cars: pieces of paint that belong to the same car, its roof, and the part that is proposed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.surroundings import SceneModel
@@ -24,28 +25,28 @@ from .roofs import NoRoof, Roof, find_roof
 
 @dataclass(eq=False)
 class Car:
-    """Pieces of the picture that are of one car."""
+    """Pieces of the picture that belong to one car."""
 
     pieces: list[Piece]
-    #: What is seen of it around one of them, whether windows show that it is one or not; None where its
-    #: colour goes on beyond any car.
+    #: Footprint around one of the pieces, with or without visible windows; None where its colour extends
+    #: beyond any car.
     footprint: Footprint | None = None
     roof: Roof | None = None
-    #: Why there is no roof.
+    #: Reason why there is no roof.
     reason: str = "its colour goes on beyond any car: nothing says that it belongs to one"
     is_car: bool = False  #: Whether windows show that it is one.
 
 
 def _is_certain(footprint: Footprint, roof: Roof) -> bool:
-    """Return whether a roof lies between windows, or behind a windscreen, on what is one car's size."""
+    """Return whether a roof lies between windows, or behind a windscreen, on a footprint of one car."""
     return footprint.is_one_car and (roof.complete or roof.sided)
 
 
 def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
-    """Return the cars that pieces of paint are of, the surest first.
+    """Return the cars of pieces of paint, the most certain first.
 
-    The largest pieces are looked around first, those dark as windows last. What shows a roof for certain is a
-    car; what shows less is one only where no such car is.
+    The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
+    car; a piece with less evidence is one only where no certain car is.
     """
     lot = _Lot(scene)
 
@@ -57,32 +58,29 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     sizes = [seen.size for seen in lot.certain]
     largest = CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
     again = lot.look([_Seen(piece) for piece in lot.drop(largest)], WAYS[:4], largest)
-    best = lot.look([one.unless_larger(largest) for one in best + again], WAYS[4:], largest)
-    for seen in sorted(best, key=lambda one: one.rank, reverse=True):
+    best = lot.look([candidate.unless_larger(largest) for candidate in best + again], WAYS[4:], largest)
+    for seen in sorted(best, key=lambda candidate: candidate.rank, reverse=True):
         if not lot.has(seen.piece):
             lot.add(seen)
     return lot.cars
 
 
+#: Rank of a roof between windows, or behind a windscreen, on a footprint of one car.
 _CERTAIN = 5
-"""Rank of a roof between windows, or behind a windscreen, on what has the proportions of one car."""
 
 
 class _Seen(NamedTuple):
-    """What is seen around a piece: the car, and its roof."""
-
     piece: Piece
     footprint: Footprint | None = None
     roof: Roof | NoRoof = NoRoof(Car.reason, False)
 
     @property
     def size(self) -> int:
-        """Pixels of the car."""
         return 0 if self.footprint is None else int(self.footprint.whole.sum())
 
     @property
     def rank(self) -> tuple[int, int]:
-        """How surely it is a car, and its pixels."""
+        """Certainty that it is a car, and its pixels."""
         if self.footprint is None:
             return 0, 0
         if isinstance(self.roof, NoRoof):
@@ -92,7 +90,7 @@ class _Seen(NamedTuple):
         return _CERTAIN - int(not _is_certain(self.footprint, self.roof)), self.size
 
     def unless_larger(self, largest: float) -> _Seen:
-        """Return this, or that it is no car where it has more pixels than cars have."""
+        """Return this, or a refusal where it has more pixels than a car."""
         if self.size <= largest:
             return self
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
@@ -100,17 +98,15 @@ class _Seen(NamedTuple):
 
 
 class _Lot:
-    """Cars, and which of them every pixel is of."""
-
     def __init__(self, scene: Scene) -> None:
         self.cars: list[Car] = []
-        self.certain: list[_Seen] = []  #: What the first of them were seen as.
+        self.certain: list[_Seen] = []  #: Certain cars, the first of `cars`.
         self._scene = scene
         self._whole = np.full(scene.level.shape, -1, np.int32)
         self._paint = self._whole.copy()
 
     def look(self, waiting: list[_Seen], ways: Sequence[Way], largest: float) -> list[_Seen]:
-        """Add the cars that are certain; return the best that is seen around all other pieces."""
+        """Add the cars that are certain; return the best candidates around all other pieces."""
         unsure = []
         for best in waiting:
             if self.has(best.piece):
@@ -125,17 +121,17 @@ class _Lot:
         return unsure
 
     def drop(self, largest: float) -> list[Piece]:
-        """Take away the cars of more pixels, which are several beside each other; return their pieces."""
-        kept = [seen.size <= largest for seen in self.certain]
-        numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)
+        """Remove the cars with more pixels, which are several side by side; return their pieces."""
+        is_kept = [seen.size <= largest for seen in self.certain]
+        numbers = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1).astype(np.int32)
         self._whole, self._paint = numbers[self._whole], numbers[self._paint]
-        dropped = [car for car, keep in zip(self.cars, kept, strict=True) if not keep]
-        self.cars = [car for car, keep in zip(self.cars, kept, strict=True) if keep]
-        self.certain = [seen for seen, keep in zip(self.certain, kept, strict=True) if keep]
+        dropped = [car for car, keep in zip(self.cars, is_kept, strict=True) if not keep]
+        self.cars = [car for car, keep in zip(self.cars, is_kept, strict=True) if keep]
+        self.certain = [seen for seen, keep in zip(self.certain, is_kept, strict=True) if keep]
         return [piece for car in dropped for piece in car.pieces]
 
     def has(self, piece: Piece) -> bool:
-        """Give a piece to the car whose paint or windows it lies on, and tell whether there is one."""
+        """Assign a piece to the car whose paint or windows it lies on; return whether there is one."""
         for plane, least in ((self._paint, CARS.min_piece_share), (self._whole, CARS.min_window_share)):
             numbers = plane[piece.window][piece.inside]
             if (numbers >= 0).mean() > least:
@@ -144,7 +140,7 @@ class _Lot:
         return False
 
     def add(self, seen: _Seen) -> bool:
-        """Add a piece to the car that is there, or as a new one, and tell whether it is new."""
+        """Add a piece to the car at its place, or as a new car; return whether it is new."""
         footprint, roof = seen.footprint, seen.roof
         number = len(self.cars) if footprint is None else self._same(footprint)
         if number < len(self.cars):
@@ -155,7 +151,7 @@ class _Lot:
         else:
             self.cars.append(Car([seen.piece], footprint, roof, is_car=True))
         if footprint is not None and self.cars[-1].is_car:
-            # what is no car, such as ground that looks like no other, holds none
+            # only cars hold pieces: other footprints, such as unusual ground, do not
             for plane, mask in (
                 (self._whole, footprint.whole),
                 (self._paint, footprint.whole & footprint.paint),
@@ -165,7 +161,7 @@ class _Lot:
         return True
 
     def _same(self, footprint: Footprint) -> int:
-        """Return the number of the car that a footprint lies on, that of a new one if none."""
+        """Return the number of the car under a footprint, or the next number without one."""
         numbers = self._whole[footprint.window][footprint.whole]
         numbers = numbers[numbers >= 0]
         if not numbers.size:
@@ -173,12 +169,12 @@ class _Lot:
         shared = np.bincount(numbers)
         number = int(shared.argmax())
         other = self.cars[number].footprint
-        least = min(int(one.whole.sum()) for one in (footprint, other) if one is not None)
+        least = min(int(item.whole.sum()) for item in (footprint, other) if item is not None)
         return number if shared[number] > CARS.min_overlap * least else len(self.cars)
 
 
 def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float) -> _Seen:
-    """Return what is seen around a piece, and its roof: the first that is certain of what may be joined."""
+    """Return the best car and roof around a piece: the first certain one among all ways to join its parts."""
     piece = best.piece
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
     for footprint in footprints_of(piece.inside, piece.first, colour, scene, ways):
@@ -191,33 +187,33 @@ def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float)
 
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
-    """Return the verdicts on a car's roof and of the other pieces of its paint; at most one is proposed."""
-    judged = []
+    """Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed."""
+    roofs = []
     if car.roof is not None and car.footprint is not None:
-        one = _judge_roof(car.footprint, car.roof, picture, limits)
-        if one is not None:
-            judged.append(one)
-    panels = [_judge_panel(piece, car, picture, limits) for piece in car.pieces]
-    for one in judged + panels:
-        doubt = doubt_about_clouds(one.piece.window, picture.channels, picture.model, picture.sun)
+        judged_piece = _judge_roof(car.footprint, car.roof, picture, limits)
+        if judged_piece is not None:
+            roofs.append(judged_piece)
+    parts = [_judge_part(piece, car, picture, limits) for piece in car.pieces]
+    for judged_piece in roofs + parts:
+        doubt = doubt_about_clouds(judged_piece.piece.window, picture.channels, picture.model, picture.sun)
         if doubt:
-            one.verdict.objections.append(doubt)
-    best = next((one for one in judged if not one.verdict.objections), None)
-    if best is None and judged and judged[0].measures.pixels:
-        # what makes the level part wrong lies on the others, too
-        for one in panels:
-            one.verdict.objections.append("the roof of the same car is refused")
+            judged_piece.verdict.objections.append(doubt)
+    best = next((judged_piece for judged_piece in roofs if not judged_piece.verdict.objections), None)
+    if best is None and roofs and roofs[0].measures.pixels:
+        # an error of the level part affects the others, too
+        for judged_piece in parts:
+            judged_piece.verdict.objections.append("the roof of the same car is refused")
     elif best is None:
-        good = [one for one in panels if not one.verdict.objections]
-        best = max(good, key=lambda one: one.verdict.score, default=None)
-    for one in panels:
-        if best is not None and one is not best and not one.verdict.objections:
-            one.verdict.objections.append(better_part(best))
-    return judged + panels
+        acceptable = [judged_piece for judged_piece in parts if not judged_piece.verdict.objections]
+        best = max(acceptable, key=lambda judged_piece: judged_piece.verdict.score, default=None)
+    for judged_piece in parts:
+        if best is not None and judged_piece is not best and not judged_piece.verdict.objections:
+            judged_piece.verdict.objections.append(better_part(best))
+    return roofs + parts
 
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Judged | None:
-    """Return what is thought of a roof; None where nothing of it is away from edges."""
+    """Return the verdict on a roof; None where all of it is near edges."""
     piece = _piece_of(footprint, roof, picture.model, limits.erode)
     if piece is None:
         return None
@@ -248,12 +244,12 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
         measures = measured(piece, picture, allowed, relative)
         if measures.pixels >= limits.min_pixels:
             break
-    # how far the pixels that are left are off what is level
+    # offset of the used pixels from the level part
     off = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    known = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
-    judge_level(verdict, measures, picture, lean.sd, known)
-    judge_finish(verdict, measures, picture, known, difference_of(piece, picture, relative))
+    roof_level = Level(float(np.hypot(level.sd, off)), level.along_change, level.across_change)
+    judge_level(verdict, measures, picture, lean.sd, roof_level)
+    judge_finish(verdict, measures, picture, roof_level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
     _judge_windows(verdict, footprint, roof, picture)
@@ -267,16 +263,16 @@ def _holds(mask: Bools, place: tuple[float, float]) -> bool:
 
 
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
-    """Object where a window, or a bed, may be taken for a black roof."""
+    """Object where a window or a bed may be mistaken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
-    own = float(np.nanmedian(level[footprint.paint & footprint.whole]))
-    step = own - roof.window_level
-    if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * own):
+    paint_level = float(np.nanmedian(level[footprint.paint & footprint.whole]))
+    step = paint_level - roof.window_level
+    if step < max(JUDGING.min_window_step, JUDGING.min_window_contrast * paint_level):
         verdict.objections.append(
             f"windows beside it are darker by {step:.4f} only: it may be a window itself; draw a region "
             "by hand"
         )
-    if own >= SURFACES.dark:
+    if paint_level >= SURFACES.dark:
         return
     rest = footprint.paint & footprint.whole & ~roof.inside
     ratio = float(np.nanmedian(level[roof.inside]) / np.nanmedian(level[rest])) if rest.any() else np.nan
@@ -288,12 +284,10 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
-    """Return the pixels of a roof that are away from what has another colour.
+    """Return the pixels of a roof that are away from other colours.
 
-    What is brighter than the paint is elsewhere is paint, too: in the lobe of flakes, or in glint.
+    Pixels brighter than the paint elsewhere count as paint: they lie in the lobe of flakes, or in glint.
     """
-    from scipy.ndimage import distance_transform_edt
-
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
@@ -307,7 +301,7 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
     return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
 
-def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Judged:
+def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Judged:
     measures = measured(piece, picture, limits)
     verdict = Verdict()
     if not car.is_car:
@@ -325,7 +319,12 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
     unseen = Level(along_change=JUDGING.unseen_change * direct_share(picture), is_seen=False)
     judge_level(verdict, measures, picture, JUDGING.panel_deg, unseen)
     _compare_with_car(verdict, measures, car, picture)
-    if measures.pixels and _is_as_ground(measures.spectrum, picture.model):
+    # a spectrum like the ground's, lit or in shade
+    ground = np.nan_to_num(picture.model.reference[largest_body(picture.model)])
+    length, ground_length = float(np.linalg.norm(measures.spectrum)), float(np.linalg.norm(ground))
+    cosine = float(measures.spectrum @ ground) / max(length * ground_length, 1e-9)
+    max_length = float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * ground_length
+    if measures.pixels and cosine > FOOTPRINTS.min_cosine and length < max_length:
         verdict.objections.append(
             "its colour is that of the ground, and it is no brighter; draw a region by hand"
         )
@@ -334,26 +333,20 @@ def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ju
     return Judged(piece, measures, verdict)
 
 
-def _is_as_ground(spectrum: Floats, model: SceneModel) -> bool:
-    """Return whether a spectrum is that of the ground, lit or in some shade."""
-    ground = np.nan_to_num(model.reference[largest_body(model)])
-    own, other = float(np.linalg.norm(spectrum)), float(np.linalg.norm(ground))
-    cosine = float(spectrum @ ground) / max(own * other, 1e-9)
-    return cosine > FOOTPRINTS.min_cosine and own < float(np.exp(FOOTPRINTS.max_ground_log_ratio)) * other
-
-
 def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:
-    """Object to a part of another colour than the rest of its car, or far brighter or darker."""
+    """Object to a part with another colour than the rest of its car, or far brighter or darker."""
     footprint = car.footprint
     if footprint is None or not measures.pixels:
         return
     of = footprint.paint & footprint.whole if car.roof is None else car.roof.inside
-    other = np.nanmedian(picture.channels[footprint.window][of], axis=0)
-    own = measures.spectrum
-    cosine = float(own @ other) / max(float(np.linalg.norm(own) * np.linalg.norm(other)), 1e-9)
+    car_spectrum = np.nanmedian(picture.channels[footprint.window][of], axis=0)
+    spectrum = measures.spectrum
+    cosine = float(spectrum @ car_spectrum) / max(
+        float(np.linalg.norm(spectrum) * np.linalg.norm(car_spectrum)), 1e-9
+    )
     zenith = 45.0 if picture.zenith is None else picture.zenith
     slope = direct_share(picture) * float(np.tan(np.radians(zenith)))
-    ratio = float(own.mean() / other.mean())
+    ratio = float(spectrum.mean() / car_spectrum.mean())
     allowed = max(CARS.max_step, CARS.max_lean * slope)
     if cosine < FOOTPRINTS.min_cosine:
         verdict.objections.append(
@@ -367,7 +360,6 @@ def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: P
 
 
 def _mean_level(measures: Measures) -> float:
-    """Return the mean reflectance of a piece [1]; 0 of none."""
     spectrum: Floats = measures.spectrum
     return float(spectrum.mean()) if measures.pixels else 0.0
 

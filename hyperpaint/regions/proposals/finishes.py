@@ -1,4 +1,4 @@
-"""Whether a roof is painted in a solid colour or with flakes, by how its light changes over its crown."""
+"""Finish of a roof, solid or with flakes, from the change of its light over its crown."""
 
 from __future__ import annotations
 
@@ -16,55 +16,60 @@ from .proposal_rules import FOOTPRINTS
 
 @dataclass(frozen=True)
 class FinishRules:
-    """When a finish is stated. Changes are those with lean, 1/rad, as the crown of a roof shows them.
+    """Thresholds of a finish. Changes are relative to lean, 1/rad, as the crown of a roof shows them.
 
     A solid body changes by f_dir d ln(cos t (1 - F(t))) / dt =: s under a sun at t; flakes of the fleet's
     kinds (flop index 3 and more) change by 1 to 10 near the sun's mirror direction, and by some s far off it.
     """
 
-    min_direct: float = 0.5  #: Direct share of the light from which on its lobe shows [1].
-    max_zenith_deg: float = 62.0  #: Of the sun; below, the shade of a roof on itself changes its light, too.
-    min_level: float = 0.06  #: Mean reflectance of a roof whose brightness is not that of dust and sky [1].
-    #: Flakes are certain beyond this many s and `offset`, across a roof: its crown is known to a third.
+    min_direct: float = 0.5  #: Minimum direct share of the light for a visible lobe [1].
+    #: Largest zenith angle of the sun: under a lower sun a roof shades itself [degree].
+    max_zenith_deg: float = 62.0
+    min_level: float = 0.06  #: Minimum mean reflectance of a roof: below, dust and sky dominate [1].
+    #: Change across a roof, in s and beyond `offset`, above which it has flakes: its crown is known to a
+    #: third.
     metallic_across: float = 1.7
     #: The same along it, where roofs of one length are bent unlike by a factor of three, and under a sun from
     #: `solid_zenith_deg` on, where no gloss of a rough coat lies on part of it.
     metallic_along: float = 5.0
-    offset: float = 0.5  #: What dust, glint and neighbours change in a radian, beside that [1].
-    #: A roof that changes by less in every direction, with the sun between both angles, is solid: flakes
-    #: change by more than 2 there, and white pearl by 0.7.
+    offset: float = 0.5  #: Additional change by dust, glint and neighbours [1/rad].
+    #: Largest change in any direction of a solid roof, with the sun between the two angles below: flakes
+    #: change by more than 2 there, and white pearl by 0.7 [1/rad].
     max_solid_change: float = 0.45
-    solid_zenith_deg: tuple[float, float] = (20.0, 32.0)  #: Those angles; nearer, a lobe's peak may be level.
-    #: What is coloured shows its finish where bright and dark part differ: flat part of the difference of a
-    #: solid paint, at most, and of flakes, which mirror all colours, at least; in between it is either.
+    solid_zenith_deg: tuple[float, float] = (
+        20.0,
+        32.0,
+    )  #: These angles [degree]; nearer, a lobe's peak may be level.
+    #: Flat (grey) part of the difference between the bright and the dark part of a coloured roof: largest for
+    #: solid paint, and smallest for flakes, which mirror all colours; in between the finish is unknown [1].
     max_flat_share: float = 0.13
     metallic_flat_share: float = 0.33
-    #: Sun's zenith angle up to which that says solid [degree]: beyond, most of the light that changes with
-    #: lean is the body's, whatever flakes there are.
+    #: Largest zenith angle of the sun at which this shows solid paint [degree]: beyond, most of the change
+    #: with lean comes from the body even with flakes.
     max_coloured_zenith_deg: float = 45.0
-    min_colour: float = 0.35  #: Standard deviation of a spectrum over its mean from which it is coloured [1].
-    min_contrast: float = 0.2  #: Of the bright and the dark part: less does not show the difference [1].
-    #: Change across and along beyond which colour alone does not say solid, in s.
+    min_colour: float = 0.35  #: Minimum standard deviation over mean of a coloured spectrum [1].
+    min_contrast: float = 0.2  #: Minimum contrast of the bright and the dark part [1].
+    #: Largest change across and along at which colour alone shows solid paint, in s.
     max_coloured: tuple[float, float] = (1.3, 2.0)
-    min_px: int = 60  #: Pixels of a roof of which quarters are compared.
+    min_px: int = 60  #: Minimum number of pixels of a roof whose quarters are compared.
 
 
 FINISHES = FinishRules()
 
 
 class Difference(NamedTuple):
-    """How the bright part of a panel differs from its dark one."""
+    """Difference of the bright and the dark part of a roof."""
 
-    flat_share: float  #: Flat part of the difference over the mean of what has the panel's own colour [1].
-    contrast: float  #: Length of the difference over that of the panel's spectrum [1].
+    flat_share: float  #: Flat part of the difference over the whole difference [1].
+    contrast: float  #: Length of the difference over the length of the mean spectrum [1].
 
 
 def difference_of(piece: Piece, picture: Picture, relative: Floats) -> Difference | None:
-    """Return how the brightest quarter of a roof differs from its darkest; None where too little is seen.
+    """Return the difference of the brightest and darkest quarters of a roof; None with too few pixels.
 
-    Of a solid body r under a lean b the direct light changes, d = f_dir (r s b + g), g being flat: the sun in
-    the coat. Flakes add to g what they mirror. Takes ``relative`` (line, column): brightness over that of the
-    level part; what is over 1.6 or under 0.5 of it is glint or another part.
+    For a solid body r under a lean b the direct light changes, d = f_dir (r s b + g), with a flat part g: the
+    sun in the coat. Flakes add their reflection to g. Takes ``relative`` (line, column): brightness over that
+    of the level part; values over 1.6 or under 0.5 are glint or another part.
     """
     diffuse = picture.model.diffuse_fraction
     chosen = piece.inside & (np.abs(relative - 1.05) < 0.55)
@@ -74,10 +79,10 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> Differenc
     seen = picture.channels[piece.window][chosen].astype(np.float64) - sky
     low, high = np.quantile(relative[chosen], [0.25, 0.75])
     difference = seen[relative[chosen] >= high].mean(axis=0) - seen[relative[chosen] <= low].mean(axis=0)
-    own, direct = seen.mean(axis=0), 1.0 - diffuse
-    coloured, flat = np.linalg.lstsq(np.stack([own * direct, direct], axis=1), difference, rcond=None)[0]
-    parts = float(coloured * (own * direct).mean()), float(flat * direct.mean())
-    contrast = float(np.linalg.norm(difference)) / max(float(np.linalg.norm(own)), 1e-9)
+    spectrum, direct = seen.mean(axis=0), 1.0 - diffuse
+    coloured, flat = np.linalg.lstsq(np.stack([spectrum * direct, direct], axis=1), difference, rcond=None)[0]
+    parts = float(coloured * (spectrum * direct).mean()), float(flat * direct.mean())
+    contrast = float(np.linalg.norm(difference)) / max(float(np.linalg.norm(spectrum)), 1e-9)
     return Difference(parts[1] / max(abs(sum(parts)), 1e-9), contrast)
 
 
@@ -108,9 +113,9 @@ def judge_finish(
 
 
 def _judge_colours(verdict: Verdict, difference: Difference, steady: bool) -> None:
-    """State the finish of coloured paint, by how its bright and its dark part differ.
+    """State the finish of coloured paint from the difference of its bright and its dark part.
 
-    Takes ``steady``: whether it changes with lean no more than a solid paint does, where flakes would.
+    Takes ``steady``: whether its change with lean is no larger than for a solid paint.
     """
     if difference.contrast < FINISHES.min_contrast:
         return

@@ -1,4 +1,4 @@
-"""The whole of a car around a piece of its paint: what has its colour, and what that encloses."""
+"""Footprint of a car around a piece of its paint: all pixels of its colour, and the area they enclose."""
 
 from __future__ import annotations
 
@@ -7,6 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import (
+    binary_closing,
+    binary_fill_holes,
+    binary_opening,
+    distance_transform_edt,
+    label,
+    minimum,
+)
+from scipy.spatial import ConvexHull
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
@@ -18,11 +27,11 @@ _ROUNDING = 1e-6
 
 
 class Way(NamedTuple):
-    """What belongs to a car besides what touches."""
+    """Rules for joining parts of a car beyond those that touch."""
 
-    apart: bool = False  #: Without what only a thin bridge joins, such as a mirror and a bay line.
-    windows: bool = False  #: With all that nothing but what is dark lies between.
-    #: With what is far brighter or darker than the piece, as flakes are that lean otherwise.
+    apart: bool = False  #: Without parts joined by a thin bridge only, such as a mirror and a bay line.
+    windows: bool = False  #: With all parts separated by dark pixels only.
+    #: With far brighter or darker parts, such as flakes at another lean.
     wide: bool = False
 
 
@@ -35,30 +44,30 @@ WAYS = tuple(
 
 
 class Scene(NamedTuple):
-    """What is seen, for the whole picture."""
+    """The whole picture, prepared for footprints."""
 
     channels: Array  #: (line, column, channel): Reflectance [1].
-    sky: Array  #: (channel,): What a level clear coat mirrors of the sky [1].
+    sky: Array  #: (channel,): Sky mirrored by a level clear coat, in reflectance [1].
     level: Array  #: (line, column): Mean reflectance [1].
     ground: Floats  #: (channel,): Reflectance of the largest body [1].
 
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
-        """Return that of a line's channels (line, column, channel) and its model."""
+        """Return the scene of a line's channels (line, column, channel) and its model."""
         sky = (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
         ground = np.nan_to_num(model.reference[largest_body(model)])
         return cls(channels, sky, channels.mean(axis=2), ground)
 
     def without_sky(self, window: tuple[slice, slice]) -> Floats:
-        """Return the reflectance of a part of the picture, less the mirrored sky [1]."""
+        """Return the reflectance in a window of the picture, less the mirrored sky [1]."""
         return np.asarray(self.channels[window] - self.sky, np.float64)
 
 
 class Footprint(NamedTuple):
-    """A car as it is seen from above."""
+    """A car seen from above."""
 
     first: tuple[int, int]  #: Line and column of the first pixel of the masks.
-    #: (line, column): Pixels of its colour; these and what they enclose, without what is thin.
+    #: (line, column): Pixels of its colour; these and the area they enclose, without thin parts.
     paint: Bools
     whole: Bools
     brightness: Floats  #: (line, column): Relative to the piece it was found from.
@@ -71,24 +80,24 @@ class Footprint(NamedTuple):
 
     @property
     def is_one_car(self) -> bool:
-        """Whether it has the proportions of a car, and is seen whole."""
+        """Whether it has the proportions of a car, and lies wholly in the picture."""
         least, most = FOOTPRINTS.slenderness
         return not self.cut and least < self.length / self.width < most
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """The part of the picture that the masks are of."""
+        """Window of the masks in the picture."""
         return window_of(self.first, self.whole)
 
 
 def footprints_of(
     inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, ways: Sequence[Way]
 ) -> Iterator[Footprint]:
-    """Yield the car that a piece of paint is of, in some ways; none where its colour goes on without an end.
+    """Yield the footprint of the car of a piece of paint, for each way whose colour ends within the margin.
 
     Takes ``inside`` (line, column): the piece; ``first``: line and column of its first pixel; ``colour``
-    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``ways``: which parts of
-    its colour belong together.
+    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: the picture; ``ways``: rules for
+    joining parts.
     """
     shape = np.array(scene.level.shape)
     looks: dict[tuple[int, bool], _Like] = {}
@@ -118,7 +127,7 @@ def footprints_of(
 
 
 class _Like(NamedTuple):
-    """Which pixels have a colour, look like the ground, are dark beside that colour; how bright they are."""
+    """Masks of pixels with a colour, like the ground, and dark beside that colour; their brightness."""
 
     paint: Bools
     ground: Bools
@@ -129,37 +138,29 @@ class _Like(NamedTuple):
 def _like(colour: Floats, scene: Scene, window: tuple[slice, slice], wide: bool) -> _Like:
     seen = scene.without_sky(window)
     length = np.maximum(np.linalg.norm(seen, axis=2), 1e-9)
-    own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
-    brightness = (seen @ colour) / own**2
-    like = brightness * own / length
+    colour_length, ground_length = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
+    brightness = (seen @ colour) / colour_length**2
+    like = brightness * colour_length / length
     is_dark = float(colour.mean()) < SURFACES.dark
     least, most = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide]
     paint = (like > FOOTPRINTS.min_cosine) & (brightness > least) & (brightness < most)
-    as_ground = (seen @ scene.ground) / (length * ground)
-    near = np.abs(np.log(length / ground)) < FOOTPRINTS.max_ground_log_ratio
+    as_ground = (seen @ scene.ground) / (length * ground_length)
+    near = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
     paint &= (like > as_ground) | ~near
     return _Like(
         paint,
         ~paint & near & (as_ground > FOOTPRINTS.min_cosine),
-        ~paint & (length < least * own),
+        ~paint & (length < least * colour_length),
         brightness,
     )
 
 
 def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
-    """Return what lies between the thick parts of a connected colour, those of a seed's car.
+    """Return the area between the thick parts of a connected colour that belong to a seed's car.
 
-    Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
-    seed.
+    Bay lines and mirrors are thin. Where there is ground in between, only the area that the colour encloses
+    around the seed.
     """
-    from scipy.ndimage import (
-        binary_closing,
-        binary_fill_holes,
-        binary_opening,
-        distance_transform_edt,
-        label,
-    )
-
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
     padded = np.pad(like.paint | seed, gap)
@@ -168,10 +169,10 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
     joined = closed | like.dark if way.windows else closed
     parts, _ = label(joined, square)
-    own = np.unique(parts[seed])
-    filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
+    seed_parts = np.unique(parts[seed])
+    filled = binary_fill_holes(closed & np.isin(parts, seed_parts[seed_parts > 0]))
     depth = distance_transform_edt(filled)
-    # the depth where the seed is: a wall that the car touches may be wider
+    # depth at the seed: a wall that the car touches may be wider
     thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > thick, square)
     sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
@@ -183,20 +184,18 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
 def _gathered(
     cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
 ) -> Bools:
-    """Return what lies between a part and those around it, as far as it may be one car."""
-    from scipy.ndimage import distance_transform_edt, minimum
-
+    """Return the area between a part and those around it that may belong to one car."""
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
-    left = [int(one) for one in np.flatnonzero(sizes > thick * thick) if one not in (0, first)]
+    remaining = [int(core) for core in np.flatnonzero(sizes > thick * thick) if core not in (0, first)]
     gaps: dict[int, float] = {}
-    while left:
+    while remaining:
         if not gaps:
             away = distance_transform_edt(~whole)
-            gaps = dict(zip(left, minimum(away, cores, left).tolist(), strict=True))
-        nearest = min(left, key=lambda one: (gaps[one], one))
-        left.remove(nearest)
+            gaps = dict(zip(remaining, minimum(away, cores, remaining).tolist(), strict=True))
+        nearest = min(remaining, key=lambda core: (gaps[core], core))
+        remaining.remove(nearest)
         wider = whole | (cores == nearest)
         if gaps[nearest] > FOOTPRINTS.max_apart * float(depth[wider].max()):
             break
@@ -208,12 +207,12 @@ def _gathered(
 
 
 def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
-    """Return what of a mask is within a distance [pixel] of its core."""
-    from scipy.ndimage import distance_transform_edt
-
+    """Return the pixels of a mask within a distance [pixel] of its core."""
     reach = int(np.ceil(thick))
     lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
-    near = tuple(slice(max(int(one[0]) - reach, 0), int(one[-1]) + reach + 1) for one in (lines, columns))
+    near = tuple(
+        slice(max(int(places[0]) - reach, 0), int(places[-1]) + reach + 1) for places in (lines, columns)
+    )
     grown = np.zeros_like(core)
     grown[near] = (distance_transform_edt(~core[near]) <= thick) & filled[near]
     return grown
@@ -221,14 +220,12 @@ def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
 
 def hull_of(mask: Bools) -> Bools:
     """Return the convex hull of a mask (line, column)."""
-    from scipy.spatial import ConvexHull
-
     points = _border(mask)
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return mask
     down, right, offset = ConvexHull(points).equations.T
     lines, columns = mask.shape
-    # where every line meets the sides: sides to its right end it, those to its left begin it
+    # intersections of every line with the sides: sides on its right end it, those on its left begin it
     reach = -(np.arange(lines)[:, None] * down + offset)
     steep = np.where(np.abs(right) > _ROUNDING, right, np.nan)
     last = np.where(right > _ROUNDING, reach / steep, np.inf).min(axis=1)
@@ -257,7 +254,6 @@ class _Rectangle(NamedTuple):
 
 
 def _rectangle(mask: Bools) -> _Rectangle:
-    """Return axis, centre, length and width of the smallest rectangle around a mask."""
     points = _border(mask)
     turn = np.radians(np.arange(0.0, 90.0, FOOTPRINTS.turn_deg))
     axes = np.stack([np.sin(turn), np.cos(turn)], axis=1)

@@ -1,4 +1,4 @@
-"""What a piece of the scene is, whether its signature would be right, and how good a region it makes."""
+"""Kind of a piece of the scene, uncertainty of its signature, and its quality as a region."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from .proposal_rules import FOOTPRINTS, JUDGING
 
 @dataclass
 class Verdict:
-    """What is thought of a piece."""
+    """Verdict on a piece."""
 
-    kind: str = ""  #: "roof", "panel", "metallic"; empty where nothing says that it is a car's.
-    score: float = 0.0  #: 0 to 1, from what is measured.
-    #: What speaks for it, and what against; without objections it is proposed.
+    kind: str = ""  #: "roof", "panel", "metallic"; empty where it may not belong to a car.
+    score: float = 0.0  #: 0 to 1, from the measures.
+    #: Reasons for it and objections against it; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
-    finish: str = "unknown"  #: "solid", "metallic" where brightness and colour of a roof say so.
+    finish: str = "unknown"  #: "solid" or "metallic" where brightness and colour of a roof show it.
     level_sd: float = np.nan  #: Standard uncertainty of its level, relative [1].
     lean: float = np.nan  #: Standard deviation of its lean [degree].
     #: Whether it looks like leaves, a shadow or a window: refused, and listed after all others.
@@ -33,7 +33,7 @@ class Verdict:
 
 
 class Judged(NamedTuple):
-    """A piece, what is measured of it, and what is thought of it."""
+    """A piece, its measures and the verdict on it."""
 
     piece: Piece
     measures: Measures
@@ -41,17 +41,17 @@ class Judged(NamedTuple):
 
 
 class Level(NamedTuple):
-    """What is known of the brightness of a part where it is level, relative [1]."""
+    """Brightness of a part where it is level, relative [1]."""
 
-    sd: float = 0.0  #: By how much its pixels may be off that.
-    #: Its change a radian of lean along and across the car, as far as the crown of a roof shows it.
+    sd: float = 0.0  #: Standard uncertainty of its pixels' offset from it.
+    #: Its change a radian of lean along and across the car, estimated from the crown of a roof.
     along_change: float = 0.0
     across_change: float = 0.0
-    is_seen: bool = True  #: Whether that is seen, and not assumed.
+    is_seen: bool = True  #: Whether this change is measured, not assumed.
 
     @property
     def lean_change(self) -> float:
-        """Its change a radian of lean in the direction where it is largest."""
+        """Largest relative change over lean in any direction [1/rad]."""
         return float(np.hypot(self.along_change, self.across_change))
 
 
@@ -63,8 +63,8 @@ def direct_share(picture: Picture) -> float:
 def change_with_lean(zenith: float) -> float:
     """Return the relative change of the sun's light in a body under a coat for a lean towards it [1/rad].
 
-    Takes ``zenith``: angle of the sun to the panel's normal [degree]. It is -d ln(cos t (1 - F(t))) / dt:
-    tan t, and what the coat lets through of light that comes in steeper.
+    Takes ``zenith``: angle of the sun to the normal of the body part [degree]. The change is
+    -d ln(cos t (1 - F(t))) / dt: tan t, and the larger transmission of the coat for steeper light.
     """
     angles = np.radians(min(zenith, MAX_SUN_ZENITH_DEG)) + np.array([-1e-3, 1e-3])
     light = np.log(np.cos(angles) * (1.0 - interface_reflectance(np.degrees(angles))))
@@ -72,11 +72,10 @@ def change_with_lean(zenith: float) -> float:
 
 
 def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: float, level: Level) -> None:
-    """State how uncertain the level of a part is, and whether flakes show; object where it is too uncertain.
+    """State the uncertainty of the level of a part, and visible flakes; object where it is too uncertain.
 
-    A lean of small angle b towards the sun changes a body's light by some f_dir tan(zenith) b, and that of
-    flakes by more. By how much more tells how brightness changes over a roof, whose crown leans by known
-    angles.
+    A small lean b towards the sun changes a body's light by some f_dir tan(zenith) b, and the light of flakes
+    by more. The change of brightness over a roof, whose crown leans by known angles, shows by how much more.
     Takes ``rake``: standard deviation of a lean that no brightness shows [degree].
     """
     if not measures.pixels:
@@ -85,7 +84,7 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
     direct = direct_share(picture)
     slope = direct * change_with_lean(zenith)
     mirrored = mirrored_sky(picture)
-    # that of the paint itself, which a signature without the mirrored sky holds
+    # brightness of the paint without the mirrored sky, as in its signature
     brightness = max(float(measures.spectrum.mean()) - mirrored, 1e-3)
     parts = {
         "noise and dust": JUDGING.least_sd,
@@ -112,16 +111,16 @@ def judge_level(verdict: Verdict, measures: Measures, picture: Picture, rake: fl
 
 
 def mirrored_sky(picture: Picture) -> float:
-    """Return what a level coat mirrors of the sky, in reflectance, mean over the channels [1]."""
+    """Return the sky mirrored by a level coat, in reflectance, mean over the channels [1]."""
     model = picture.model
     return FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
 
 
 def _mirror_share_sd(picture: Picture, zenith: float) -> float:
-    """Return how uncertain the mirrored sky is, relative [1].
+    """Return the relative standard uncertainty of the mirrored sky [1].
 
-    Skies that are brighter than a clear one, by haze, are so unevenly, and most of all around the sun; a
-    covered sky is as bright everywhere.
+    Skies brighter than a clear one, by haze, are uneven, most of all around the sun; a covered sky is equally
+    bright everywhere.
     """
     direct = direct_share(picture)
     clear = float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean())
@@ -131,7 +130,7 @@ def _mirror_share_sd(picture: Picture, zenith: float) -> float:
 
 
 def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:
-    """Tell what is measured; object to too few pixels, and to what is not of one colour; give the score."""
+    """State the measures; object to too few pixels, and to mixed colours; set the score."""
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
     left_out = f" ({lost} left out)" if lost else ""
     if measures.pixels < limits.min_pixels:
@@ -150,7 +149,7 @@ def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:
 
 
 def score_of(measures: Measures) -> float:
-    """Return area x homogeneity / (1 + adjacency + glint + tilt), each over what halves the score."""
+    """Return area x homogeneity / (1 + adjacency + glint + tilt), each over the value that halves it."""
     area = min(1.0, measures.pixels / JUDGING.enough_px)
     homogeneity = 1.0 / (1.0 + (measures.angle / JUDGING.half_angle_deg) ** 2)
     against = (

@@ -1,45 +1,45 @@
-"""By how much a roof leans towards the sun: what nothing shows, and what a height model shows of it."""
+"""Lean of a roof towards the sun: its prior uncertainty, and its estimate from a height model."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 @dataclass(frozen=True)
 class LeanRules:
-    """Leans of roofs, and height models."""
+    """Thresholds of leans of roofs, and of height models."""
 
-    #: Lean across a car of the place where its shape is level, which no picture shows [degree]: both sides
-    #: of a car are alike, and what leans is the ground. Parking areas are drained over slopes of 1 to 1.5 %
-    #: (0.6 to 0.9 degrees), of whose two components one is towards the sun.
+    #: Unknown lean across a car at the place where its shape is level [degree]: a car is symmetric, and the
+    #: ground leans. Parking areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of whose two
+    #: components one is towards the sun.
     roll_deg: float = 0.5
-    #: The same along it, where a roof of 6 m radius may be highest 7 cm from its middle, too [degree].
+    #: Unknown lean along the car, where a roof of 6 m radius may also be highest 7 cm from its middle
+    #: [degree].
     rake_deg: float = 0.8
-    #: Height of a roof above what is around it, from which on a height model shows cars and not bare ground;
-    #: cars are 1.4 m high and more [m].
+    #: Minimum height of a roof above its surroundings in a height model that shows cars and not bare ground;
+    #: cars are at least 1.4 m high [m].
     min_above_m: float = 0.7
-    around_px: int = 25  #: Margin in which there is ground [pixel].
-    #: Distance over which errors of heights are alike: photogrammetry matches patches [m].
+    around_px: int = 25  #: Margin that contains ground [pixel].
+    #: Correlation length of height errors: photogrammetry matches patches [m].
     alike_m: float = 0.15
     floor_deg: float = 0.3  #: Lean of the height model itself, standard deviation [degree].
-    min_px: int = 40  #: Pixels with a height, at least.
-    min_side_px: int = 4  #: Lines, and columns, that they lie in.
+    min_px: int = 40  #: Minimum number of pixels with a height.
+    min_side_px: int = 4  #: Minimum number of lines, and of columns, with such pixels.
 
 
 LEANS = LeanRules()
 
 
 class HeightModel(NamedTuple):
-    """Height of what every pixel shows."""
+    """Height of the surface in every pixel."""
 
     height: Array  #: (line, column) [m].
     spacing: float  #: Between pixels [m].
@@ -48,36 +48,34 @@ class HeightModel(NamedTuple):
 class Lean(NamedTuple):
     """Lean of a roof towards the sun."""
 
-    sd: float  #: Standard deviation of what is not known of it [degree].
+    sd: float  #: Standard deviation of its unknown part [degree].
     #: Lines and columns from its middle to where it is level along the sun's direction.
     shift: Floats
     angle: float = np.nan  #: In its middle, positive where it faces the sun [degree]; NaN if not measured.
 
 
 def height_model_of(line: xr.Dataset) -> HeightModel | None:
-    """Return the heights that a line has; None where it has none.
+    """Return the height model of a line; None without heights.
 
-    As `hyperpaint.geometry.locate` writes ``east``, ``north`` and ``ground_height`` with a ``dem`` of
-    surfaces.
+    Needs ``east``, ``north`` and ``ground_height`` as `hyperpaint.geometry.locate` writes them with a ``dem``
+    of surfaces.
     """
     names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
     if not all(name in line.variables and set(line[name].dims) == set(dims) for name in names):
         return None
-    import dask
-
     east, north, height = dask.compute(*(line[name].transpose(*dims).data for name in names))
     steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
-    known = np.concatenate([step[np.isfinite(step)] for step in steps])
-    if not known.size or not float(np.median(known)) > 0.0:
+    spacings = np.concatenate([step[np.isfinite(step)] for step in steps])
+    if not spacings.size or not float(np.median(spacings)) > 0.0:
         return None
-    return HeightModel(np.asarray(height, np.float64), float(np.median(known)))
+    return HeightModel(np.asarray(height, np.float64), float(np.median(spacings)))
 
 
 def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
-    """Return by how much a roof may lean towards the sun, which no brightness shows [degree].
+    """Return the standard deviation of the unknown lean of a roof towards the sun [degree].
 
-    Standard deviation. Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,):
-    in which shadows fall, None where that is not known.
+    Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,): direction of shadows,
+    or None where it is unknown.
     """
     along = 1.0 if shadow_side is None else float(abs(axis @ shadow_side))
     return float(np.hypot(LEANS.rake_deg * along, LEANS.roll_deg * np.sqrt(max(1.0 - along**2, 0.0))))
@@ -91,15 +89,15 @@ def measured_lean(
     prior: float,
     shadow_side: Floats | None,
 ) -> Lean:
-    r"""Return the lean of a roof; as `lean_to_sun` says where no height model shows the car.
+    r"""Return the lean of a roof from its heights; the prior where no height model shows the car.
 
     A polynomial of second order through the heights of the roof,
 
     .. math:: z = z_0 + b \cdot p + p^T H p / 2,
 
     with p [pixel] from its middle, has the slope :math:`b \cdot s` towards the sun s, and is level there
-    after :math:`- (b \cdot s) / (s^T H s)` pixels. The lean that is known before, 0 with the standard
-    deviation ``prior``, and the fitted one are weighted by their variances.
+    after :math:`- (b \cdot s) / (s^T H s)` pixels. The prior lean, 0 with the standard deviation ``prior``,
+    and the fitted one are weighted by their variances.
 
     Takes ``window`` and ``inside`` (line, column): the roof; ``middle``: line and column in the window;
     ``prior`` [degree]; ``shadow_side`` (2,): see `lean_to_sun`.
@@ -118,7 +116,7 @@ def measured_lean(
     terms = np.stack([np.ones(y.size), y, x, 0.5 * y * y, y * x, 0.5 * x * x], axis=1)
     fitted = np.linalg.lstsq(terms, height[used], rcond=None)[0]
     off = height[used] - terms @ fitted
-    # pixels of one patch say the same
+    # pixels of one patch are correlated
     alike = max(1.0, (LEANS.alike_m / model.spacing) ** 2)
     covariance = np.linalg.pinv(terms.T @ terms) * float(off @ off) / (y.size - terms.shape[1]) * alike
     sun = -shadow_side
@@ -130,13 +128,15 @@ def measured_lean(
     weight = prior**2 / (prior**2 + sd**2)
     hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
     bend = float(sun @ hessian @ sun) / model.spacing**2
-    # a crown bends down; what does not is nowhere level
+    # a crown bends down; any other shape is level nowhere
     shift = weight * slope / -bend / model.spacing * sun if bend < 0.0 else np.full(2, np.inf)
     return Lean(prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope))))
 
 
 def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
-    """Return whether heights are those of a car's roof, and not of the ground below it."""
-    around = tuple(slice(max(one.start - LEANS.around_px, 0), one.stop + LEANS.around_px) for one in window)
+    """Return whether heights are those of a car's roof, not of the ground below it."""
+    around = tuple(
+        slice(max(part.start - LEANS.around_px, 0), part.stop + LEANS.around_px) for part in window
+    )
     low = np.nanquantile(model.height[around], 0.1)
     return bool(np.median(roof) - low > LEANS.min_above_m)

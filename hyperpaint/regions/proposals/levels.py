@@ -1,4 +1,4 @@
-"""How bright the roof of a car is where it is level, and how surely."""
+"""Brightness of the roof of a car where it is level, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from hyperpaint.base.arrays import Array, Bools, Floats
 
@@ -21,33 +22,32 @@ class LevelRules:
     Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
     """
 
-    #: Where its edges are looked for, in half widths as its windows tell them.
+    #: Range in which its edges are searched, in half widths from its windows.
     edge_span: tuple[float, float] = (0.7, 1.25)
     #: Factor by which brightness falls at an edge within `edge_px`, at least: windows reflect less than half
     #: of what paint does, unless that is dark [1].
     min_edge_ratio: float = 1.2
     edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
-    steps_per_px: int = 4  #: Samples of a profile across a roof: a tenth of what its place is off by.
-    #: Edges whose middle is farther than this from where windows put it are not both those of the roof.
+    steps_per_px: int = 4  #: Samples a pixel of a profile across a roof: a tenth of the error of its place.
+    #: Largest shift of the middle of two edges from the middle of the windows; beyond, one is no roof edge.
     max_shift: float = 0.3
-    #: Standard deviation of the axis between two edges: either is off by a half when its pixel is mixed
-    #: [pixel].
+    #: Standard deviation of the axis between two edges: each errs by a half where its pixel is mixed [pixel].
     edged_sd_px: float = 0.4
-    #: Half of what is fitted, along and across: within, slopes are in proportion to the distance, and what a
-    #: lobe adds is of second order.
+    #: Half of the fitted range, along and across: within it, slopes are proportional to the distance, and a
+    #: lobe adds a term of second order.
     fitted: tuple[float, float] = (0.9, 0.5)
-    rounds: int = 30  #: Turns in which glint is left out of the surface.
-    #: Residuals that stay in the fit above the surface: glint only adds [standard deviation].
+    rounds: int = 30  #: Maximum number of iterations that leave glint out of the surface.
+    #: Largest residual above the surface in the fit: glint only adds [standard deviation].
     max_above_sd: float = 2.5
     max_below_sd: float = 3.0  #: The same below it [standard deviation].
-    min_sd: float = 0.003  #: That standard deviation relative to the brightness, at least [1].
-    min_fitted_px: int = 25  #: Pixels of the fit, at least.
-    #: Pixels that err together, by dust, orange peel and the camera's point spread: squares of three.
+    min_sd: float = 0.003  #: Smallest value of this standard deviation, relative to the brightness [1].
+    min_fitted_px: int = 25  #: Minimum number of pixels of the fit.
+    #: Number of pixels with correlated errors by dust, orange peel and point spread: squares of three.
     clump_px: float = 9.0
-    #: Lean half a width across from the middle of a roof [degree]: they are bent to a radius of 2.5 to 3 m.
+    #: Lean half a width across from the middle of a roof [degree]: roofs have a radius of 2.5 to 3 m.
     crown_deg: float = 12.0
-    #: How far a roof drops along its half length, relative to that: 3 cm of 0.7 m, 7 cm of 1.4 m, a parabola;
-    #: and the lean of short ones half a width from their middle, at most [degree].
+    #: Drop of a roof over its half length, relative to it: 3 cm of 0.7 m, 7 cm of 1.4 m, a parabola [1]; and
+    #: the largest lean of short roofs half a width from their middle [degree].
     drop: float = 0.05
     max_crown_deg: float = 5.0
 
@@ -56,7 +56,7 @@ LEVELS = LevelRules()
 
 
 class Place(NamedTuple):
-    """Where a roof is level."""
+    """Position on a roof where it is level."""
 
     line: float  #: In the window of the footprint, as `column` is.
     column: float
@@ -76,26 +76,24 @@ class Place(NamedTuple):
 class Levelled(NamedTuple):
     """Brightness of a roof where it is level."""
 
-    middle: float  #: There, relative to what brightness is given in [1].
-    sd: float  #: What that may be off by for its fit and its place, relative [1].
+    middle: float  #: Brightness there, in the unit of the brightness passed [1].
+    sd: float  #: Its relative standard uncertainty from the fit and the place [1].
     #: Its relative change a radian of lean along and across the car, as far as the roof's crown shows it [1].
     along_change: float
     across_change: float
 
 
 def level_place(footprint: Footprint, roof: Roof) -> Place:
-    """Return where a roof is level: along the car where windows say so, across it between the roof's edges.
+    """Return where a roof is level: along the car from its windows, across it from the roof's edges.
 
-    A car is its own mirror image, so that its roof is level across halfway between its edges. An edge is
-    where brightness falls most steeply in proportion: shading changes brightness over a roof by factors, too,
-    and a difference would put the edge of the darker side too far in.
+    A car is symmetric, so that its roof is level across halfway between its edges. An edge is where
+    brightness falls most steeply as a ratio: shading changes brightness over a roof by factors, and a
+    difference would put the edge of the darker side too far in.
     """
-    from scipy.ndimage import map_coordinates
-
     along, across = _from(roof.middle, roof.axis, *np.nonzero(roof.inside))
     half = max(float(np.abs(across).max()) / ROOFS.used_width, 1.0)
     tracks = np.arange(np.ceil(along.min()), np.floor(along.max()) + 1.0)
-    # one line of sight across at a time, over all tracks: a median that no roof rail or antenna moves
+    # median over all tracks at each distance across, robust against roof rails and antennas
     aside = np.arange(0.0, LEVELS.edge_span[1] * half + 2.0 * LEVELS.edge_px, 1.0 / LEVELS.steps_per_px)
     edges = []
     for sign in (-1.0, 1.0):
@@ -107,7 +105,7 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     if seen:
         half = 0.5 * (edges[1] - edges[0])
     line, column = _to(roof.middle, roof.axis, np.zeros(()), np.array(shift if seen else 0.0))
-    # the middle lies anywhere between both ends of what is unsure
+    # the middle is equally likely anywhere within its range
     along_sd, across_sd = (part / float(np.sqrt(3.0)) for part in (roof.unsure, roof.unsure_across))
     if seen:
         across_sd = LEVELS.edged_sd_px
@@ -119,18 +117,18 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
 
 
 def _from(middle: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
-    """Return how far places are from a middle, along and across a car [pixel]."""
+    """Return distances of places from a middle, along and across a car [pixel]."""
     y, x = np.asarray(y - middle[0], np.float64), np.asarray(x - middle[1], np.float64)
     return y * axis[0] + x * axis[1], y * axis[1] - x * axis[0]
 
 
 def _to(middle: tuple[float, float], axis: Floats, along: Floats, across: Floats) -> tuple[Floats, Floats]:
-    """Return line and column of what is somewhere along and across a car [pixel]."""
+    """Return line and column of places along and across a car [pixel]."""
     return middle[0] + along * axis[0] + across * axis[1], middle[1] + along * axis[1] - across * axis[0]
 
 
 def _edge(aside: Floats, profile: Floats, half: float) -> float:
-    """Return how far from the middle paint ends [pixel]; NaN where nothing is seen to end.
+    """Return the distance from the middle to the edge of the paint [pixel]; NaN without a visible edge.
 
     Takes ``aside``, ``profile`` (sample,): distance from the middle [pixel], and brightness there.
     """
@@ -148,14 +146,14 @@ def _edge(aside: Floats, profile: Floats, half: float) -> float:
 
 
 def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> Levelled | None:
-    r"""Return how bright a roof is where it is level; None where too little of it is seen.
+    """Return the brightness of a roof where it is level; None where too little of it is visible.
 
     A crowned roof leans in proportion to the distance from there, so that the logarithm of its brightness is
-    a smooth function of place: a plane of a solid paint, bent by the lobe of flakes. Near the middle a
-    surface of second order is enough, and is taken where it is significantly better than the plane (Schwarz
-    1978). What glint adds lies above it, and is left out round by round.
+    a smooth function of place: a plane for solid paint, curved by the lobe of flakes. Near the middle a
+    surface of second order is sufficient, and is used where it is significantly better than the plane
+    (Schwarz 1978). Glint lies above the surface, and is left out in several iterations.
 
-    Takes ``brightness`` (line, column): of the roof [1]; ``lit`` (line, column): what of it is fitted;
+    Takes ``brightness`` (line, column): of the roof [1]; ``lit`` (line, column): the pixels fitted;
     ``place``: where it is level, in the same window; ``axis`` (2,): direction (line, column) along the car.
     """
     y, x = np.nonzero(lit & (brightness > 0.0))
@@ -180,13 +178,13 @@ def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> L
 class _Surface(NamedTuple):
     """A surface through the logarithm of brightness."""
 
-    terms: Floats  #: (term,): Its value in the middle, its slopes, and what bends it.
-    rms: float  #: Of what is left of what was fitted [1].
+    terms: Floats  #: (term,): Its value in the middle, its slopes and curvatures.
+    rms: float  #: Root mean square of the residuals of the fit [1].
     sd: float  #: Standard error of its value in the middle [1].
 
     @classmethod
     def through(cls, place: Floats, logs: Floats) -> _Surface:
-        """Return the one through logarithms of brightness (pixel,) at places (pixel, term)."""
+        """Return the surface through logarithms of brightness (pixel,) at places (pixel, term)."""
         fitted = np.ones(logs.size, bool)
         for _ in range(LEVELS.rounds):
             terms = np.asarray(np.linalg.lstsq(place[fitted], logs[fitted], rcond=None)[0], np.float64)

@@ -1,7 +1,7 @@
-"""Thresholds of the proposals: what is paint, a car, its roof, and a region to propose.
+"""Thresholds of the proposals for paint, cars, roofs and proposed regions.
 
-Each field says what it limits and in which unit. Numbers were chosen on simulated car parks unless the field
-says otherwise.
+Each field states its meaning and unit. Numbers were chosen on simulated car parks unless the field states
+otherwise.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SurfaceRules:
-    """Segments by their spectra, and the measures of a piece."""
+    """Classes of segments by their spectra, and measures of a piece."""
 
     #: Mean reflectance below which a surface may be a window or a shadow, and is listed last if refused [1].
     dark: float = 0.05
     #: Mean reflectance from which something is looked at [1]: windows, black inside, mirror as much.
     min_level: float = 0.010
-    #: Cosine of the spectral angle to the ground of what is like it, at least: 3 degrees.
+    #: Cosine of the spectral angle of segments like the ground, at least: 3 degrees.
     min_ground_cosine: float = float(np.cos(np.radians(3.0)))
     #: Difference of the logarithm of its length from the ground's, at most.
     max_ground_log_ratio: float = 0.2
@@ -29,23 +29,23 @@ class SurfaceRules:
 
 @dataclass(frozen=True)
 class FootprintRules:
-    """The whole of a car around a piece of its paint."""
+    """The footprint of a car around a piece of its paint."""
 
     mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
     #: Cosine of the spectral angle to the piece, at least: 7 degrees.
     min_cosine: float = float(np.cos(np.radians(7.0)))
     #: Brightness of a car's paint relative to the piece, least and most [1]: first of a paint without
-    #: flakes, whose panels lean by some ten degrees; then of one with flakes, beside their lobe or in it.
+    #: flakes, whose parts lean by some ten degrees; then of one with flakes, beside their lobe or in it.
     brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.4, 1.7), (0.2, 4.0))
     #: The same of paint that is dark itself, whose windows reflect half as much and more [1].
     dark_brightness: tuple[tuple[float, float], tuple[float, float]] = ((0.7, 1.7), (0.7, 3.0))
     #: Difference of the logarithm of reflectance up to which something may be ground.
     max_ground_log_ratio: float = 0.4
     max_gap_px: int = 2  #: Gap over which paint is joined [pixel].
-    #: Half width of what may join two cars, as mirrors and bay lines do [pixel].
+    #: Half width of bridges that may join two cars, such as mirrors and bay lines [pixel].
     bridge_px: int = 2
-    thin: float = 0.25  #: Half width of what is left out, relative to that of the part that is looked at [1].
-    min_half_width_px: float = 2.5  #: Half width of what stays, at least [pixel].
+    thin: float = 0.25  #: Half width of thin parts that are left out, relative to the examined part [1].
+    min_half_width_px: float = 2.5  #: Half width of the remaining parts, at least [pixel].
     slenderness: tuple[float, float] = (1.7, 3.3)  #: Length of a car relative to its width [1].
     max_width: float = 2.0  #: Width of a car relative to its widest part, at most [1].
     max_apart: float = 4.5  #: Gaps between its parts relative to half of that, at most [1].
@@ -67,7 +67,7 @@ class RoofRules:
     max_window_of_paint: float = 0.5  #: The same relative to the paint, where this is bright [1].
     min_crossed: float = 0.4  #: Dark share of a track across the car where a window crosses it, at least [1].
     min_window_px: int = 2  #: Tracks of a window, at least [pixel].
-    #: Length of the roof of a whole car, at least: what is shorter lies between windows of several cars.
+    #: Length of the roof of a whole car, at least: shorter sections lie between windows of several cars.
     min_roof: float = 0.12
     #: The same where no bonnet and boot lie beyond both windows: a bonnet between a windscreen and its own
     #: shadow is shorter.
@@ -78,10 +78,10 @@ class RoofRules:
     #: What counts more where bonnet and boot, or bed, lie beyond both windows than any length and share of
     #: side windows: of two parts with walls along them, the roof is that one.
     between_worth: float = 2.0
-    max_bonnet: float = 0.38  #: Length of a bonnet, at most: what is longer is a roof.
-    max_windscreen: float = 0.2  #: Length of a windscreen, at most: what is longer may have a sunroof in it.
+    max_bonnet: float = 0.38  #: Length of a bonnet, at most: a longer section is a roof.
+    max_windscreen: float = 0.2  #: Length of a windscreen, at most: a longer window may contain a sunroof.
     min_sunroof: float = 0.24  #: Length of a windscreen with a sunroof, at least.
-    min_tail: float = 0.1  #: What is left beyond such a window, at least: less is behind a bed.
+    min_tail: float = 0.1  #: Length beyond such a window, at least: less is left behind a bed.
     unsure: float = 0.015  #: Distance of the level place from the middle of the roof, at most.
     unsure_beside: float = 0.03  #: The same beside a sunroof.
     #: Length of the roof of a car at the picture's edge relative to its width: less may be half of one
@@ -112,7 +112,7 @@ class RoofRules:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """Verdicts: how uncertain the level of a part may be, whose windows are darker, flakes, and the score."""
+    """Verdicts: uncertainty of the level, darker windows, flakes, and the score."""
 
     #: Standard uncertainty of the level, relative, at most: half of the 6 % that a signature may be off [1].
     max_level_sd: float = 0.042
@@ -120,16 +120,19 @@ class JudgingRules:
     #: changes by 5 %, and its shape is right whatever it is [1].
     max_lobe_sd: float = 0.055
     max_dark_sd: float = 0.0026  #: The same in reflectance, where that is more: of dark paint [1].
-    least_sd: float = 0.008  #: What remains of a level roof: noise, dust, light of neighbours [1].
-    mirror_sd: float = 0.0012  #: Of what is added to any paint, as by neighbours, in reflectance [1].
-    #: Of the sky that a coat mirrors, relative, where it is clear; what haze adds is all uncertain [1].
+    least_sd: float = 0.008  #: Relative uncertainty of a level roof: noise, dust, light of neighbours [1].
+    mirror_sd: float = (
+        0.0012  #: Uncertainty of light added to any paint, such as by neighbours, in reflectance [1].
+    )
+    #: Relative uncertainty of the mirrored sky where it is clear; light added by haze is wholly uncertain
+    #: [1].
     mirror_share_sd: float = 0.25
     covered_share_sd: float = 0.03  #: The same of a covered sky: CIE's (type 1) at its zenith [1].
     panel_deg: float = 7.0  #: Lean of a part that is no roof, which nothing shows [degree].
     #: Change of brightness with lean of a part whose crown is not seen, in direct light [1/rad]: that of
     #: flakes 15 to 20 degrees from their mirror direction, where most of these parts are seen.
     unseen_change: float = 3.0
-    #: Change with lean over that of a solid body from which on a reason names flakes, in direct light [1].
+    #: Change with lean relative to a solid body, from which a reason names flakes, in direct light [1].
     max_solid_gain: float = 3.0
     min_direct: float = 0.5  #: Direct share of such light, at least [1].
     #: Darkness of the windows relative to the paint from which on they are told from it [1].
@@ -153,8 +156,8 @@ class CarRules:
     min_sizes: int = 3  #: Cars that this median is of, at least.
     min_window_share: float = 0.8  #: The same of a piece that is not of its paint [1].
     min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
-    #: Brightness of a panel relative to other paint of its car, less 1, at most: 0.15, or what a lean of
-    #: 10 degrees makes under the sun, if that is more [1].
+    #: Brightness of a part relative to other paint of its car, less 1, at most: 0.15, or the effect of a lean
+    #: of 10 degrees under the sun, if that is more [1].
     max_step: float = 0.15
     max_lean: float = float(np.radians(10.0))  #: That lean [radian].
     #: Factors of the brightness limit, the next where too few pixels of a roof are within [1].

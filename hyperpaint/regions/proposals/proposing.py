@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
@@ -30,11 +32,8 @@ from .judging import Judged, Verdict
 from .leans import height_model_of
 from .proposal_rules import SURFACES
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Right, down, left, up, as (line, column); a right turn is the next one.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""Right, down, left, up, as (line, column); a right turn is the next one."""
 
 
 def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
@@ -60,7 +59,7 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
 
 
 def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
-    """Return the ways that lead from every corner along the mask, which lies to their right."""
+    """Return the directions from every corner along the edge of a mask, which lies to their right."""
     wide = np.pad(mask, 1)
     inner = wide[1:-1, 1:-1]
     beside = (wide[:-2, 1:-1], wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2])
@@ -73,7 +72,7 @@ def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
 
 
 def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
-    """Return the corners of the ring that begins at a corner, and take its sides away."""
+    """Return the corners of the ring from a corner, and remove its sides."""
     ring = []
     here = start
     way = min(sides[start])
@@ -97,24 +96,24 @@ def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> 
     return ring
 
 
+#: Flags that a signature of a proposed region excludes: glint and neighbours were judged by its brightness.
 _LEFT_OUT = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
-"""What a signature of a proposed region leaves out: glint and neighbours were judged by its brightness."""
 
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 
 
 @dataclass(frozen=True)
 class Proposals(Regions):
-    """Proposed regions, best first, and what was refused.
+    """Proposed regions, best first, and the refused pieces.
 
     Attributes
     ----------
     refused
-        Every piece that was looked at and has an objection, those that look like windows, shadows or leaves
-        last; the property ``refused`` says why. Never looked at are bodies like the ground, what lies in cast
-        shadow, and what has fewer than a quarter of ``min_pixels`` pixels away from edges: a car whose paint
-        is like the ground is in neither list, and so is what ``most`` cuts off. Not among the regions
-        themselves, and not written with them.
+        Every examined piece with an objection, those that look like windows, shadows or leaves last; the
+        property ``refused`` gives the objections. Bodies like the ground, pixels in cast shadow, and pieces
+        with fewer than a quarter of ``min_pixels`` pixels away from edges are not examined: a car with paint
+        like the ground is in neither list, as are regions cut off by ``most``. They are not among the
+        regions themselves, and not written with them.
 
     Examples
     --------
@@ -128,12 +127,13 @@ class Proposals(Regions):
     refused: Regions = field(default_factory=lambda: Regions(()))
 
     def table(self) -> str:
-        """Return a line of text for every region, and for everything that was refused."""
+        """Return a line of text for every proposed and every refused region."""
         rows = [
-            f"{one.name}  score {one.properties['score']:.2f}  {'; '.join(one.properties['reasons'])}"
-            for one in self.regions
+            f"{region.name}  score {region.properties['score']:.2f}  "
+            f"{'; '.join(region.properties['reasons'])}"
+            for region in self.regions
         ]
-        rows += [f"{one.name}  {'; '.join(one.properties['refused'])}" for one in self.refused]
+        rows += [f"{region.name}  {'; '.join(region.properties['refused'])}" for region in self.refused]
         return "\n".join(rows)
 
 
@@ -155,77 +155,75 @@ def propose_regions(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Proposals:
-    r"""Propose regions of car paint, best first, each with its reasons; and say what is refused, and why.
+    r"""Propose regions of car paint, best first, each with its reasons, and list the refused pieces.
 
-    Eager: reads the line once, and once more for the scene model where none is given. The same bits for any
-    chunking. Nothing is known of the cars but the proportions that all have; the rules are these.
+    Eager: reads the line once, and once more for the scene model without ``model``. Results have the same
+    bits for any chunking. The rules use only the common proportions of cars:
 
     * Pieces are connected parts of a body of the scene model, away from its edges, not in cast shadow,
-      neither like the ground (what looks like the largest body) nor like leaves (steep red edge, then flat).
-    * A car is what lies between the thick parts of a piece's colour, pixel by pixel: those that are connected
-      or, where that shows no roof, have nothing but what is dark between them, or are as bright as flakes
-      that lean otherwise. There is no lit ground in it. Cars whose roof is certain by proportions and windows
-      stand first; what is 1.8 times larger than most of them is several of one colour.
-    * Windows are dark and cross it. The roof lies between two of them, or has one at an end and others along
-      its sides, or is longer than any bonnet. It is level in its middle; where a window is longer than any
-      windscreen, it has a sunroof in it, and the roof is level beside that.
-    * Across it is level halfway between its edges. How bright it is there tells a smooth surface through the
-      logarithm of its brightness near that place; what glint adds lies above it. Pixels are left whose
-      brightness is within 3 % of that, or within 6 to 12 % where these are too few; of these the largest
-      connected set. ``glint`` and ``adjacency`` are not asked there: brightness tells glint, and neighbours
-      stand no higher.
-    * How well its level is known follows from how far that place may be off, and from a lean of 0.5 degrees
-      across the car and 0.8 along it that no picture shows (parking areas are drained), by how much its
-      light changes over its crown: roofs are bent by 12 degrees over half their width, and by up to 5 as far
-      along. What the coat mirrors of the
-      sky is uncertain, too, by the more the hazier it is. The property ``level_uncertainty`` says it; a roof
-      is refused above 4.2 %, near the lobe of flakes 5.5 %, or 0.0026 in reflectance where that is more.
+      and neither like the ground (the largest body) nor like leaves (steep red edge, then flat).
+    * A car is the area between the thick parts of a piece's colour, pixel by pixel: parts that are connected
+      or, where these show no roof, separated by dark pixels only, or as bright as flakes at another lean. It
+      contains no lit ground. Cars whose roof is certain from proportions and windows come first; a car 1.8
+      times larger than most of them is several cars of one colour.
+    * Windows are dark and cross the car. The roof lies between two of them, or has one at an end and others
+      along its sides, or is longer than any bonnet. It is level in its middle; a window longer than any
+      windscreen contains a sunroof, and the roof is level beside it.
+    * Across, the roof is level halfway between its edges. Its brightness there is the value of a smooth
+      surface through the logarithm of its brightness nearby; glint lies above the surface. Used are pixels
+      with a brightness within 3 % of this value, or within 6 to 12 % where these are too few; of these the
+      largest connected set. ``glint`` and ``adjacency`` do not apply to a roof: brightness shows glint, and
+      no neighbour is higher.
+    * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
+      degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
+      crown: roofs curve by 12 degrees over half their width, and by up to 5 over the same length. The
+      mirrored sky adds an uncertainty that grows with haze. The property ``level_uncertainty`` holds it; a
+      roof is refused above 4.2 %, near the lobe of flakes 5.5 %, or 0.0026 in reflectance where that is more.
       Where the line has the heights of surfaces, as `hyperpaint.geometry.locate` adds them from a ``dem``
-      that shows cars, the lean and where the roof is level follow from them, too.
-    * Under broken clouds a car is judged where the record had free sun for 10 s around, and a shadow beside
-      the car says that the sun was free there, too.
-    * ``finish`` is "metallic" where its light changes with lean more than any solid paint's, or where what
-      changes has no colour on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees
-      from the zenith and next to nothing changes, or where coloured paint changes as a solid one does, under
-      a sun up to 45 degrees, and what changes has its own colour. Else it is "unknown": far from the sun's
-      mirror image flakes look like a solid paint. What a signature of paint with flakes holds is its
-      reflectance at this sun, seen from here.
-    * Another part of a car may lean by 7 degrees or more, and is taken only where the car's roof is certain,
-      but has no pixels that can be used, and its level is known well enough all the same. Of it those pixels
-      are left that have no glint, shadow or coloured neighbour's light, and whose brightness is within 3 % of
-      its median. Its colour and brightness must be those of the roof, and not the ground's.
-    * Black paint is told from windows by windows that are darker still, and a black roof by paint beyond both
+      that shows cars, lean and level place are also estimated from them.
+    * Under broken clouds a car is judged only where the record had free sun for 10 s before and after, and a
+      shadow beside the car shows free sun, too.
+    * ``finish`` is "metallic" where its light changes with lean more than for any solid paint, or where the
+      change is grey on coloured paint, and so is ``kind``; "solid" where the sun is 20 to 32 degrees from the
+      zenith and almost nothing changes, or where coloured paint changes as a solid paint does, under a sun up
+      to 45 degrees, and the change has its own colour. Else it is "unknown": far from the sun's mirror image
+      flakes look like solid paint. A signature of paint with flakes holds for this sun and view only.
+    * Another part of a car may lean by 7 degrees or more, and is used only where the car's roof is certain
+      but has no usable pixels, and its own level is certain enough. Used are pixels without glint, shadow or
+      light from coloured neighbours, with a brightness within 3 % of the part's median. Its colour and
+      brightness must agree with the roof, and differ from the ground.
+    * Black paint is distinguished from windows by still darker windows, and a black roof by paint beyond both
       its windows, or by a bonnet before the windscreen and windows along it.
-    * A car gives one region.
+    * Each car gives one region.
 
     Parameters
     ----------
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
-        From `hyperpaint.surroundings.survey` of the same line; made with ``options`` where it is not given.
+        From `hyperpaint.surroundings.survey` of the same line; by default surveyed with ``options``.
     most
-        How many regions at most; all unless given.
+        Maximum number of regions; by default all.
     min_pixels
-        Pixels of a region, at least.
+        Minimum number of pixels of a region.
     erode
-        Pixels from the edge of a body that are left out.
+        Distance from the edge of a body within which pixels are left out [pixel].
     glint, shadow, adjacency
         Largest ``glint_fraction``, ``blocked_direct`` and, as a mean over 5 x 5 pixels, ``adjacency`` of a
-        pixel, see `hyperpaint.surroundings.flag` [1]; of a roof only ``blocked_direct``.
+        pixel, see `hyperpaint.surroundings.flag` [1]; for a roof only ``blocked_direct``.
     brightness
         Largest relative difference of a pixel, as a mean over 5 x 5, from the middle of a roof or the median
-        of another piece; of dark paint as much as changes reflectance by 0.005 [1].
+        of another piece; for dark paint at least 0.005 in reflectance [1].
     angle
         Largest median spectral angle to the median [degree].
     flightline
-        Name of the flight line that is put into the regions.
+        Name of the flight line, stored in the regions.
     name
-        Names of the regions begin with it.
+        Prefix of the names of the regions.
     progress
-        See `hyperpaint.surroundings.survey`; used where there is no model.
+        See `hyperpaint.surroundings.survey`; used without ``model``.
     **options
-        Those of `hyperpaint.surroundings.survey`; ``sun_zenith`` serves beside a model, too.
+        Options of `hyperpaint.surroundings.survey`; ``sun_zenith`` also applies with ``model``.
 
     Returns
     -------
@@ -234,8 +232,8 @@ def propose_regions(
         ("solid", "metallic", "unknown"), ``level_uncertainty`` (standard, relative) [1], ``lean`` (standard
         deviation) [degree], ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``,
         ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1], ``excluded_flags`` (see
-        `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused`` holds the other pieces,
-        whose property ``refused`` says why; see `Proposals` for what is in neither.
+        `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused`` holds the refused pieces,
+        with objections in the property ``refused``; see `Proposals` for pieces in neither.
 
     Raises
     ------
@@ -249,10 +247,10 @@ def propose_regions(
     .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
               \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
 
-    A proposal can be wrong, more often with metallic paints and black ones. For measured rates see
+    A proposal can be wrong, more often for metallic and black paints. For measured rates see
     ``benchmarks/fleet.py``.
 
-    The clear coat's mirror image of the sky is still in the spectra; see
+    The spectra still include the sky mirrored by the clear coat; see
     `hyperpaint.surroundings.corrections.remove_mirrored_sky`.
 
     Examples
@@ -272,7 +270,15 @@ def propose_regions(
     """
     line = schema.rename_to_roles(line)
     limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
-    _check(limits, most)
+    problems = Problems("regions cannot be proposed", SchemaError)
+    for key in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
+        value = getattr(limits, key)
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{key}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+    for key, count in (("min_pixels", min_pixels), ("most", most)):
+        if count is not None and count < 1:
+            problems.add(f"{key}={count!r}", expected="1 or more", code="value-out-of-range")
+    problems.raise_if_any()
     unknown = sorted(set(options) - set(signature(survey).parameters))
     if unknown:
         raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")
@@ -281,7 +287,12 @@ def propose_regions(
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     if not scene.segments:
         return Proposals(())
-    zenith = _zenith(line, options.get("sun_zenith", scene.attrs.get("sun_zenith")))
+    zenith = options.get("sun_zenith", scene.attrs.get("sun_zenith"))
+    try:
+        zenith = sun_zenith_of(line, zenith)
+    except SchemaError:  # unknown
+        if zenith is not None:
+            raise
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
     picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
@@ -301,41 +312,18 @@ def propose_regions(
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
 
 
-def _check(limits: Limits, most: int | None) -> None:
-    problems = Problems("regions cannot be proposed", SchemaError)
-    for name in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
-        value = getattr(limits, name)
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
-            problems.add(f"{name}={value!r}, expected a number from 0 on")
-    if limits.min_pixels < 1:
-        problems.add(f"min_pixels={limits.min_pixels!r}, expected 1 or more")
-    if most is not None and most < 1:
-        problems.add(f"most={most!r}, expected 1 or more, or None for all")
-    problems.raise_if_any()
-
-
-def _zenith(line: xr.Dataset, given: float | None) -> float | None:
-    """Return the zenith angle of the sun [degree], None where it is not known."""
-    try:
-        return sun_zenith_of(line, given)
-    except SchemaError:
-        if given is not None:
-            raise
-        return None
-
-
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    """Return the line in channels (line, column, channel), and the layers that separate kinds of light.
+    """Return the line in channels (line, column, channel), and the layers `_LAYERS`.
 
-    Both come of one pass over the line.
+    Both result from one pass over the line.
     """
-    import dask
-
     flagged = flag(line, model)
     before = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
     numbers = dask.delayed(model.channel)
-    blocks = [dask.delayed(to_channels, pure=True)(one, numbers) for one in np.ravel(cube.data.to_delayed())]
+    blocks = [
+        dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
+    ]
     planes = [flagged[name].data for name in _LAYERS[:3]]
     results = dask.compute(*blocks, *planes)
     channels = np.concatenate(results[: len(blocks)])
@@ -345,20 +333,25 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
 
 
 def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
-    good = [one for one in judged if not one.verdict.objections]
-    bad = sorted((one for one in judged if one.verdict.objections), key=lambda one: one.verdict.scenery)
-    good.sort(key=lambda one: (-one.verdict.score, one.piece.first, one.piece.body))
-    accepted_candidates = good[:most]
-    digits = len(str(max(len(accepted_candidates), len(bad), 10)))
+    accepted_pieces = [piece for piece in judged if not piece.verdict.objections]
+    refused_pieces = sorted(
+        (piece for piece in judged if piece.verdict.objections), key=lambda piece: piece.verdict.scenery
+    )
+    accepted_pieces.sort(key=lambda piece: (-piece.verdict.score, piece.piece.first, piece.piece.body))
+    accepted_candidates = accepted_pieces[:most]
+    digits = len(str(max(len(accepted_candidates), len(refused_pieces), 10)))
     accepted = [
         _region(
-            *one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one.verdict.score, 4)}
+            *piece,
+            f"{name}_{rank:0{digits}}",
+            flightline,
+            {"rank": rank, "score": round(piece.verdict.score, 4)},
         )
-        for rank, one in enumerate(accepted_candidates, start=1)
+        for rank, piece in enumerate(accepted_candidates, start=1)
     ]
     refused = [
-        _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one.verdict.objections})
-        for rank, one in enumerate(bad, start=1)
+        _region(*piece, f"refused_{rank:0{digits}}", flightline, {"refused": piece.verdict.objections})
+        for rank, piece in enumerate(refused_pieces, start=1)
     ]
     return Proposals(tuple(accepted), refused=Regions(tuple(refused)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from hyperpaint.base.arrays import Bools, Floats
 
@@ -29,14 +30,14 @@ class Roof(NamedTuple):
 
 
 class NoRoof(NamedTuple):
-    """Why no roof is found, and whether it is a car all the same."""
+    """Reason why no roof is found, and whether it is still a car."""
 
     reason: str
     is_car: bool
 
 
 class _Run(NamedTuple):
-    """A stretch of a car along its axis [pixel], of windows or of paint."""
+    """A section of a car along its axis [pixel], of windows or of paint."""
 
     first: int
     last: int
@@ -58,34 +59,21 @@ class _Frame(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """What is beside a stretch of a car, and what ends it."""
-
     sided: float  #: Share with side windows.
     windows: list[_Run]  #: Those that end it.
     has_bonnet: bool  #: Whether one of them has a bonnet or a boot beyond.
     is_between: bool  #: Whether there is paint beyond both.
 
 
-class _Grounds(NamedTuple):
-    """Why a stretch is a roof, and how surely."""
-
-    reason: str
-    worth: float
-
-
-class _LevelPlace(NamedTuple):
-    """Where along the car a roof is level, and how far that may be off [pixel]."""
-
-    along: float
-    unsure: float
-
-
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
-    """Return the roof of a car, or why none is found.
+    """Return the roof of a car, or the reason why none is found.
 
-    Takes ``car``: where; ``level`` (line, column): mean reflectance in its window [1].
+    Takes ``car``: its footprint; ``level`` (line, column): mean reflectance in its window [1].
     """
-    glass = _glass(car, level)
+    # pixels as dark as windows
+    paint_level = float(np.median(level[car.paint & car.whole]))
+    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
+    glass = np.asarray(~car.paint & car.whole & (level < limit))
     roof = _roof_along(car, glass, level, _frame(car, car.axis, car.length, car.width))
     if isinstance(roof, NoRoof) and car.cut:
         # of a car that is cut off, the longer side may be its width
@@ -95,20 +83,12 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     return roof
 
 
-def _glass(car: Footprint, level: Floats) -> Bools:
-    """Return which pixels of a car are dark as windows."""
-    own = float(np.median(level[car.paint & car.whole]))
-    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * own), own)
-    return np.asarray(~car.paint & car.whole & (level < limit))
-
-
 def _aside(frame: _Frame) -> Floats:
     """Return the unit vector (line, column) across a car."""
     return np.array([frame.axis[1], -frame.axis[0]])
 
 
 def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
-    """Return where pixels are along and across a car."""
     y, x = np.indices(car.whole.shape, np.float64)
     y, x = y - car.middle[0], x - car.middle[1]
     across = (y * axis[1] - x * axis[0]) / (0.5 * width)
@@ -116,7 +96,7 @@ def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> Roof | NoRoof:
-    """Return the best roof among the stretches between windows along a frame."""
+    """Return the best roof among the sections between windows along a frame."""
     crossed = (
         _share_of_tracks(glass, car.whole & (np.abs(frame.across) < ROOFS.middle), frame) > ROOFS.min_crossed
     )
@@ -130,20 +110,32 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
             continue
         around = _around(runs, number, beside, frame)
         grounds = _judge_run(car, runs, number, around, frame)
-        if grounds is None or (best is not None and best.worth >= grounds.worth):
+        if grounds is None or (best is not None and best.worth >= grounds[1]):
             continue
-        place = _level_place(car, runs, number, frame)
+        along, unsure = _level_place(car, runs, number, frame)
         sides = _sides(car, glass, level, frame, run)
-        inside = _roof(car, frame, run, sides)
-        if inside is not None:
-            middle = _place_of(car, place.along, sides.centre, frame)
+        here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
+        inside = here & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
+        # the sides of a car at the picture's edge must be visible
+        if inside.any() and not (car.cut and not sides.seen):
+            line, column = (
+                car.middle
+                + (along - 0.5 * frame.length) * frame.axis
+                + 0.5 * frame.width * sides.centre * _aside(frame)
+            )
+            middle = float(line), float(column)
             complete = 1 < number < len(runs) - 2
             best = Roof(
-                inside, middle, frame.axis, place.unsure, sides.unsure, *grounds,
+                inside,
+                middle,
+                frame.axis,
+                unsure,
+                sides.unsure,
+                *grounds,
                 complete and (around.is_between or (around.has_bonnet and around.sided > ROOFS.sided)),
                 around.has_bonnet and around.sided > ROOFS.surely_sided,
                 _window_level(glass, around.windows, frame, level),
-            )  # fmt: skip
+            )
     if best is not None:
         return best
     is_car = car.is_one_car and float(beside.mean()) > ROOFS.van_sided
@@ -151,21 +143,20 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
 
 
 def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Around:
-    """Return what is beside a stretch, and what ends it."""
-
     def sided(run: _Run) -> float:
         return float(beside[run.first : run.last].mean())
 
     windows, beyond = (
-        [runs[one] for one in (number - step, number + step) if 0 <= one < len(runs)] for step in (1, 2)
+        [runs[section] for section in (number - step, number + step) if 0 <= section < len(runs)]
+        for step in (1, 2)
     )
-    long = [one for one in beyond if one.length > ROOFS.min_bonnet * frame.length]
-    has_bonnet = any(sided(one) < ROOFS.sided for one in long)
+    long = [section for section in beyond if section.length > ROOFS.min_bonnet * frame.length]
+    has_bonnet = any(sided(section) < ROOFS.sided for section in long)
     return _Around(sided(runs[number]), windows, has_bonnet, len(long) == 2)
 
 
 def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Floats) -> float:
-    """Return the median level of what crosses a car in some stretches [1]."""
+    """Return the median level of the windows across some sections of a car [1]."""
     inside = np.zeros_like(glass)
     for run in windows:
         inside |= (frame.along >= run.first) & (frame.along < run.last)
@@ -175,8 +166,8 @@ def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Float
 
 def _judge_run(
     car: Footprint, runs: list[_Run], number: int, around: _Around, frame: _Frame
-) -> _Grounds | None:
-    """Return why a stretch is the roof, and how surely it is; None where it may be another part."""
+) -> tuple[str, float] | None:
+    """Return reason and worth of a section as the roof; None where it may be another part."""
     run, sided = runs[number], around.sided
     share = run.length / frame.length
     ends = int(number > 0) + int(number + 1 < len(runs))
@@ -185,7 +176,7 @@ def _judge_run(
     worth = share + sided + (ROOFS.between_worth if around.is_between else 0.0)
     if car.cut:
         if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * frame.width:
-            return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
+            return f"a roof: windows end it on both sides, {evidence}", worth
         return None
     if share < ROOFS.min_roof:
         return None
@@ -195,31 +186,27 @@ def _judge_run(
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
-    # what lies before a windscreen may end at its own shadow, as if at a window
+    # a section before a windscreen may end at its own shadow, as if at a window
     if ends == 2 and not around.is_between and (share < ROOFS.short_roof or sided < ROOFS.van_sided):
         return None
     if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
-        return _Grounds(f"a roof: windows end it on both sides, {evidence}", worth)
+        return f"a roof: windows end it on both sides, {evidence}", worth
     if ends == 1 and sided > ROOFS.surely_sided:
-        return _Grounds(f"a roof: a window ends it, {evidence}", worth)
+        return f"a roof: a window ends it, {evidence}", worth
     if ends == 1 and ROOFS.min_van_roof < share < ROOFS.max_van_roof and _has_face(runs, number, frame):
-        return _Grounds(
-            f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}",
-            worth,
-        )
+        reason = f"a roof: a windscreen with a bonnet before it ends it, and it is all the rest, {evidence}"
+        return reason, worth
     if (
         ends == 1
         and ROOFS.max_bonnet < share < ROOFS.max_van_roof
         and sided > (ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided)
     ):
-        return _Grounds(
-            f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
-        )
+        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
     return None
 
 
 def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
-    """Return whether a windscreen ends a stretch, and a bonnet the car."""
+    """Return whether a windscreen ends a section, and a bonnet the car."""
     if len(runs) != 3 or number == 1:
         return False
     bonnet = runs[2 - number].length / frame.length
@@ -227,11 +214,11 @@ def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
     return ROOFS.min_bonnet < bonnet < ROOFS.max_bonnet and window < ROOFS.max_windscreen
 
 
-def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> _LevelPlace:
-    """Return where along the car a roof is level, and how far that may be off [pixel].
+def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
+    """Return the position along the car where a roof is level, and its possible error [pixel].
 
     A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
-    but a bed, behind which next to nothing is left.
+    except for a bed, behind which almost nothing is left.
     """
     run, unit = runs[number], frame.length
     middle = 0.5 * (run.first + run.last)
@@ -240,14 +227,14 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
             continue
         window = runs[number + step].length
         edge = float(run.first if step < 0 else run.last)
-        beyond = sum(one.length for one in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
+        beyond = sum(section.length for section in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
         if beyond < ROOFS.min_tail * unit:
             continue
         if window > ROOFS.min_sunroof * unit:
-            return _LevelPlace(edge, ROOFS.unsure_beside * unit)
+            return edge, ROOFS.unsure_beside * unit
         if window > ROOFS.max_windscreen * unit:
-            return _LevelPlace(middle, abs(middle - edge))
-    return _LevelPlace(middle, ROOFS.unsure * unit)
+            return middle, abs(middle - edge)
+    return middle, ROOFS.unsure * unit
 
 
 class _Sides(NamedTuple):
@@ -260,10 +247,10 @@ class _Sides(NamedTuple):
 
 
 def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run) -> _Sides:
-    """Return where a roof ends to its sides.
+    """Return the sides of a roof.
 
-    Where brightness drops most: under a low sun the side that leans away is darker than paint elsewhere, and
-    no window yet. Of paint that is no brighter than windows, where side windows begin.
+    They lie where brightness drops most: under a low sun the side that leans away is darker than paint
+    elsewhere, but no window yet. For paint no brighter than windows, where side windows begin.
     """
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
     left, right = (_step(level, car, sign, frame, run) for sign in (-1, 1))
@@ -278,8 +265,8 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
     if np.isnan(left) and np.isnan(right):
         left = right = ROOFS.roof_width
     left, right = (
-        2 * ROOFS.roof_width - other if np.isnan(one) else one
-        for one, other in ((left, right), (right, left))
+        2 * ROOFS.roof_width - opposite if np.isnan(side) else side
+        for side, opposite in ((left, right), (right, left))
     )
     return _Sides(0.5 * (right - left), 0.5 * (right + left), unsure, seen)
 
@@ -289,8 +276,6 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
 
     In half widths; NaN where it drops by less in most tracks of a run.
     """
-    from scipy.ndimage import map_coordinates
-
     half = 0.5 * frame.width
     out = np.arange(ROOFS.side * half, ROOFS.beyond * half, ROOFS.step_px)
     along = np.arange(run.first + 0.5, run.last) - 0.5 * frame.length
@@ -307,32 +292,15 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
     )
     # a window, and no seam: it stays dark
     drop = inner - np.max(outer, axis=0)
-    found = (drop > ROOFS.min_step).any(axis=1)
-    if found.sum() < ROOFS.min_seen * found.size:
+    has_drop = (drop > ROOFS.min_step).any(axis=1)
+    if has_drop.sum() < ROOFS.min_seen * has_drop.size:
         return np.nan
-    first = (drop[found] > ROOFS.min_step).argmax(axis=1)
+    first = (drop[has_drop] > ROOFS.min_step).argmax(axis=1)
     steepest = [
-        int((one[at : at + span] - one[at + span : at + 2 * span]).argmax())
-        for one, at in zip(seen[found], first, strict=True)
+        int((profile[at : at + span] - profile[at + span : at + 2 * span]).argmax())
+        for profile, at in zip(seen[has_drop], first, strict=True)
     ]
     return float(np.median(out[first + steepest] + 0.5)) / half
-
-
-def _roof(car: Footprint, frame: _Frame, run: _Run, sides: _Sides) -> Bools | None:
-    """Return the pixels of a roof; None of a car at the picture's edge whose sides are not seen."""
-    if car.cut and not sides.seen:
-        return None
-    here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
-    inside = here & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
-    return inside if inside.any() else None
-
-
-def _place_of(car: Footprint, along: float, centre: float, frame: _Frame) -> tuple[float, float]:
-    """Return line and column of a place along a car [pixel] and across it [half widths]."""
-    line, column = (
-        car.middle + (along - 0.5 * frame.length) * frame.axis + 0.5 * frame.width * centre * _aside(frame)
-    )
-    return float(line), float(column)
 
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
@@ -346,7 +314,7 @@ def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
 
 
 def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
-    """Return the share of tracks across a car that is of some kind (track,)."""
+    """Return the share of pixels of ``which`` in ``of`` for every track across a car (track,)."""
     count = round(frame.length)
     track = np.floor(frame.along[of]).astype(np.int64).clip(0, count - 1)
     whole = np.bincount(track, minlength=count)
@@ -354,9 +322,9 @@ def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
 
 
 def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
-    """Return along which tracks there are side windows (track,), on the side where there are more.
+    """Return the tracks with side windows (track,), on the side with more of them.
 
-    Outside of a window there is a door; outside of what lies in the car's shadow there is nothing lit.
+    Outside of a window there is a door; outside of pixels in the car's shadow nothing is lit.
     """
     count = round(frame.length)
     track = np.floor(frame.along).astype(np.int64).clip(0, count - 1)
@@ -372,9 +340,9 @@ def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
 
 
 def _runs(crossed: Bools, strip: float) -> list[_Run]:
-    """Return the stretches of paint and of windows, from end to end.
+    """Return the sections of paint and of windows, from end to end.
 
-    What is shorter than a strip [pixel] between windows, as before a sunroof, goes with them.
+    Paint shorter than a strip [pixel] between windows, as before a sunroof, belongs to them.
     """
     ends = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=2, append=2))
     stretches = [

@@ -110,7 +110,7 @@ def test_missing_bands_and_members() -> None:
     own[:40, 5] = np.nan  # most lack this band
     own[50, 20] = np.nan  # one lacks another
     own[55:] = np.nan  # padding
-    with pytest.warns(PaintWarning, match="1 members lack bands"):
+    with pytest.warns(PaintWarning, match=r"1 members .*left-out"):
         drawn = hp.paints.sample_paints(library_of(own), 9)
     assert np.isnan(drawn.member_reflectance.values[0]).any(axis=0).nonzero()[0].tolist() == [5]
 
@@ -118,7 +118,7 @@ def test_missing_bands_and_members() -> None:
 def test_reflectance_that_cannot_be_is_clipped_with_a_warning() -> None:
     own = population()
     own[3, 4] = 1.2
-    with pytest.warns(PaintWarning, match="1 values outside 0 to 1"):
+    with pytest.warns(PaintWarning, match=r"1 values .*left-out"):
         drawn = hp.paints.sample_paints(library_of(own), 9)
     assert float(drawn.member_reflectance.max()) <= 1.0
 
@@ -135,7 +135,7 @@ def test_options_that_cannot_be(options: dict[str, Any], text: str) -> None:
 def test_a_library_without_a_population_is_refused() -> None:
     with pytest.raises(SchemaError, match="member_reflectance"):
         hp.paints.sample_paints(hp.paints.starter_library(members=0), 3)
-    with pytest.raises(SchemaError, match=r"(?s)'paint 0' has 1 whole members.*'paint 1' has 0"):
+    with pytest.raises(SchemaError, match=r"(?s)0' has 1.*1' has 0"):
         hp.paints.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)
 
 

@@ -1,41 +1,39 @@
-"""At which angle to the mirror image of the sun a panel was seen, and what changes over that angle.
+"""Angle between view and mirrored sun on a body part, and the change of reflectance over that angle.
 
-A metallic paint has no one reflectance: flakes lie nearly level, and mirror most around the direction in
-which the panel mirrors the sun. Its signature holds at a geometry, which is stated here.
+A metallic paint has no single reflectance: flakes lie nearly level, and reflect most around the direction in
+which the body part mirrors the sun. Its signature holds at one geometry, which is stated here.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Share of the pixels at the bright, and at the dark end of a body part, whose means are compared [1].
 FLOP_SHARE = 0.2
-"""Share of the pixels at the bright, and at the dark end of a panel, whose means are compared [1]."""
 
+#: Minimum number of pixels for a flop.
 MIN_FLOP_MEMBERS = 20
-"""Pixels from which on both ends of a panel are told."""
 
+#: Minimum share of a body part's pixels with a value in a band that is used [1].
 MIN_BAND_SHARE = 0.9
-"""Share of a panel's pixels that have a value in a band, from which on it counts [1]."""
 
+#: Largest lean inferred from a change of brightness [degree].
 MAX_LEAN_DEG = 15.0
-"""Lean of a panel up to which its change of brightness is taken for one [degree]."""
 
 
 def aspecular_angle(
     sun_zenith: npt.ArrayLike, view_zenith: npt.ArrayLike, relative_azimuth: npt.ArrayLike
 ) -> Floats:
-    r"""Return the angle between the view and the direction in which a level panel mirrors the sun [degree].
+    r"""Return the angle between the view and the mirrored sun of a level body part [degree].
 
-    NaN where one of the angles is not known.
+    NaN where one of the angles is NaN.
 
     Parameters
     ----------
@@ -48,9 +46,9 @@ def aspecular_angle(
     -----
     .. math:: \cos \alpha = \cos \theta_s \cos \theta_v - \sin \theta_s \sin \theta_v \cos \varphi
 
-    since the mirror direction has the sun's zenith angle and the opposite azimuth. Where the panel leans by
-    :math:`\beta`, that direction turns by up to :math:`2 \beta`. ASTM E2194 has the angles that paint shops
-    measure metallic paints at: 15, 45 and 110 degrees.
+    since the mirror direction has the sun's zenith angle and the opposite azimuth. Where the body part leans
+    by :math:`\beta`, this direction turns by up to :math:`2 \beta`. ASTM E2194 defines the angles at which
+    paint shops measure metallic paints: 15, 45 and 110 degrees.
 
     Examples
     --------
@@ -64,38 +62,36 @@ def aspecular_angle(
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-class PanelFlop(NamedTuple):
-    """What changes from the dark to the bright end of a panel."""
+class Flop(NamedTuple):
+    """Change of reflectance from the dark to the bright end of a body part."""
 
     spectrum: Floats  #: (band,): Bright end less dark end, over their mean [1]; NaN where not known.
     contrast: float  #: The same of the mean over all bands [1].
 
 
-def panel_flop(members: Array, good: Array) -> PanelFlop:
-    r"""Return the change of reflectance from the dark to the bright end of a panel.
+def flop_of(members: Array, good: Array) -> Flop:
+    r"""Return the change of reflectance from the dark to the bright end of a body part.
 
     Parameters
     ----------
     members : (member, band)
-        Reflectance of pixels of the panel [1]; NaN beyond the last.
+        Reflectance of pixels of the body part [1]; NaN beyond the last.
     good : (band,)
-        Bands by which pixels are put in order.
+        Bands by which pixels are sorted.
 
-    Notes
-    -----
-    Pixels are put in order by their mean over bands relative to the panel's; the ends are the means of the
-    first and the last fifth, :math:`\rho_1` and :math:`\rho_5`:
+    Notes ----- Pixels are sorted by their mean over bands relative to the body part's; the ends are the means
+    of the first and the last fifth, :math:`\rho_1` and :math:`\rho_5`:
 
     .. math:: \frac{2 (\rho_5 - \rho_1)}{\rho_5 + \rho_1}
 
-    Of solid paint that is :math:`f_{dir} \Delta c / c`, what lean alone changes, without features of the
-    paint; flakes and pearl show their own spectrum in it. Noise of single pixels, which the order would make
-    a change of, is divided by the root of the number of bands.
+    For solid paint this is :math:`f_{dir} \Delta c / c`, the change by lean alone, without features of the
+    paint; flakes and pearl show their own spectrum in it. Noise of single pixels, which sorting would turn
+    into a change, is divided by the root of the number of bands.
     """
-    there = np.isfinite(members[:, good]).all(axis=1)
-    values = members[there].astype(np.float64)
+    is_complete = np.isfinite(members[:, good]).all(axis=1)
+    values = members[is_complete].astype(np.float64)
     if len(values) < MIN_FLOP_MEMBERS or not good.any():
-        return PanelFlop(np.full(members.shape[1], np.nan), np.nan)
+        return Flop(np.full(members.shape[1], np.nan), np.nan)
     middle = np.median(values[:, good], axis=0)
     order = np.argsort((values[:, good] / np.maximum(middle, 1e-6)).mean(axis=1), kind="stable")
     count = max(1, round(FLOP_SHARE * len(values)))
@@ -104,17 +100,17 @@ def panel_flop(members: Array, good: Array) -> PanelFlop:
         spectrum = np.where(dark + bright > 0.0, 2.0 * (bright - dark) / (bright + dark), np.nan)
     whole = bright[good].mean() + dark[good].mean()
     contrast = 2.0 * float(bright[good].mean() - dark[good].mean()) / whole if whole > 0.0 else np.nan
-    return PanelFlop(spectrum, contrast)
+    return Flop(spectrum, contrast)
 
 
 def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.ArrayLike) -> Floats:
-    r"""Return by how much the ends of a panel may lean from one another, at the most [degree].
+    r"""Return the largest possible lean between the two ends of a body part [degree].
 
-    As much as turns its light by the contrast that is seen, :math:`f_{dir} \tan \theta_s \, \Delta \beta`,
-    were it solid; flakes change faster, so that their panel leans less. At most `MAX_LEAN_DEG`, which is also
-    what is said where the light tells nothing of the lean; NaN where no contrast is known.
+    The lean that changes its light by the observed contrast, :math:`f_{dir} \tan \theta_s \, \Delta \beta`,
+    if the paint is solid; flakes change faster, so that their body part leans less. At most `MAX_LEAN_DEG`,
+    which is also returned where the light does not depend on the lean; NaN for a contrast of NaN.
 
-    Takes the ``contrast`` of `panel_flop`, the zenith angle of the sun [degree] and the ``direct`` part of
+    Takes the ``contrast`` of `flop_of`, the zenith angle of the sun [degree] and the ``direct`` part of
     the irradiance [1].
 
     Examples
@@ -127,23 +123,21 @@ def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.A
     return np.asarray(np.minimum(lean, MAX_LEAN_DEG))
 
 
-def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
-    """Return a library that says at which angle to the sun's mirror image its panels were seen.
+def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
+    """Return a library with the angles between view and mirrored sun of its body parts, and their flop.
 
-    Adds ``aspecular_angle`` (signature), of a level panel, ``aspecular_range`` (signature), by how much it
-    may differ between the ends of the panel: twice `lean_range` [degree], and ``flop`` (signature, band),
-    `panel_flop` of the members [1]; NaN where members, sun or view are not known.
+    Adds ``aspecular_angle`` (signature) of a level body part; ``aspecular_range`` (signature), twice
+    `lean_range`, its possible variation between the ends of the body part [degree]; and ``flop`` (signature,
+    band), `flop_of` of the members [1]; NaN where members, sun or view are unknown.
     """
-    import xarray as xr
-
     good = library["good"].values.astype(bool)
     members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
-    # a band that pixels lack, as one without irradiance, leaves none of them out
-    there = np.isfinite(members)
-    held = there.sum(axis=1) > MIN_BAND_SHARE * there.any(axis=2).sum(axis=1)[:, None]
-    flops = [panel_flop(of_paint, good & bands) for of_paint, bands in zip(members, held, strict=True)]
+    # bands that many pixels lack, such as bands without irradiance, are left out, not the pixels
+    has_value = np.isfinite(members)
+    band_is_used = has_value.sum(axis=1) > MIN_BAND_SHARE * has_value.any(axis=2).sum(axis=1)[:, None]
+    flops = [flop_of(of_paint, good & bands) for of_paint, bands in zip(members, band_is_used, strict=True)]
     contrast = np.array([flop.contrast for flop in flops])
-    # where no split is known, all of the light turns with the panel: the least lean that explains a change
+    # without a split all light is direct: the smallest lean that explains a change
     direct = np.ones(len(flops))
     if "diffuse_fraction" in library.variables:
         split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values
@@ -151,7 +145,7 @@ def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
             [np.nanmean(row[good]) if np.isfinite(row[good]).any() else 0.0 for row in split]
         )
     zenith, view, turn = (library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth"))
-    found = {
+    variables = {
         "aspecular_angle": (SIGNATURE, aspecular_angle(zenith, view, turn)),
         "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, zenith, direct)),
         "flop": ((SIGNATURE, BAND), np.array([flop.spectrum for flop in flops], np.float32)),
@@ -159,6 +153,6 @@ def with_panel_geometry(library: xr.Dataset) -> xr.Dataset:
     return library.assign(
         {
             name: xr.DataArray(values, dims=dims, attrs=LIBRARY_VARIABLES[name].attrs)
-            for name, (dims, values) in found.items()
+            for name, (dims, values) in variables.items()
         }
     )
