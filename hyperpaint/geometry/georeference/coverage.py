@@ -75,7 +75,9 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     follows = np.flatnonzero(is_placed[1:] & is_placed[:-1])
     if not follows.size:
         raise SchemaError(
-            "no two neighbouring lines are placed on the ground; look at poses and at the quality's off_swath"
+            "no two neighbouring lines are placed on the ground",
+            mend="look at poses and at the quality's off_swath",
+            code="ground-not-seen",
         )
     corners = np.concatenate([ends[follows], ends[follows + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
@@ -139,7 +141,9 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
             distances[f"{name}_p{percent:02.0f}"] = value
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
-            "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
+            "no two neighbouring pixels are placed on the ground",
+            mend="look at poses and at the quality's off_swath",
+            code="ground-not-seen",
         )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
     distances["reversed"] = _reversed(east, north)
@@ -152,7 +156,11 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     coordinates = require(located, ["east", "north"], "what a line covers")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
-        raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.geometry.locate")
+        raise SchemaError(
+            "'east' does not declare its map",
+            mend="locate the line with hyperpaint.geometry.locate",
+            code="crs-missing",
+        )
     east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
     return np.asarray(east), np.asarray(north), crs
 

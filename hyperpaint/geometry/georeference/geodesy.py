@@ -69,10 +69,14 @@ def crs_of(crs: Any) -> str:
     try:
         system = pyproj.CRS.from_user_input(crs).to_2d()
     except pyproj.exceptions.CRSError as error:
-        raise SchemaError(f"crs {crs!r:.80} is not known to PROJ; expected such as 'EPSG:32617'") from error
+        raise SchemaError(
+            f"crs {crs!r:.80} is unknown to PROJ", expected="such as 'EPSG:32617'", code="crs-unknown"
+        ) from error
     if not (system.is_projected or system.is_geographic):
         raise SchemaError(
-            f"crs {crs!r:.80} is neither projected nor geographic; expected such as 'EPSG:32617'"
+            f"crs {crs!r:.80} is neither projected nor geographic",
+            expected="such as 'EPSG:32617'",
+            code="crs-unusable",
         )
     code = system.to_authority(min_confidence=100)
     return ":".join(code) if code and pyproj.CRS(":".join(code)) == system else system.to_wkt()
@@ -106,7 +110,11 @@ def utm_zone(latitude: float, longitude: float) -> str:
     'EPSG:32632'
     """
     if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
-        raise SchemaError(f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}; give crs=")
+        raise SchemaError(
+            f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
+            mend="give crs=",
+            code="crs-missing",
+        )
     longitude = (longitude + 180.0) % 360.0 - 180.0
     zone = int((longitude + 180.0) // 6.0) + 1
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:

@@ -279,8 +279,9 @@ def _check(
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
             problems.add(
-                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
-                "dims= names it"
+                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
+                mend=f"isel({dim}=[5]) keeps it, dims= names it",
+                code="dim-missing",
             )
     for name, three in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
@@ -288,13 +289,17 @@ def _check(
         except (TypeError, ValueError):
             fine = False
         if not fine:
-            problems.add(f"{name} {three!r:.80}, expected three finite numbers")
+            problems.add(f"{name} {three!r:.80}", expected="three finite numbers", code="type-wrong")
     if (ground is None) == (dem is None):
-        problems.add("give the height of the ground above the ellipsoid (ground=, in m), or dem=, not both")
+        problems.add(
+            "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
+            mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+            code="argument-missing" if dem is None else "option-conflict",
+        )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
         if number is not None and not is_number:
-            problems.add(f"{name} {number!r:.80}, expected a finite number")
+            problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
     problems.raise_if_any()
 
 
@@ -309,15 +314,18 @@ def _map_of(poses: Any, crs: Any) -> str:
         with_pose = np.flatnonzero(np.isfinite(poses[0]))
         if not with_pose.size:
             raise SchemaError(
-                "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
+                "no line has a pose, and so no UTM zone",
+                mend="check the navigation and its times, or give crs=",
+                code="pose-missing",
             )
         latitude, longitude = poses[:2, with_pose[with_pose.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
     code = crs_of(crs)
     if not is_in_metres(code):
         raise SchemaError(
-            f"crs {crs!r:.80} is not a map in metres to the east and north; give a projected one, such as "
-            "'EPSG:32617'"
+            f"crs {crs!r:.80} is not a map in metres to the east and north",
+            mend="give a projected one, such as 'EPSG:32617'",
+            code="crs-unusable",
         )
     return code
 
@@ -339,7 +347,10 @@ def _pose_inputs(
     if navigation is None:
         return {**inputs, "recorded": wanted, "wanted": wanted}
     if NAVIGATION_TIME not in navigation.variables:
-        raise SchemaError(f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]")
+        raise SchemaError(
+            f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
+            code="variable-missing",
+        )
     return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
 
 

@@ -121,9 +121,10 @@ def convention_of(
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
-            f"{subject} does not declare what its angles and heights mean, and makers differ; give "
-            "convention=Convention(...), whose defaults are roll positive with the right wing down, pitch "
-            "with the nose up, heading clockwise from true north [degree] and heights above the ellipsoid"
+            f"{subject} does not declare its angles and heights, and makers differ",
+            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
+            code="convention-missing",
         )
     return declared
 
@@ -144,12 +145,14 @@ def pose_columns(
     columns: dict[str, xr.DataArray] = {}
     for name in POSE:
         if name not in dataset.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
             continue
         column = dataset[name].reset_coords(drop=True)
         if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
             held = ", ".join(map(str, column.dims))
-            problems.add(f"{name!r} has dims ({held}), expected ({dim or NAVIGATION_TIME})")
+            problems.add(
+                f"{name!r} has dims ({held})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
+            )
             continue
         units = column.attrs.get("units")
         if name not in ANGLES:
@@ -157,7 +160,9 @@ def pose_columns(
         elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
             problems.add(
                 f"{name!r} has units {units!r}, while the convention declares angle_unit "
-                f"{convention.angle_unit!r}; correct the one that is wrong"
+                f"{convention.angle_unit!r}",
+                mend="correct the one that is wrong",
+                code="units-conflict",
             )
         columns[name] = column
     problems.raise_if_any()
@@ -288,15 +293,17 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     """Refuse an interpolation that does not exist, and a gap that is not above 0, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     if interpolation not in ("linear", "cubic"):
-        problems.add(f"interpolation {interpolation!r:.60}, expected 'linear' or 'cubic'")
+        problems.add(
+            f"interpolation {interpolation!r:.60}", expected="'linear' or 'cubic'", code="choice-unknown"
+        )
     if max_gap_s is not None and not max_gap_s > 0.0:
-        problems.add(f"max_gap_s {max_gap_s!r:.60}, expected a time above 0 [s]")
+        problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
     problems.raise_if_any()
 
 
 def _nanoseconds(time: Array) -> Ints:
     if time.dtype.kind != "M":
-        raise TimeError(f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)")
+        raise TimeError(f"times have dtype {time.dtype}", expected="datetime64[ns] (UTC)", code="type-wrong")
     return time.astype("datetime64[ns]").astype(np.int64)
 
 
@@ -314,8 +321,9 @@ def _increasing(knots: Ints) -> Bools:
         rows = dated[1:][steps < 0]
         shown = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
         raise TimeError(
-            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown}); "
-            "sort the record by time, or take these rows out"
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown})",
+            mend="sort the record by time, or remove these rows",
+            code="time-backwards",
         )
     keep = np.zeros(knots.size, bool)
     keep[dated[np.concatenate([[True], steps > 0])[: dated.size]]] = True

@@ -59,39 +59,44 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     dem = dem.squeeze(drop=True) if dem.ndim > 2 else dem
     axes: dict[str, tuple[float, float]] = {}
     if set(dem.dims) != {"y", "x"}:
-        problems.add(f"dims ({', '.join(map(str, dem.dims))}), expected (y, x)")
+        problems.add(f"dims ({', '.join(map(str, dem.dims))})", expected="(y, x)", code="dim-missing")
     else:
         for name in ("x", "y"):
-            axis = _axis(dem, name)
-            if isinstance(axis, str):
-                problems.add(axis)
-            else:
-                axes[name] = axis
+            try:
+                axes[name] = _axis(dem, name)
+            except SchemaError as error:
+                problems.add_error("cells", error)
     if _is_turned(dem, axes):
         problems.add(
-            "it lies turned on its map, as the GeoTransform of spatial_ref says, so that x and y are no map "
-            "coordinates; bring it to a grid with north up (rioxarray's reproject, or "
-            "hyperpaint.geometry.orthorectify onto such a grid)"
+            "the GeoTransform of spatial_ref turns it on its map, so x and y are no map coordinates",
+            mend="bring it to a grid with north up, by rioxarray's reproject or "
+            "hyperpaint.geometry.orthorectify",
+            code="grid-turned",
         )
     crs = _crs_text(dem)
     if crs is None:
-        problems.add("no crs; open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')")
+        problems.add(
+            "no crs",
+            mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
+            code="crs-missing",
+        )
     declared = {
         name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs
     }
     heights = Convention()
     if "height_reference" not in declared:
         problems.add(
-            "what its heights are above is not declared; positions are above the ellipsoid, most DEMs above "
-            "the geoid: dem.assign_attrs(height_reference='ellipsoid'), or height_reference='geoid' with "
-            "geoid_undulation=, the height of the geoid above the ellipsoid [m]"
+            "height_reference is not declared; positions are above the ellipsoid, most DEMs above the geoid",
+            mend="dem.assign_attrs(height_reference='ellipsoid'), or height_reference='geoid' with "
+            "geoid_undulation=, the height of the geoid above the ellipsoid [m]",
+            code="height-reference-missing",
         )
     else:
         try:
             heights = Convention(**declared)
             heights.ellipsoidal(0.0)
         except SchemaError as error:
-            problems.add(str(error))
+            problems.add_error("heights", error)
     problems.raise_if_any()
     return TerrainGrid(crs_of(crs), axes["x"], axes["y"], heights, _missing(dem))
 
@@ -109,7 +114,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     if np.isnan(elevation).all():
-        raise SchemaError("this DEM holds no heights, only holes")
+        raise SchemaError("this DEM holds no heights, only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     return Terrain(
         grid, elevation, _tops(elevation), float(np.nanmin(elevation)), float(np.nanmax(elevation))
@@ -124,17 +129,21 @@ def _tops(heights: Floats) -> Floats:
     return np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
 
 
-def _axis(dem: xr.DataArray, name: str) -> tuple[float, float] | str:
-    """Return the first coordinate and the step of an axis, or what is wrong with it."""
+def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
+    """Return the first coordinate and the step of an axis; SchemaError where it is missing or uneven."""
     if name not in dem.coords:
-        return f"no coordinate {name!r} of the centres of its cells"
+        raise SchemaError(f"no coordinate {name!r} of their centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
     if values.size < 2:
-        return f"{values.size} cells along {name!r}, expected two or more"
+        raise SchemaError(f"{values.size} along {name!r}", expected="two or more", code="length-mismatch")
     step = (values[-1] - values[0]) / (values.size - 1)
     uneven = np.abs(values - (values[0] + step * np.arange(values.size)))
     if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS * abs(step)):
-        return f"coordinate {name!r} is not evenly spaced; bring the DEM to a regular grid"
+        raise SchemaError(
+            f"coordinate {name!r} is not evenly spaced",
+            mend="bring the DEM to a regular grid",
+            code="grid-uneven",
+        )
     return float(values[0]), float(step)
 
 

@@ -138,6 +138,7 @@ def mosaic(
             f"rule {rule!r} chooses by {' and '.join(needed)}, which {', '.join(lacking)} lack",
             mend="locate the lines, add it to variables=, or choose another rule",
             option="choose another --rule",
+            code="variable-missing",
         )
     return _composed(strips, _aligned(shared.grid), rule, tile, levelling)
 
@@ -145,13 +146,15 @@ def mosaic(
 def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
     problems = Problems("these lines make no mosaic", SchemaError)
     if rule not in RULES:
-        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)))
+        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
     if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None")
+        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]")
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(f"tile {tile!r:.60}", expected="a whole number of cells above 0")
+        problems.add(
+            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
+        )
     problems.raise_if_any()
 
 
@@ -365,6 +368,7 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
             f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
             expected="one cube of floats, such as reflectance, with quality",
             mend="give variables=",
+            code="variable-missing",
         )
     return cubes[0]
 

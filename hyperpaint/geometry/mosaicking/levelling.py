@@ -75,7 +75,9 @@ def overlap_factors(
     ratios = [ratio for part in dask.compute(*looks) for ratio in part]
     if not ratios:
         raise SchemaError(
-            "lines cannot be levelled where no two overlap in unflagged cells", mend="leave out levelling="
+            "lines cannot be levelled where no two overlap in unflagged cells",
+            mend="leave out levelling=",
+            code="overlap-missing",
         )
     incidence = np.zeros((len(ratios), lines))
     for row, ratio in enumerate(ratios):

@@ -48,6 +48,7 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
         raise SchemaError(
             "this is no mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
             mend="compose one with hyperpaint.geometry.mosaic",
+            code="variable-missing",
         )
     with needs_extra("rasterio", "geo", "outlining the lines of a mosaic"):
         from rasterio import Affine

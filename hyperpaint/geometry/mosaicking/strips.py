@@ -91,7 +91,9 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
         raise SchemaError(
-            f"{type(lines).__name__} is no collection of flight lines; give a dict of datasets by their names"
+            f"{type(lines).__name__} is no collection of flight lines",
+            mend="give a dict of datasets by their names",
+            code="type-wrong",
         )
     if isinstance(lines, Mapping):
         return {str(name): lines[name] for name in sorted(lines, key=str)}
@@ -137,7 +139,9 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
         listed = ", ".join(f"{name}: {one}" for name, one in crs.items())
-        problems.add(f"lines on different maps ({listed})", mend="give crs=", option="give --crs")
+        problems.add(
+            f"lines on different maps ({listed})", mend="give crs=", option="give --crs", code="crs-conflict"
+        )
     surveys = {
         name: survey_lines(*_places(line), north_axes(), progress)
         for name, line in lines.items()
@@ -169,6 +173,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
                 f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
                 expected=f"cells of {size:.9g} m on the grid of the others",
                 mend="orthorectify all lines with one gsd and grid='north', or give the lines",
+                code="grid-mismatch",
             )
         shape = lines[name].sizes["y"], lines[name].sizes["x"]
         grids[name] = MapGrid(axes, size, (round(row), round(col)), shape)
@@ -241,8 +246,9 @@ def _cut(
     missing = [needed for needed in _NEEDED if needed not in line.variables]
     if missing:
         raise SchemaError(
-            f"the map {name} has no {', '.join(missing)}, which tell what it shows",
+            f"the map {name} lacks {', '.join(missing)}",
             mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+            code="variable-missing",
         )
     corner, *edges = tiles
     pads, sizes = [], []
@@ -281,7 +287,11 @@ def _check_alike(strips: Sequence[Strip]) -> None:
         for name in first.map.data_vars:
             ours, theirs = first.map[name], strip.map.variables.get(name)
             if theirs is None:
-                problems.add(f"{strip.name} has no {name}, which {first.name} has", mend="give variables=")
+                problems.add(
+                    f"{strip.name} has no {name}, which {first.name} has",
+                    mend="give variables=",
+                    code="variable-missing",
+                )
                 continue
             for what, new, old in (
                 ("type", theirs.dtype, ours.dtype),
@@ -289,10 +299,16 @@ def _check_alike(strips: Sequence[Strip]) -> None:
                 ("units", theirs.attrs.get("units"), ours.attrs.get("units")),
             ):
                 if new != old:
-                    problems.add(f"{what} of {name} of {strip.name} {new}", expected=f"{old} of {first.name}")
+                    problems.add(
+                        f"{what} of {name} of {strip.name} {new}",
+                        expected=f"{old} of {first.name}",
+                        code="variable-mismatch",
+                    )
         one, two = (np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip))
         if one.shape != two.shape or not np.allclose(one, two, rtol=0, atol=_SAME_WAVELENGTH_NM):
-            problems.add(f"wavelengths of {strip.name} are not those of {first.name}")
+            problems.add(
+                f"wavelengths of {strip.name} differ from those of {first.name}", code="wavelength-mismatch"
+            )
     problems.raise_if_any()
 
 
@@ -327,7 +343,9 @@ def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, 
     fine = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
     if not fine:
         problems.add(
-            f"the map {name} has the GeoTransform {text}", expected="square cells with north up",
+            f"the map {name} has the GeoTransform {text}",
+            expected="square cells with north up",
             mend="orthorectify with grid='north'",
+            code="grid-turned",
         )  # fmt: skip
     return numbers

@@ -119,7 +119,9 @@ def find_tie_points(
     """
     named = named_lines(lines)
     if len(named) < 2 or any(map(is_map, named.values())):
-        raise SchemaError("tie points are of two flight lines or more, in the geometry of the camera")
+        raise SchemaError(
+            "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
+        )
     named = located_lines(named, location)
     if gsd is None:
         gsd = 2.0 * shared_grid(named, None, None).grid.gsd
@@ -137,9 +139,10 @@ def find_tie_points(
     table = np.concatenate(rows)
     if not len(table):
         raise SchemaError(
-            f"no tie points between {', '.join(named)}; do the lines overlap, and by more than "
-            f"{2 * rules.half_patch * gsd:.3g} m?",
+            f"no tie points between {', '.join(named)}",
+            expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
             mend="give a larger search_m=, another band= or gsd=",
+            code="tie-points-missing",
         )
     east, north = shared.grid.axes.anchor
     row, col, shift_down, shift_right, quality, height = table[:, :6].T
@@ -164,8 +167,9 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     cubes = [name for name in _PICTURED if name in line.variables and set(line[name].dims) == set(CUBE)]
     if not cubes or "ground_height" not in line.variables:
         raise SchemaError(
-            "a line has no counts, radiance or reflectance to look at, or no ground_height",
+            "a line has no counts, radiance or reflectance, or no ground_height",
             mend="locate lines with hyperpaint.geometry.locate before",
+            code="variable-missing",
         )
     number = line.sizes[BAND] // 2 if band is None else band
     seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)

@@ -236,8 +236,10 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
     if used.sum() < RULES.min_parts:
         raise SchemaError(
-            f"{int(used.sum())} parts of rows show a motion and have poses, expected "
-            f"{RULES.min_parts}; look at the times of line and record, and at what the line shows"
+            f"{int(used.sum())} parts of rows show a motion and have poses",
+            expected=f"{RULES.min_parts}",
+            mend="check the times of line and record, and the contrast of the line",
+            code="motion-not-seen",
         )
     scored = score(
         setting.seen, setting.recorded, setting.view, Hypothesis(setting.declared),

@@ -35,13 +35,17 @@ def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
     if image is None:
         name = next((name for name in _CUBES if name in line.variables), None)
         if name is None:
-            raise SchemaError(f"this line has no picture: none of {', '.join(_CUBES)}; give image=")
+            raise SchemaError(
+                f"this line has no picture: {', '.join(_CUBES)}", mend="give image=", code="picture-missing"
+            )
         image = line[name]
         if BAND in image.dims:
             image = image.isel({BAND: _bands(line)}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
     if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
-        raise SchemaError(f"the image is {dict(image.sizes)}, expected {sizes} as the line")
+        raise SchemaError(
+            f"the image is {dict(image.sizes)}", expected=f"{sizes}, as the line", code="grid-mismatch"
+        )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
 

@@ -133,7 +133,9 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
     if missing:
         subject = "this line" if navigation is None else "this navigation record"
         raise SchemaError(
-            f"{subject} has no {', '.join(missing)} ({dim}); give navigation=hp.open_navigation(...)"
+            f"{subject} has no {', '.join(missing)} ({dim})",
+            mend="give navigation=hp.open_navigation(...)",
+            code="variable-missing",
         )
     times = wanted if navigation is None else source[NAVIGATION_TIME].values
     columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
@@ -202,16 +204,26 @@ def setting_of(
     if ground is None:
         located_ground = line.attrs.get("ground")
         if not isinstance(located_ground, int | float):
-            raise SchemaError("the height of the ground is not known; give ground= [m above the ellipsoid]")
+            raise SchemaError(
+                "the height of the ground is not known",
+                mend="give ground= [m above the ellipsoid]",
+                code="ground-height-missing",
+            )
         ground = float(located_ground)
     first = max((line.sizes[ALONG_TRACK] - MAX_LINES) // 2, 0)
     chosen = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
     part = line.isel({ALONG_TRACK: chosen})
     if part.sizes[ALONG_TRACK] < _MIN_LINES:
-        raise SchemaError(f"{part.sizes[ALONG_TRACK]} lines, expected {_MIN_LINES} at least")
+        raise SchemaError(
+            f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
+        )
     seen = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: chosen})))
     if seen is None:
-        raise SchemaError("the picture is too narrow, or shows nothing at all; expected 64 columns at least")
+        raise SchemaError(
+            "the picture is too narrow or without contrast",
+            expected="at least 64 columns",
+            code="picture-narrow",
+        )
     roll, pitch, heading = (float(angle) for angle in boresight)
     forward, right, down = (float(length) for length in lever_arm)
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))

@@ -160,7 +160,8 @@ def sightings_of(
     outside = ~((at >= -0.5) & (at <= time.size - 0.5) & (column >= -0.5) & (column <= across.size - 0.5))
     if outside.any() or time.size < 2:
         raise SchemaError(
-            f"points {index[outside].tolist()} are outside a line of {time.size} lines, {across.size} columns"
+            f"points {index[outside].tolist()} are outside {time.size} lines of {across.size} columns",
+            code="pixel-outside",
         )
     before = np.clip(np.floor(at).astype(np.int64), 0, time.size - 2)
     steps = (time[before + 1] - time[before]).astype(np.int64)
@@ -184,7 +185,9 @@ def sightings_of(
         missing[:] = ~np.isfinite(sightings.misses(np.array([0.0, 0.0, 0.0, 0.0, clock]))).all(axis=1)
     if missing.any():
         raise SchemaError(
-            f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"
+            f"points {index[missing].tolist()} are on lines without time or pose",
+            mend="look at gaps of the record",
+            code="pose-missing",
         )
     return sightings
 

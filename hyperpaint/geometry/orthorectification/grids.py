@@ -212,7 +212,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
         if len(ends):
             break
     if not len(ends):
-        raise SchemaError(_NOTHING_PLACED)
+        raise _nothing_placed()
     return flight_axes(ends[:, 0], ends[:, 1])
 
 
@@ -232,9 +232,17 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     for (_, (_, before)), (_, (after, _)), start in zip(surveyed, surveyed[1:], starts, strict=False):
         table[start - 1, 9] = _median(np.hypot(*(after - before)))
     if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():
-        raise SchemaError(_NOTHING_PLACED)
+        raise _nothing_placed()
     across, along = (_median(table[:, column]) for column in (8, 9))
     return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
+
+
+def _nothing_placed() -> SchemaError:
+    return SchemaError(
+        "no two neighbouring pixels are placed on the ground, so there is nothing to map",
+        mend="look at the poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
 
 
 def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
@@ -250,12 +258,6 @@ def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
     ]
     ends = np.concatenate(rows).reshape(-1, 2, 2)
     return np.asarray(ends[np.isfinite(ends).all(axis=(1, 2))])
-
-
-_NOTHING_PLACED = (
-    "no two neighbouring pixels are placed on the ground, and so there is nothing to map; look at the poses "
-    "and at the quality's off_swath"
-)
 
 
 def _computed(

@@ -213,20 +213,32 @@ def _check(
         ("multi_hit", multi_hit, RULES),
     ):
         if given not in choices:
-            problems.add(f"{name} {given!r:.60}, expected {' or '.join(map(repr, choices))}")
+            problems.add(
+                f"{name} {given!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
+            )
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}, expected a length above 0 [m]")
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not 1.0 <= max_stretch < np.inf:
-        problems.add(f"max_stretch {max_stretch!r:.60}, expected a number of cells from 1 on")
+        problems.add(
+            f"max_stretch {max_stretch!r:.60}",
+            expected="a number of cells from 1 on",
+            code="value-out-of-range",
+        )
     if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(f"tile {tile!r:.60}, expected a whole number of cells above 0")
+        problems.add(
+            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
+        )
     if bounds is not None:
         edges = np.asarray(bounds, np.float64)
         fine = (
             edges.shape == (4,) and np.isfinite(edges).all() and edges[0] < edges[2] and edges[1] < edges[3]
         )
         if not fine:
-            problems.add(f"bounds {bounds!r:.80}, expected west, south, east, north [m], in this order")
+            problems.add(
+                f"bounds {bounds!r:.80}",
+                expected="west, south, east, north [m], in this order",
+                code="bounds-invalid",
+            )
     problems.raise_if_any()
 
 
@@ -241,7 +253,9 @@ def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
     if location:
         given = ", ".join(f"{name}=" for name in location)
         raise SchemaError(
-            f"this line is located already, and {given} would do nothing; leave out, or drop east and north"
+            f"this line is located already, and {given} would do nothing",
+            mend="leave out, or drop east and north",
+            code="option-conflict",
         )
     return line
 
@@ -261,7 +275,11 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
         lines_, columns = coordinates["east"].shape
-        raise SchemaError(f"{lines_} lines of {columns} columns make no map; two of each are needed")
+        raise SchemaError(
+            f"{lines_} lines of {columns} columns make no map",
+            expected="two or more of each",
+            code="line-too-short",
+        )
     crs = coordinates["east"].attrs.get("crs")
     # a line that was located on level ground says its height
     is_level = isinstance(line.attrs.get("ground"), int | float)
@@ -297,7 +315,9 @@ def _planned(
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
     if not size > 0.0:
-        raise SchemaError("the pixels lie upon one another, and give no size of a cell; give gsd= [m]")
+        raise SchemaError(
+            "the pixels lie upon one another and give no cell size", mend="give gsd= [m]", code="gsd-missing"
+        )
     if kind == "flight":
         # the centre of the first cell lies in the corner of what is covered
         left, _, upper, _ = survey.box
@@ -313,8 +333,10 @@ def _check_tiles(grid: MapGrid, tile: int) -> None:
     count = -(-rows // tile) * -(-cols // tile)
     if count > _MAX_TILES:
         raise SchemaError(
-            f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}, expected "
-            f"{_MAX_TILES} at most; give a larger gsd, bounds, or a larger tile"
+            f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}",
+            expected=f"at most {_MAX_TILES}",
+            mend="give a larger gsd, bounds, or a larger tile",
+            code="map-too-large",
         )
 
 
@@ -412,7 +434,9 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     missing = [name for name in ("hits", "gap") if name not in made.variables]
     if missing:
         raise SchemaError(
-            f"this is no map: {' and '.join(map(repr, missing))} missing; orthorectify a flight line first"
+            f"this is no map: {' and '.join(map(repr, missing))} missing",
+            mend="orthorectify a flight line first",
+            code="variable-missing",
         )
     hits, gap = made["hits"], made["gap"]
     lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())

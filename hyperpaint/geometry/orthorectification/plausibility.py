@@ -36,7 +36,10 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
     texts = list(_absurdities(attrs, is_whole=line.sizes[CROSS_TRACK] >= WHOLE_CAMERA))
     if texts:
         name = line.attrs.get("name", "this line")
-        warnings.warn(f"{name}: {'; '.join(texts)}; check ground and camera", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
+            stacklevel=3,
+        )
     return attrs
 
 

@@ -227,13 +227,17 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     for name in names:
         if name not in line.variables:
             held = ", ".join(sorted(map(str, line.variables)))
-            problems.add(f"{name!r} is not there; the line has {held:.400}")
+            problems.add(f"{name!r} is not there", expected=f"{held:.400}", code="variable-missing")
         elif not _is_mapped(line[name].dims):
             dims = ", ".join(map(str, line[name].dims)) or "a scalar"
-            problems.add(f"{name!r} ({dims}) has no place on a map, expected along_track or cross_track")
+            problems.add(
+                f"{name!r} ({dims}) has no place on a map",
+                expected="along_track or cross_track",
+                code="dim-missing",
+            )
         elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
             expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
-            problems.add(f"{name!r} is {line[name].dtype}, expected {expected}")
+            problems.add(f"{name!r} is {line[name].dtype}", expected=f"{expected}", code="type-wrong")
     problems.raise_if_any()
     line = _as_native(line, names)
     spectra = [name for name in names if name in _PRODUCTS]
