@@ -1,4 +1,4 @@
-"""Where the columns of a line camera look."""
+"""Look directions of the columns of a line camera."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class PinholeCamera:
 def look_angles(
     line: xr.Dataset, camera: PinholeCamera | xr.Dataset | None, convention: Convention
 ) -> tuple[Any, Any]:
-    """Return where the columns look, across and along the track (cross_track,) [degree]; lazy where they are.
+    """Return look angles of the columns, across and along the track (cross_track,) [degree]; maybe lazy.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a located flight line covers, and how far apart its pixels are on the ground."""
+"""Outline of a located flight line, and the spacing of its pixels on the ground."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PERCENTILES = (5.0, 95.0)
 
 
 def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
-    """Return the outline of what a located line covers, as a Feature of GeoJSON (eager).
+    """Return the outline of the ground that a located line covers, as a GeoJSON Feature (eager).
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
 
 def spacing(located: xr.Dataset) -> dict[str, float]:
-    """Return how far apart the pixels of a located line are on the ground (eager).
+    """Return the spacing of the pixels of a located line on the ground (eager).
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
 
 
 def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
-    """Return east and north of every pixel [m], and their map."""
+    """Return east and north of every pixel [m], and their CRS."""
     coordinates = require(located, ["east", "north"], "what a line covers")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
@@ -166,7 +166,7 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
 
 
 def line_ends(east: Floats, north: Floats) -> Floats:
-    """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
+    """Return the outermost located pixels of every line (line, 2, 2); NaN for lines without any."""
     is_placed = np.isfinite(east) & np.isfinite(north)
     first = is_placed.argmax(axis=1)
     last = is_placed.shape[1] - 1 - is_placed[:, ::-1].argmax(axis=1)
@@ -182,7 +182,7 @@ def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
 
 
 def _reversed(east: Floats, north: Floats) -> float:
-    """Return the share of steps from line to line, at the middle column, that go against the flight."""
+    """Return the share of steps from line to line, at the middle column, against the direction of flight."""
     middle = east.shape[1] // 2
     steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)
     steps = steps[np.isfinite(steps).all(axis=1)]

@@ -1,4 +1,4 @@
-"""The earth's figure and the maps of it, through pyproj (extra ``geo``)."""
+"""Reference systems and maps of the earth, through pyproj (extra ``geo``)."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def _pyproj() -> Any:
 
 @functools.lru_cache(maxsize=64)
 def _crs(text: str) -> pyproj.CRS:
-    """Return a reference system, of the horizontal alone, of what `crs_of` has returned."""
+    """Return the horizontal part of a reference system, given as `crs_of` returns it."""
     horizontal: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
     return horizontal
 
 
 @functools.lru_cache(maxsize=64)
 def _transformer(source: str, target: str) -> pyproj.Transformer:
-    """Return what turns coordinates of one reference system into another's, x or longitude first.
+    """Return the transformer between two reference systems; x or longitude come first.
 
     Heights [m] belong to `GEODETIC` and to geocentric X, Y, Z [m] alone; of others the horizontal is taken.
     """
@@ -51,7 +51,7 @@ def _transformer(source: str, target: str) -> pyproj.Transformer:
 
 
 def crs_of(crs: Any) -> str:
-    """Return a reference system in the form that tasks carry: its EPSG code, else WKT.
+    """Return a reference system as text: its EPSG code, else WKT.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
 
 
 def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any) -> Floats:
-    """Return where grid north points, clockwise from true north [degree].
+    """Return the direction of grid north, clockwise from true north [degree].
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def grid_mapping_attrs(crs: str) -> dict[str, Any]:
 
 
 def between_maps(places: Floats, source: str, target: str) -> Floats:
-    """Return places (n, 2) of one reference system in another, x or longitude first."""
+    """Return places (n, 2) converted between reference systems, x or longitude first."""
     if source == target:
         return places
     x, y = _transformer(source, target).transform(places[:, 0], places[:, 1])
@@ -178,7 +178,7 @@ def between_maps(places: Floats, source: str, target: str) -> Floats:
 
 
 def is_in_metres(crs: str) -> bool:
-    """Tell whether a reference system is a map whose coordinates are in metres to the east and north.
+    """Return whether a reference system is a map with coordinates in metres to the east and north.
 
     Those to the west and south (EPSG:2053) would turn every map over.
     """
@@ -191,7 +191,7 @@ def is_in_metres(crs: str) -> bool:
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
-    """Return by how much x is to be moved to be the one nearest to a place that means the same.
+    """Return the shift that brings x nearest to ``middle`` without changing its meaning.
 
     Whole turns of longitude [degree], where the reference system is geographic; 0 on a map.
     """
@@ -276,7 +276,7 @@ def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
 
 
 def _coefficients(value: Floats, reach: Floats) -> Floats:
-    """Return the ten coefficients (line, 10) of what is known at `_OFFSETS` times the reach (line, 19)."""
+    """Return ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)."""
     centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
     slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
     square = (ends[..., 0] + ends[..., 1] - 2.0 * centre[:, None]) / (2.0 * reach[:, None] ** 2)
@@ -286,7 +286,7 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
 
 
 def turn_of_north(latitude: Floats) -> Floats:
-    """Return how true north turns with the way to the east [rad m-1]."""
+    """Return the rotation of true north per metre to the east [rad m-1]."""
     phi = np.radians(latitude)
     radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     return np.asarray(np.tan(phi) / radius)

@@ -1,4 +1,4 @@
-"""The place on the ground that every pixel of a flight line shows."""
+"""Ground position of every pixel of a flight line."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0
 
 @dataclass(frozen=True)
 class Swath:
-    """All that a slab of lines needs."""
+    """Inputs that all slabs of lines share."""
 
     poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
     look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
@@ -116,7 +116,7 @@ def locate(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> xr.Dataset:
-    """Add the place on the ground that every pixel shows, and the direction it is seen from.
+    """Add the ground position of every pixel, and the direction it is seen from.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def _declared(
     ground: float | None,
     dem: xr.DataArray | None,
 ) -> tuple[Sequence[float], Sequence[float], Any]:
-    """Return the mounting and the ground as asked for, else as the line's attributes declare them."""
+    """Return mounting and ground height as given, else as the line's attributes declare them."""
     level: Sequence[float] = (0.0, 0.0, 0.0)
     turn = line.attrs.get("boresight", level) if boresight is None else boresight
     arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
@@ -309,7 +309,7 @@ def _triple(three: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _map_of(poses: Any, crs: Any) -> str:
-    """Return the map asked for, or the UTM zone of the middle of the lines that have a pose."""
+    """Return the given CRS, or the UTM zone of the middle of the lines that have a pose."""
     if crs is None:
         with_pose = np.flatnonzero(np.isfinite(poses[0]))
         if not with_pose.size:
@@ -336,7 +336,7 @@ def _map_of(poses: Any, crs: Any) -> str:
 def _pose_inputs(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
 ) -> dict[str, Any]:
-    """Return the columns of poses; and, where they are to be interpolated, their times and those wanted."""
+    """Return the columns of poses, with recorded and wanted times where they are to be interpolated."""
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
     columns = pose_columns(source, convention, dim)
@@ -365,7 +365,7 @@ def _poses(
     wanted: Any = None,
     **columns: Any,
 ) -> Floats:
-    """Return canonical poses of all lines (6, line), float64; all NaN or none."""
+    """Return canonical poses of all lines (6, line), float64; a pose is complete or all NaN."""
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
@@ -391,7 +391,7 @@ def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dat
 
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
-    """Return the line with its places, and the flag where there are none."""
+    """Return the line with ground positions, and the flag ``off_swath`` where there are none."""
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
@@ -408,7 +408,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    """Return lines of every slab: as what the line holds is chunked, else as radiometry will chunk it."""
+    """Return the lines of every slab: as the line is chunked, else as radiometry will chunk it."""
     pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
     for array in sorted(pixels, key=lambda v: -v.ndim):
         if array.chunks is not None:
@@ -424,7 +424,7 @@ def _is_lazy(*values: Any) -> bool:
 
 
 def _call(function: Any, **inputs: Any) -> Any:
-    """Return a small result: at once of what is in memory, else as a node of the graph."""
+    """Return the result of a function: at once from arrays in memory, else as a node of the graph."""
     if _is_lazy(*inputs.values()):
         return dask.delayed(function, pure=True)(**inputs)
     return function(**inputs)

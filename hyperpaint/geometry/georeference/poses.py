@@ -1,4 +1,4 @@
-"""Where the camera was and how it was turned, in canonical form, at the middle of every exposure."""
+"""Position and attitude of the camera, in canonical form, at the middle of every exposure."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
 def convention_of_line(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None
 ) -> Convention:
-    """Return the convention of a line's poses, with the line's order of columns where it declares none.
+    """Return the convention of a line's poses; the line's own column order fills a missing one.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def convention_of_line(
 def convention_of(
     dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
 ) -> Convention:
-    """Return the convention given, else that of the attributes; SchemaError where there is neither."""
+    """Return the given convention, else the one of the attributes; SchemaError where there is neither."""
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
@@ -180,7 +180,7 @@ def canonical_values(
     convention: Convention,
     crs: Any = None,
 ) -> Floats:
-    """Return canonical poses (6, row), float64, of columns that a convention gives the meaning of."""
+    """Return canonical poses (6, row), float64, from columns in the given convention."""
     latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
     convergence = None
     if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
@@ -203,7 +203,7 @@ def interpolate_pose(
     interpolation: Interpolation = "linear",
     crs: Any = None,
 ) -> xr.Dataset:
-    """Return canonical poses at times, on the shortest arc between the rows of a navigation record.
+    """Return canonical poses at given times, interpolated on the shortest arc between rows of a record.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def poses_at(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> Floats:
-    """Return poses (6, line) at times, of canonical ones (6, row); see `interpolate_pose`."""
+    """Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`."""
     check_interpolation(interpolation, max_gap_s)
     knots = _nanoseconds(recorded)
     wanted = _nanoseconds(time)
@@ -290,7 +290,7 @@ def poses_at(
 
 
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
-    """Refuse an interpolation that does not exist, and a gap that is not above 0, as SchemaError."""
+    """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     if interpolation not in ("linear", "cubic"):
         problems.add(
@@ -308,7 +308,7 @@ def _nanoseconds(time: Array) -> Ints:
 
 
 def _increasing(knots: Ints) -> Bools:
-    """Tell which rows have a time that was not there before.
+    """Return the rows whose time is later than all before (row,).
 
     Raises
     ------
@@ -331,7 +331,7 @@ def _increasing(knots: Ints) -> Bools:
 
 
 def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
-    """Return the row before each time, the weight of the row after, and whether it may be interpolated."""
+    """Return the row before each time, the weight of the row after, and whether interpolation is allowed."""
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
     inside = (wanted >= knots[0]) & (wanted <= knots[-1])

@@ -1,4 +1,4 @@
-"""Rasters of heights that rays are followed to."""
+"""Height rasters (DEM) that rays are intersected with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_UNEVENNESS = 1e-3
 
 @dataclass(frozen=True)
 class TerrainGrid:
-    """How the cells of a raster lie on its map, and what its heights mean."""
+    """Grid of a height raster, and the reference of its heights."""
 
     crs: str  #: Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
@@ -33,7 +33,7 @@ class TerrainGrid:
 
 @dataclass(frozen=True)
 class Terrain:
-    """A raster of heights, ready for the kernel."""
+    """A height raster, prepared for the kernel."""
 
     grid: TerrainGrid  #: Where its cells lie
     heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
@@ -45,7 +45,7 @@ class Terrain:
 
 
 def grid_of(dem: xr.DataArray) -> TerrainGrid:
-    """Return how a raster lies, from its coordinates and attributes; its heights are not read.
+    """Return the grid of a raster from its coordinates and attributes; its heights are not read.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
-    """Return the raster of heights (row, col), made ready for the kernel.
+    """Return a raster of heights (row, col), prepared for the kernel.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
 
 
 def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
-    """Tell whether a raster, by its GeoTransform, has rows that do not run east or west.
+    """Return whether the rows of a raster, by its GeoTransform, do not run east or west.
 
     That of a part of a raster may be stale, so that nothing but directions are taken from it.
     """
@@ -169,7 +169,7 @@ def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:
 
 
 def _crs_text(dem: xr.DataArray) -> str | None:
-    """Return the crs that a raster declares, as rioxarray or by hand."""
+    """Return the CRS that a raster declares, in the attributes of rioxarray or its own."""
     for attrs in (dem.attrs, _mapping_attrs(dem)):
         for name in ("crs", "crs_wkt", "spatial_ref"):
             if attrs.get(name):

@@ -1,4 +1,4 @@
-"""From several flight lines to one map, and from their overlaps to what a camera's mounting is solved from.
+"""Several flight lines as one map, and tie points between them for solving the camera's mounting.
 
 Located lines or maps come in; files: `strips` (lines on one grid, cut into its tiles), `composing` (`mosaic`:
 which line counts at a cell), `levelling` (one factor a line and band),

@@ -1,4 +1,4 @@
-"""Several flight lines as one map: of every cell the line that shows it best."""
+"""Mosaic of several flight lines: each cell shows one line, chosen by a rule."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def mosaic(
     progress: Progress | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Return several flight lines as one map with north up; every cell is of one line.
+    """Return several flight lines as one map with north up; every cell shows one line.
 
     Lazy but for one look at where the pixels of each line lie. A tile reads the lines that show it, one
     after another, and no others.
@@ -161,7 +161,7 @@ def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
 def _planes(
     rule: str, names: list[str], fills: list[Any], size: int, recipes: dict[int, Recipe], gaps: list[Recipe]
 ) -> dict[str, Array]:
-    """Return the choice of a tile, and the planes ``names`` of the lines that count (row, col).
+    """Return the choice of lines for a tile, and the planes ``names`` of the chosen lines (row, col).
 
     ``recipes`` are those of the planes, by the number of the line.
     """
@@ -194,7 +194,7 @@ def _planes(
 
 
 def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None) -> Array:
-    """Return the spectra of a tile (row, col, band), of the lines that count; of others nothing is read.
+    """Return the spectra of a tile (row, col, band) from the chosen lines; other lines are not read.
 
     ``factors`` (line, band) multiply them.
     """
@@ -208,7 +208,7 @@ def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], fac
 
 
 def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
-    """Return what the pixels of a line are ranked by, the most important first; the least is best."""
+    """Return the ranks of the pixels of a line, the most important first; the smallest rank wins."""
     quality = plane.get("quality", np.zeros_like(plane["hits"]))
     ranks = [(quality & _EMPTY_PIXEL) != 0]
     if rule == "newest":
@@ -232,7 +232,7 @@ class _Tiles:
     def _array(
         self, name: str, tasks: Mapping[Any, Any], dtype: Any, bands: tuple[int, ...], of: list[da.Array]
     ) -> da.Array:
-        """Return the array of some tasks, by place."""
+        """Return the dask array of some tasks, given by place."""
         layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
         graph = HighLevelGraph.from_collections(name, layer, dependencies=of)
         rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
@@ -240,7 +240,7 @@ class _Tiles:
         return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
     def levelling(self, variable: str) -> Levelling:
-        """Return what levels a cube, of its type."""
+        """Return the levelling factors of a cube, in its dtype."""
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
@@ -254,7 +254,7 @@ class _Tiles:
         return {number: strip.recipe(names, at) for number, strip in strips if strip.reaches(at)}
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
-        """Return the `_planes` of every tile, as an array of one dict a tile."""
+        """Return the `_planes` of every tile, as an array of one dict per tile."""
         first = self.strips[0].map
         fills = [fill_of(name, first[name].dtype) for name in names]
         tasks = {}
@@ -268,12 +268,12 @@ class _Tiles:
         return self._array(name, tasks, object, (), [])
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
-        """Return one of the planes (row, col)."""
+        """Return one plane (row, col)."""
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
         return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
 
     def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
-        """Return spectra (row, col, band) of the lines that count."""
+        """Return the spectra (row, col, band) of the chosen lines."""
         first = self.strips[0].map[variable]
         fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
         tasks = {}
@@ -286,7 +286,7 @@ class _Tiles:
 
 
 def _aligned(grid: MapGrid) -> MapGrid:
-    """Return a grid whose larger sides begin where a chunk of a store would.
+    """Return a grid whose longer sides begin at a chunk of a store.
 
     Tiles begin at whole multiples of their size on the map. Where a mosaic of several begins between two
     chunks of a store, every chunk is written from up to four tiles, which are held until then.
@@ -360,7 +360,7 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
 
 
 def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
-    """Return the name of the one cube of a map."""
+    """Return the name of the only cube of a map."""
     cubes = [str(name) for name in first.data_vars if name not in flat and first[name].ndim == 3]
     missing = [name for name in LEVELLED_BY if name not in first.variables]
     if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
@@ -374,7 +374,7 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
 
 
 def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
-    """Return the coordinates of a map with north up, with what those of a line say of themselves."""
+    """Return the coordinates of a map with north up, with the attributes of the lines' coordinates."""
     rows, cols = grid.shape
     (east, _), (_, north) = (
         grid.centres(slice(0, 1), slice(0, cols)),

@@ -1,4 +1,4 @@
-"""One factor a line and band, so that lines agree where they overlap."""
+"""One factor per line and band that makes lines agree where they overlap."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEVELLED_BY = ("hits", "quality")
 
 @dataclass(frozen=True)
 class Rules:
-    """Thresholds of the factors, and where they come from."""
+    """Thresholds of the factors, and their origin."""
 
     step: int = 2  #: every how many rows and columns are looked at: neighbours say the same
     min_cells: int = 20  #: cells of a tile in which two lines must overlap
@@ -35,7 +35,7 @@ RULES = Rules()
 
 
 class _Ratio(NamedTuple):
-    """What two lines say of one another in a tile."""
+    """Ratio of two lines in one tile."""
 
     first: int
     second: int
@@ -44,7 +44,7 @@ class _Ratio(NamedTuple):
 
 
 class Levelling(NamedTuple):
-    """Factors, and which of them overlaps say."""
+    """Factors, and the bands in which they are interpolated."""
 
     factors: Floats  #: (line, band) [1]
     #: (line, band): whether a line that overlaps say something of has its factor from neighbouring bands
@@ -54,7 +54,7 @@ class Levelling(NamedTuple):
 def overlap_factors(
     tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
 ) -> Levelling:
-    """Return factors by which lines agree where they overlap (eager, a tile at a time).
+    """Return factors that make lines agree where they overlap (eager, a tile at a time).
 
     ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Least squares on the
     logarithm of the medians of tiles, tiles that lie off counting less; unflagged cells alone. Lines that
@@ -105,7 +105,7 @@ def overlap_factors(
 
 
 def _parts(incidence: Floats) -> Ints:
-    """Return the least number of the lines that each line hangs together with (line,)."""
+    """Return the connected part of each line, as the smallest line number in it (line,)."""
     parts = np.arange(incidence.shape[1])
     pairs = np.argsort(-np.abs(incidence), axis=1, kind="stable")[:, :2]
     for _ in range(parts.size):
@@ -118,12 +118,12 @@ def _parts(incidence: Floats) -> Ints:
 
 
 def _of_whole_parts(parts: Ints, whole: Ints) -> Bools:
-    """Tell of every line whether the lines that it hangs together with at all do so in this band."""
+    """Return the lines whose whole connected part is connected in this band too (line,)."""
     return np.array([np.unique(parts[whole == number]).size == 1 for number in whole])
 
 
 def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
-    """Return what every pair of lines says of one another in a tile."""
+    """Return the ratios of all pairs of lines in a tile."""
     logs = {}
     for number, recipe in recipes.items():
         hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe.values())
@@ -142,7 +142,7 @@ def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
 
 
 def _robust(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
-    """Return the logarithms of factors (line,); their mean is 0 over lines that hang together."""
+    """Return the logarithms of factors (line,); their mean is 0 over connected lines."""
     trust = np.ones_like(observed)
     for _ in range(RULES.rounds):
         scaled = (weights * np.sqrt(trust))[:, None]

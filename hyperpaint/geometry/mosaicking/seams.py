@@ -1,4 +1,4 @@
-"""Where one line of a mosaic ends and the next begins."""
+"""Boundaries between the lines of a mosaic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hyperpaint.base.errors import SchemaError, needs_extra
 
 
 def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
-    """Return the areas that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
+    """Return the area that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
 
     Parameters
     ----------

@@ -44,18 +44,18 @@ class Strip:
     touched: Array  #: (tile row, tile column) bool: whether the line shows any cell of a tile
 
     def covers(self, place: tuple[int, int]) -> bool:
-        """Tell whether the map has a tile at a place in the mosaic."""
+        """Return whether the map has a tile at a place in the mosaic."""
         return all(
             0 <= k - first < size
             for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
         )
 
     def reaches(self, place: tuple[int, int]) -> bool:
-        """Tell whether the line may show a cell of a tile."""
+        """Return whether the line may show a cell of a tile."""
         return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
-        """Return what makes a tile of some variables."""
+        """Return the tasks that make a tile of some variables."""
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
         arrays = [self.map[name].data for name in names]
         keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
@@ -86,7 +86,7 @@ class Recipe:
 
 
 def named_lines(lines: Any) -> dict[str, xr.Dataset]:
-    """Return lines by their names, in the order of these; without names they are numbered as they come."""
+    """Return lines by name, sorted; lines of a sequence are numbered."""
     if isinstance(lines, xr.DataTree):
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
@@ -102,12 +102,12 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
 
 
 def is_map(line: xr.Dataset) -> bool:
-    """Tell whether a dataset is on a map already."""
+    """Return whether a dataset is a map."""
     return {"y", "x"} <= set(line.dims)
 
 
 def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Return the lines with the places of their pixels; maps and located lines as they are."""
+    """Return the lines with ground positions; maps and located lines are returned unchanged."""
     located = {}
     for name, line in lines.items():
         placed = is_map(line) or all(
@@ -120,7 +120,7 @@ def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) 
 
 @dataclass(frozen=True)
 class SharedGrid:
-    """The grid of a mosaic, and where each line lies on it."""
+    """The grid of a mosaic, and the part of it that each line covers."""
 
     grid: MapGrid
     surveys: dict[str, Survey]  #: Of lines that are no maps yet
@@ -128,7 +128,7 @@ class SharedGrid:
 
 
 def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
-    """Return the grid that covers all lines; eager in where they lie, a line at a time.
+    """Return the grid that covers all lines; surveys the lines (eager) one at a time.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def strips_of(
     tile: int,
     **options: Any,
 ) -> list[Strip]:
-    """Return all lines on the grid of the mosaic, cut into its tiles; options as of `orthorectify`.
+    """Return all lines on the grid of the mosaic, cut into its tiles; options as for `orthorectify`.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def strips_of(
 
 
 def _tiles_of(part: MapGrid, tile: int) -> tuple[tuple[int, int], list[int], list[int]]:
-    """Return row and column of the first tile that a map touches, and the edges of all, in rows and columns.
+    """Return row and column of the first tile a map touches, and the edges of its tiles in rows and columns.
 
     Tiles are counted from the anchor of the grid, as cells are: those of a line do not move when another
     line joins the mosaic, and with them no rounding does.
@@ -242,7 +242,7 @@ def _cut(
     tiles: tuple[tuple[int, int], list[int], list[int]],
     variables: Iterable[str] | None,
 ) -> Strip:
-    """Return a map cut along the tiles of the mosaic, and padded to whole ones."""
+    """Return a map cut along the tiles of the mosaic, and padded to whole tiles."""
     missing = [needed for needed in _NEEDED if needed not in line.variables]
     if missing:
         raise SchemaError(
@@ -275,12 +275,12 @@ def _cut(
 
 
 def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return what a cell of a mosaic gets that no line shows."""
+    """Return the value of a cell of a mosaic that no line shows."""
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
 
 
 def _check_alike(strips: Sequence[Strip]) -> None:
-    """Refuse lines whose bands, units or types are not those of the first; all are listed."""
+    """Refuse lines whose bands, units or types differ from the first line's; all problems are listed."""
     problems = Problems("these lines make no mosaic", SchemaError)
     first = strips[0]
     for strip in strips[1:]:
@@ -329,7 +329,7 @@ def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
 
 
 def _crs(line: xr.Dataset) -> Any:
-    """Return what the map of a line is called, for comparison."""
+    """Return the CRS of a line's map, for comparison."""
     if not is_map(line):
         return line["east"].attrs.get("crs")
     named = line["x"].attrs.get("crs") if "x" in line.coords else None
@@ -337,7 +337,7 @@ def _crs(line: xr.Dataset) -> Any:
 
 
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
-    """Return the GeoTransform of a map; what is wrong with it is added to the problems."""
+    """Return the GeoTransform of a map; problems are noted."""
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
     fine = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0

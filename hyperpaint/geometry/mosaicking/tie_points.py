@@ -1,4 +1,4 @@
-"""The same places on the ground in two overlapping lines, found in their pictures."""
+"""Tie points: the same places on the ground in two overlapping lines, found by correlation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FIELDS = ("glt_line", "glt_sample", "ground_height")
 
 @dataclass(frozen=True)
 class Rules:
-    """Thresholds of the search, and where they come from."""
+    """Thresholds of the search, and their origin."""
 
     #: Cells from the middle of a patch to its edge: large enough for a few objects, small enough that the
     #: camera's errors are one shift in it.
@@ -215,7 +215,7 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
 
 
 def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
-    """Return cells around a place of the shared grid; NaN beyond the picture."""
+    """Return the cells around a place of the shared grid; NaN beyond the picture."""
     out = np.full((2 * half + 1,) * 2, np.nan)
     low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
     begin = [max(k, 0) for k in low]
@@ -237,7 +237,7 @@ def _texture(patch: Floats) -> float:
 
 
 def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
-    """Return by how many rows and columns a patch lies off the middle of a window, and its correlation."""
+    """Return the offset of a patch from the middle of a window (rows, columns), and its correlation."""
     from scipy.signal import fftconvolve
 
     none = np.zeros(2), 0.0
@@ -272,7 +272,7 @@ def _rival(score: Floats, peak: Sequence[Any]) -> float:
 
 
 def _summit(near: Floats) -> Floats:
-    """Return how far the summit of the paraboloid through 3 x 3 values lies off their middle."""
+    """Return the offset of the summit of the paraboloid through 3 x 3 values from their middle."""
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
     _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
@@ -284,7 +284,7 @@ def _summit(near: Floats) -> Floats:
 
 
 def _at(picture: _Picture, place: Array) -> Floats:
-    """Return the fields at a fraction of a row and column; NaN beyond what is shown."""
+    """Return the fields at a fractional row and column; NaN beyond the picture."""
     at = place - picture.corner
     low = np.floor(at).astype(int)
     if (low < 0).any() or (low + 1 >= picture.image.shape).any():
@@ -296,7 +296,7 @@ def _at(picture: _Picture, place: Array) -> Floats:
 
 
 def _on_a_plane(table: Floats, rules: Rules) -> Bools:
-    """Tell which ties of a pair are shifted as a plane through their shifts says."""
+    """Return the ties of a pair whose shifts lie on a plane through all of its shifts."""
     good = np.ones(len(table), bool)
     terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)]) \
         if len(table) else np.empty((0, 3))  # fmt: skip

@@ -1,4 +1,4 @@
-"""How far the clock of a camera is from that of navigation, or from that of an irradiance spectrometer.
+"""Clock offset between a camera and a navigation record, or an irradiance spectrometer.
 
 The clock of the irradiance spectrometer follows from clouds that both instruments see. Lines brighten and
 darken with what they show much more than with the light. But from one line to the next most pixels show
@@ -30,7 +30,7 @@ from .pose_motion import setting_of
 
 @dataclass(frozen=True)
 class AttitudeRules:
-    """When an offset between attitude and picture is believed; set on simulated flights."""
+    """Thresholds for an offset between attitude and picture; set on simulated flights."""
 
     search_step_s: float = 0.01  #: of the first search; platforms turn at some hertz at most
     #: What is left at the best offset, over what is left where the platform is taken to be at rest.
@@ -43,7 +43,7 @@ class AttitudeRules:
 
 @dataclass(frozen=True)
 class LightRules:
-    """When an offset between irradiance and brightness of lines is believed; set on simulated flights."""
+    """Thresholds for an offset between irradiance and brightness of lines; set on simulated flights."""
 
     wavelengths_nm: tuple[float, float] = (500.0, 850.0)  #: what pictures are of, too
     min_change: float = 0.02  #: relative change of the light over the line, for clocks to be compared
@@ -62,7 +62,7 @@ ATTITUDE, LIGHT = AttitudeRules(), LightRules()
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """An estimate of how far two clocks are apart; it is not applied.
+    """An estimate of the offset between two clocks; it is not applied.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ def estimate_clock_offset(
     lines: slice | None = None,
     crs: Any = None,
 ) -> ClockOffset:
-    """Estimate how far the camera's clock is from another; nothing is applied (eager).
+    """Estimate the offset of the camera's clock from another clock; nothing is applied (eager).
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def estimate_clock_offset(
 
 
 def _at_rest(poses: Floats) -> Floats:
-    """Return poses whose angles are their means."""
+    """Return poses with angles replaced by their means."""
     resting, has_pose = poses.copy(), np.isfinite(poses[3])
     turned = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
     resting[3:, has_pose] = np.degrees(np.angle(turned))[:, None]
@@ -307,7 +307,7 @@ def _light_offset(
     swing = float(np.ptp(np.cumsum(meant[covered], axis=1), axis=1).max())
     if swing < LIGHT.min_change:
         _refuse(
-            f"the light changes by {100 * swing:.1f} % over the line, at least {100 * LIGHT.min_change:.0f} %",
+            f"light changes by {100 * swing:.1f} % over the line, at least {100 * LIGHT.min_change:.0f} %",
             "light-constant",
         )
     return _best(offsets, seen, meant, covered, loosest)

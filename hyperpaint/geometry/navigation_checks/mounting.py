@@ -1,4 +1,4 @@
-"""How a camera is mounted, and how late its clock is, from points whose place is known."""
+"""Solution for the mounting and the clock of a camera from control points."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class BoresightSolution:
-    """How a camera sits in its platform.
+    """Mounting of a camera in its platform, and its clock offset.
 
     Attributes
     ----------
@@ -83,12 +83,12 @@ class BoresightSolution:
 
     @property
     def solved(self) -> tuple[str, ...]:
-        """Names of what was solved."""
+        """Names of the parameters solved for."""
         return tuple(str(name) for name in self.covariance["parameter"].values)
 
     @property
     def sd(self) -> dict[str, float]:
-        """Standard uncertainty of what was solved, in its own unit."""
+        """Standard uncertainty of the parameters solved for, in their units."""
         variance = np.diag(self.covariance.values)
         return {name: float(np.sqrt(v)) for name, v in zip(self.solved, variance, strict=True)}
 

@@ -1,4 +1,4 @@
-"""One grey picture of a flight line, and how it moves from row to row, by the picture alone.
+"""One grey picture of a flight line, and its motion from row to row.
 
 A line camera that rolls shifts its rows sideways. That shift can be measured wherever the ground is rough.
 How far two rows are apart along the track cannot be measured so, but the farther they are the less they are
@@ -83,7 +83,7 @@ _FLAT = 1e-12
 
 @dataclass(frozen=True)
 class RowMotion:
-    """What rows say of the motion from each to the next."""
+    """Motion of a picture from each row to the next."""
 
     #: (row - 1, zone): a row at x shows what the row before shows at x + shift [pixel]; NaN where it is not
     #: clear
@@ -95,7 +95,7 @@ class RowMotion:
 
 
 def row_motion(picture: Array) -> RowMotion | None:
-    """Return what a picture (row, column) says; None where it is too narrow.
+    """Return the motion of a picture (row, column); None where it is too narrow.
 
     Notes
     -----
@@ -146,7 +146,7 @@ def _levelled(picture: Array) -> Floats:
 
 
 def _fine(rows: Floats) -> Floats:
-    """Return rows without what changes slowly.
+    """Return rows without slow changes.
 
     A long edge aslant looks like a shift to any two rows; of what is small there is more, to every side.
     """

@@ -1,4 +1,4 @@
-"""How a picture should move from row to row, as the poses have it; and what a check needs of a line."""
+"""Motion of a picture from row to row as expected from poses, and the inputs of a check."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MIN_DOWNWARD = 0.05
 
 @dataclass(frozen=True)
 class Motion:
-    """What should be seen from each row to the next; see `picture_motion.RowMotion`."""
+    """Expected motion from each row to the next; see `picture_motion.RowMotion`."""
 
     shift: Floats  #: (line - 1, zone): sideways [pixel]
     travel: Floats  #: (line - 1, zone): across the row, forward positive [pixel of the row]
@@ -50,7 +50,7 @@ class Recorded:
     crs: Any = None  #: Map whose north grid headings count from
 
     def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Floats:
-        """Return canonical poses (6, line) if the record means what ``convention`` says."""
+        """Return canonical poses (6, line) under ``convention``."""
         columns = (self.columns[name] for name in POSE)
         values = canonical_values(*columns, convention=convention, crs=self.crs)
         return poses_at(self.times, values, self.wanted, clock_offset_s=clock_offset_s)
@@ -154,7 +154,7 @@ _MAX_STEADY_INTERVALS = 1.5
 
 @dataclass(frozen=True)
 class Setting:
-    """A line as a check sees it."""
+    """Inputs of a check of one line."""
 
     declared: Convention  #: What the record is said to mean
     recorded: Recorded  #: Poses as recorded
@@ -167,13 +167,13 @@ class Setting:
 
     @property
     def steady(self) -> Bools:
-        """Tell after which lines no frame is missing (line - 1,)."""
+        """Return the lines after which no frame is missing (line - 1,)."""
         stamps = self.recorded.wanted.astype(np.int64).astype(np.float64)
         steps = np.diff(stamps) / 1e9
         return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
 
     def comparable(self, meant: Motion) -> Bools:
-        """Tell where motion is known of picture and poses, and no frame is missing (line - 1, zone)."""
+        """Return where picture and poses have a motion and no frame is missing (line - 1, zone)."""
         is_seen = np.isfinite(self.seen.shift) & np.isfinite(self.seen.unlikeness)
         return np.asarray(is_seen & np.isfinite(meant.shift) & self.steady[:, None])
 
@@ -191,7 +191,7 @@ def setting_of(
     lines: slice | None,
     crs: Any,
 ) -> Setting:
-    """Return what a check needs (eager: reads a few bands of the lines).
+    """Return the inputs of a check (eager: reads a few bands of the lines).
 
     Raises
     ------

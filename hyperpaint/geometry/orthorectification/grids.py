@@ -1,4 +1,4 @@
-"""How the cells of a map lie, and the one look at all lines that comes before: how large the map is.
+"""Cells of a map, and the survey of all lines that decides its extent.
 
 Nothing of the places is kept but a few numbers a line, so that the memory this takes is that of a few slabs
 however long the flight.
@@ -30,7 +30,7 @@ _ROUNDING_CELLS = 1e-6
 
 @dataclass(frozen=True)
 class Axes:
-    """Directions that the columns and rows of a grid go in, and the place they are counted from."""
+    """Directions of the columns and rows of a grid, and the place they are counted from."""
 
     #: East and north of one step to the right, of unit length. Down is a right angle clockwise of it, so
     #: that a map is never seen from below
@@ -43,13 +43,13 @@ class Axes:
         return self.right[1], -self.right[0]
 
     def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
-        """Return how far places lie to the right of, and down from, the anchor [m]."""
+        """Return distances of places to the right of, and down from, the anchor [m]."""
         e, n = east - self.anchor[0], north - self.anchor[1]
         (a, b), (c, d) = self.right, self.down
         return a * e + b * n, c * e + d * n
 
     def moved(self, x: float, y: float) -> Axes:
-        """Return axes whose anchor lies a way to the right and down from this one's [m]."""
+        """Return axes with the anchor moved to the right and down [m]."""
         (a, b), (c, d) = self.right, self.down
         return Axes(self.right, (self.anchor[0] + x * a + y * c, self.anchor[1] + x * b + y * d))
 
@@ -83,7 +83,7 @@ class MapGrid:
 
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
-        """Map coordinates of the outer corner of the first cell, and steps, in the order of GDAL."""
+        """GeoTransform of GDAL: map coordinates of the outer corner of the first cell, and steps."""
         (a, b), (c, d), size = self.axes.right, self.axes.down, self.gsd
         east, north = self._place(0.0, 0.0)
         return (east, size * a, size * c, north, size * b, size * d)
@@ -101,7 +101,7 @@ class MapGrid:
 
     @property
     def frame(self) -> Floats:
-        """What turns map coordinates into cells, see `hyperpaint.kernels.inverse_map`."""
+        """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
         turn = np.array([*self.axes.right, *self.axes.down]) / self.gsd
         return np.concatenate([[east, north], turn])
@@ -141,7 +141,7 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
 
 
 def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
-    """Return the grid over a box of the axes; with ``whole`` cells reach over all of it, else centres do."""
+    """Return the grid over a box of the axes; with ``whole`` cells cover all of it, else their centres do."""
     left, right, upper, lower = (edge / gsd for edge in box)
     if whole:
         first = math.floor(upper + _ROUNDING_CELLS), math.floor(left + _ROUNDING_CELLS)
@@ -175,7 +175,7 @@ _COLUMNS = 10
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of every line."""
+    """Extent and spacing of every line."""
 
     #: (line, 4) float64: least and largest way to the right and down along the axes [m]; NaN of a line
     #: without any place
@@ -217,7 +217,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
 
 
 def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress | None) -> Survey:
-    """Return what is known of every line (eager).
+    """Return extent and spacing of every line (eager).
 
     Raises
     ------
@@ -246,7 +246,7 @@ def _nothing_placed() -> SchemaError:
 
 
 def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
-    """Return the ends of lines that have a place (line, 2, 2)."""
+    """Return the ends of located lines (line, 2, 2)."""
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
     touched = np.unique(slabs)
@@ -263,7 +263,7 @@ def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
 def _computed(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    """Return what is found in groups of slabs that follow one another, with the progress where possible."""
+    """Return the surveys of groups of consecutive slabs; reports progress where the scheduler allows it."""
     # as one array: a collection a slab would cost more than the look
     name = f"look-{uuid.uuid4().hex}"
     layer = {
@@ -289,7 +289,7 @@ def _computed(
 
 
 def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
-    """Return the rows of the lines of some slabs (line, `_COLUMNS`), and where pixels of their ends lie.
+    """Return the survey rows of the lines of some slabs (line, `_COLUMNS`), and the pixels at their ends.
 
     As an array of this one object.
     """
@@ -312,7 +312,7 @@ def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
 
 
 def _medians(steps: Floats) -> Floats:
-    """Return the median of every row, without what is NaN; NaN where all of it is."""
+    """Return the median of every row without NaN; NaN for rows of nothing else."""
     if not steps.shape[1] or not np.isnan(steps).any():
         return np.median(steps, axis=1) if steps.size else np.full(len(steps), np.nan)
     return np.array([_median(row) for row in steps])

@@ -1,4 +1,4 @@
-"""Which place of a flight line lies at every cell of a tile, and the line's values there."""
+"""Pixel of a flight line at every cell of a tile, and the line's values there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RULES = ("nadir", "first", "last")
 
 @dataclass(frozen=True)
 class Plan:
-    """What all tiles share."""
+    """Settings that all tiles share."""
 
     grid: MapGrid  #: How the cells lie
     rule: int  #: Position in `RULES`
@@ -39,7 +39,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class TileIndex:
-    """The places of the line at the cells of a tile."""
+    """Places of the line at the cells of a tile."""
 
     line: Floats  #: (row, col) float64: as fractions; NaN where no patch covers a cell
     sample: Floats
@@ -51,7 +51,7 @@ class TileIndex:
 
 @dataclass(frozen=True)
 class Reading:
-    """In which order the pixels of a tile are read, and where they go."""
+    """Pixels of a tile in the order of reading, and the cells they fill."""
 
     shape: tuple[int, int]  #: Rows and columns of the tile
     #: (place,) int64: covered cells, counted row by row, in the order of the lines that are read for them
@@ -64,7 +64,7 @@ class Reading:
 
 
 def areas_between(survey: Survey) -> Floats:
-    """Return the areas between the ends of lines, over lines without a place (pair, 4, 2)."""
+    """Return the areas between the ends of consecutive located lines (pair, 4, 2)."""
     ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
     before, after = ends[:-1], ends[1:]
     return np.stack([before[:, 0], before[:, 1], after[:, 1], after[:, 0]], axis=1)
@@ -124,7 +124,7 @@ def index_tile(
 
 
 def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
-    """Return between which pixels and those of the line before there is hidden ground (line, column - 1).
+    """Return where ground is hidden between pixels and those of the line before (line, column - 1).
 
     ``height`` [m] and ``tangent`` of the zenith angle (line, column) are of lines that follow one another,
     ``before`` (column,) those of the line before. Of four pixels that span a patch, the difference of heights
@@ -145,7 +145,7 @@ def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], pa
 
 
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
-    """Return whether cells that no patch covers lie between the ends of lines (row, col)."""
+    """Return the uncovered cells between the ends of lines (row, col)."""
     frame = plan.grid.frame
     inside: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
@@ -158,7 +158,7 @@ def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
 
 
 def reading_of(index: TileIndex, bilinear: bool) -> Reading:
-    """Return in which order the pixels of a tile are read: the nearest, or those before each place."""
+    """Return the reading order of the pixels of a tile: the nearest pixels, or those before each place."""
     cells = np.flatnonzero(index.hits)
     if not bilinear:
         lines, columns = (part.ravel()[cells] for part in (index.nearest_line, index.nearest_sample))
@@ -180,7 +180,7 @@ def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
 
 
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
-    """Return spectra (row, col, band) of slabs (line, band, column), of which ``starts`` are the first lines.
+    """Return spectra (row, col, band) from slabs (line, band, column) that begin at the lines ``starts``.
 
     Cells that no patch covers get ``empty``, whose type is that of the result.
     """
@@ -234,7 +234,7 @@ def plane_values(
 
 
 def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) -> Array:
-    """Return values (row, col) of what every line, or else every column, has one of: of the nearest."""
+    """Return values (row, col) of the nearest line or column, from one value per line or column."""
     place = index.nearest_line if of_lines else index.nearest_sample
     return np.where(place >= 0, values[np.maximum(place, 0)], np.asarray(empty, values.dtype))
 
@@ -242,7 +242,7 @@ def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) 
 def _by_slab(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array]
 ) -> Iterator[tuple[int, int, slice]]:
-    """Yield every slab that pixels are read of, its first line, and which these are."""
+    """Yield every slab with pixels to read, its first line, and the range of these pixels."""
     edges = np.searchsorted(reading.lines, [*starts, starts[-1] + len(slabs[-1])])
     for slab, start in enumerate(starts):
         here = slice(int(edges[slab]), int(edges[slab + 1]))
@@ -251,6 +251,6 @@ def _by_slab(
 
 
 def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Array:
-    """Return the line that follows a slab; its own last one where nothing is to be read of it."""
+    """Return the line that follows a slab; its own last line where nothing is read of the next."""
     follows = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
     return np.ascontiguousarray(slabs[slab + 1][0] if follows else slabs[slab][-1])

@@ -1,4 +1,4 @@
-"""A flight line as a map."""
+"""Orthorectification: a flight line as a map."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def _check(
 
 
 def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
-    """Return the line with the places of its pixels."""
+    """Return the line with the ground positions of its pixels."""
     placed = all(
         name in line.variables and set(line[name].dims) == {ALONG_TRACK, CROSS_TRACK}
         for name in ("east", "north")
@@ -261,7 +261,7 @@ def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
-    """Return the lines of every slab: as the cube is chunked, else the places."""
+    """Return the lines of every slab: as the cube is chunked, else the positions."""
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
@@ -271,7 +271,7 @@ def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
 
 
 def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
-    """Return east and north [m], heights and tangents of zenith angles if they differ, in slabs; the crs."""
+    """Return east and north [m], over relief also heights and tangents of zenith angles; the CRS."""
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
         lines_, columns = coordinates["east"].shape
@@ -295,7 +295,7 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
 
 
 def _kept(places: list[da.Array]) -> list[da.Array]:
-    """Return places in memory, of a line that is not too long, to follow rays once (eager)."""
+    """Return positions in memory, for a line short enough to trace its rays once (eager)."""
     if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
         return places
     kept = [np.empty(place.shape) for place in places]
@@ -310,7 +310,7 @@ def _kept(places: list[da.Array]) -> list[da.Array]:
 def _planned(
     east: da.Array, north: da.Array, gsd: float | None, kind: str, bounds: Any, progress: Progress | None
 ) -> tuple[Survey, MapGrid]:
-    """Return what is known of all lines, and the grid."""
+    """Return the survey of all lines, and the grid."""
     axes = direction_of_flight(east, north) if kind == "flight" else north_axes()
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
@@ -361,7 +361,7 @@ def _dataset(
 
 
 def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
-    """Return positions in a line (row, col) as its own numbers, which a crop keeps and regions are drawn in.
+    """Return positions in a line (row, col) as its own line or column numbers, which a crop keeps.
 
     Numbers that are no whole ones from 0 on, as of averaged lines, name no pixel: positions stay as they are.
     """
@@ -374,7 +374,7 @@ def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
 
 
 def _numbers_at(positions: Array, numbers: Array) -> Array:
-    """Return the numbers at positions, straight between two of them; what is below 0 or NaN stays."""
+    """Return the numbers at positions, interpolated linearly; positions below 0 and NaN stay."""
     at = np.interp(positions, np.arange(numbers.size), numbers)
     return np.where(positions >= 0, at, positions).astype(positions.dtype)
 
@@ -405,7 +405,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
 
 
 def map_report(made: xr.Dataset) -> dict[str, float]:
-    """Return how many cells of a map are covered, several times or not at all (eager, a tile at a time).
+    """Return the number of cells that are covered, covered several times, or gaps (eager, a tile at a time).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How high a line was flown, how wide its swath is and how square its pixels: what a wrong height changes."""
+"""Height above ground, swath and pixel aspect of a mapped line; a wrong ground height shows in them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _absurdities(attrs: dict[str, float], *, is_whole: bool) -> list[str]:
 
 
 def describe_swath(attrs: dict[Any, Any]) -> str:
-    """Return a line of text of what `swath_attrs` added to a map."""
+    """Return the attributes of `swath_attrs` as one line of text."""
     units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
     units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
     return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)

@@ -1,4 +1,4 @@
-"""The graph of a map: one task a tile for where it lies in the line, and one for every variable of it.
+"""The dask graph of a map: one task per tile for its places in the line, and one per variable.
 
 A task is given the slabs of lines that cover its tile, and no others.
 """
@@ -46,7 +46,7 @@ def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles of a map, and what each of them reads."""
+    """The tiles of a map, and the slabs that each of them reads."""
 
     grid: MapGrid  #: How the cells lie
     windows: list[list[Window]]  #: Cells of the tiles, by row and column
@@ -118,7 +118,7 @@ class Tiles:
         return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
 
     def row_or_column(self, values: da.Array, of_lines: bool, empty: Any) -> da.Array:
-        """Return values (row, col) of what every line, or else every column, has one of, in one chunk."""
+        """Return values (row, col) from one value per line, or per column, in one chunk."""
         return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
 
     def centres(self) -> tuple[da.Array, da.Array]:
@@ -140,7 +140,7 @@ class Tiles:
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        """Return the array whose tiles ``function`` makes of places, of what it reads, and of options."""
+        """Return an array whose tiles ``function`` makes from places, source blocks and options."""
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
         for place, (rows, cols) in _each(self.windows):
@@ -183,7 +183,7 @@ def _array(
     options: Any = None,
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
-    """Return the array of some tasks, by place; its name follows from what it is made of."""
+    """Return the dask array of some tasks, given by place; its name is a hash of its inputs."""
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
@@ -202,7 +202,7 @@ _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 
 
 def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
-    """Return a line whose spectra are at nominal wavelengths, and the variables that are to come along.
+    """Return a line with spectra at nominal wavelengths, and the names of the variables to map.
 
     Without a choice that is its reflectance, else its radiance; with counts alone reflectance is computed.
 
@@ -251,14 +251,14 @@ def _is_mapped(dims: Sequence[Any]) -> bool:
 
 
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    """Return the type that kernels take in place of one: in the machine's byte order, no half floats."""
+    """Return the dtype that kernels take instead: native byte order, no half floats."""
     if dtype.kind == "f":
         return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
     return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
 
 
 def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return a line whose variables have types that kernels take; what has keeps its memory."""
+    """Return a line whose variables have native dtypes; those that have one keep their memory."""
     wanted = {name: _native(line[name].dtype) for name in names}
     # numpy takes types of either byte order for equal
     other = [
@@ -270,7 +270,7 @@ def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return what a cell gets that no pixel shows.
+    """Return the value of a cell that no pixel shows.
 
     NaN and NaT; ``off_swath`` of ``quality``; of whole numbers -1, or the largest where there is no -1.
     """
@@ -286,7 +286,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
-    """Return the variables of a `prepared` line on a map, by their names there; ``lines``: of every slab."""
+    """Return the variables of a `prepared` line on a map, by new name; ``lines`` are those per slab."""
     variables = {}
     for name in names:
         values = _on_map(line[name], name, tiles, lines)
@@ -317,7 +317,7 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
 
 
 class _InMemory:
-    """An array in memory, of which dask neither makes a copy nor a hash."""
+    """An array in memory that dask neither copies nor hashes."""
 
     def __init__(self, array: Array) -> None:
         self._array = array
@@ -338,6 +338,6 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
 
 
 def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
-    """Return an array in memory as one of chunks, which are views of it."""
+    """Return an array in memory as a dask array, whose chunks are views of it."""
     meta = np.empty((0,) * values.ndim, values.dtype)
     return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)
