@@ -55,7 +55,9 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     outlines = Regions(()) if regions is None else regions_from(regions)
     if outlines.coordinates != "sensor":
         raise SchemaError(
-            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
+            "regions to begin with are in map coordinates",
+            expected="coordinates of the sensor (column and line)",
+            code="region-coordinates",
         )
     lines = {"", flightline.replace(" ", "_")}
     others = [one for one in outlines if flightline and one.flightline.replace(" ", "_") not in lines]
@@ -63,7 +65,11 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
         names = {region.name for region in others}
         outlines = Regions(tuple(region for region in outlines if region.name not in names))
     if holed := [region.name for region in outlines if region.holes]:
-        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
+        raise SchemaError(
+            f"regions with holes cannot be drawn: {', '.join(holed)}",
+            mend="leave them out",
+            code="region-holes",
+        )
     return outlines, tuple(others)
 
 
@@ -87,10 +93,11 @@ class RegionFiles:
         digest = self._digests.get(os.path.realpath(path))
         if digest != _digest(path):
             raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}: "
-                "it is left as it is, and nothing is saved",
+                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}; "
+                "nothing is saved",
                 mend="move it away or choose another file, and save again",
                 option="move it away and save again, or begin anew with --regions and another file",
+                code="file-changed",
             )
         return True
 

@@ -117,7 +117,9 @@ class Explored:
         # places on the picture are positions; what is given and drawn has the numbers of the line
         self._numbered = schema.rename_to_roles(line)
         if map_dims(self._numbered):
-            raise SchemaError("this is a map, expected a flight line", mend="explore the line that it is of")
+            raise SchemaError(
+                "this is a map", expected="a flight line", mend="explore the flight line", code="line-is-map"
+            )
         if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
             schema.require(self._numbered, ["reflectance"], "an explorer")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
@@ -249,7 +251,10 @@ class Explored:
         shares = schema.flag_shares(flags)
         named = [f"{spoken(flag)} {percent(share)}" for flag, share in shares.items()]
         if not is_used.any():
-            raise SchemaError(f"{region.name}: all {along.size} pixels are left out: {', '.join(named)}")
+            raise SchemaError(
+                f"{region.name}: all {along.size} pixels are left out: {', '.join(named)}",
+                code="region-empty",
+            )
         # of one band after another, all of a kind
         quantiles = summarise(values[is_used], "median").quantiles
         quantiles[:, ~good_of(self.line)] = np.nan
@@ -261,7 +266,9 @@ class Explored:
         """Return the pixels of a region, of every ``step``-th line where they are too many."""
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
         if not along.size:
-            raise SchemaError(f"{region.name} holds no pixel's centre; draw it larger")
+            raise SchemaError(
+                f"{region.name} holds no pixel's centre", mend="draw it larger", code="region-empty"
+            )
         step = -(-along.size // MOST_PIXELS)
         is_taken = (along - along.min()) % step == 0
         return along[is_taken], across[is_taken], step
@@ -273,7 +280,10 @@ class Explored:
             along, across, step = *np.array(place).reshape(2, 1), 1
         if along.size > _MOST_SURE_PIXELS or step > 1:
             raise SchemaError(
-                f"of {along.size} pixels, more than {_MOST_SURE_PIXELS}, line.paint.signatures says it"
+                f"{along.size} pixels",
+                expected=f"at most {_MOST_SURE_PIXELS}",
+                mend="see line.paint.signatures",
+                code="region-too-large",
             )
         lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
         part = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
@@ -387,7 +397,9 @@ class Explored:
             return np.broadcast_to(values, (*values.shape[:2], 3))
         visible = np.flatnonzero((self.wavelength > 380) & (self.wavelength < 780))
         if visible.size < 3:
-            raise SchemaError("a true-colour picture needs three bands between 380 and 780 nm")
+            raise SchemaError(
+                "a true-colour picture needs three bands between 380 and 780 nm", code="band-missing"
+            )
         some = visible[:: max(1, visible.size // _VISIBLE_BANDS)]
         nm = np.sort(self.wavelength[some])
         values = self._bands(lines, nm).swapaxes(1, 2)

@@ -153,6 +153,7 @@ def serve_explorer(
         raise StoreError(
             f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
+            code="flightline-unknown",
         )
     require_panel()
     import panel

@@ -133,7 +133,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
         try:
             figure.savefig(target, dpi=dpi)
         except ValueError as error:
-            raise SchemaError(f"{path}: {error}") from error
+            raise SchemaError(f"{path}: {error}", code="picture-unwritable") from error
 
 
 def check_picture(path: Path) -> None:

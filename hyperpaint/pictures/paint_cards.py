@@ -118,9 +118,15 @@ def region_of_paint(paint: xr.Dataset) -> Region:
     """Return the region that a paint was made of; `SchemaError` where it is on no flight line."""
     name = str(paint[SIGNATURE].item())
     if "region" not in paint.variables or not str(paint["region"].item()):
-        raise SchemaError(f"paint {name!r} does not say its region: the library is not from a flight line")
+        raise SchemaError(
+            f"paint {name!r} has no region", expected="a library from a flight line", code="region-missing"
+        )
     if paint.attrs.get("coordinates_of_regions", "sensor") != "sensor":
-        raise SchemaError(f"the region of paint {name!r} is on a map: draw its card from the flight line")
+        raise SchemaError(
+            f"the region of paint {name!r} is on a map",
+            mend="draw its card from the flight line",
+            code="region-coordinates",
+        )
     return regions_from(json.loads(str(paint["region"].item())))[0]
 
 
@@ -128,10 +134,16 @@ def _paint_of(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
     """Return one paint of a library, and its colour in daylight."""
     usable, _ = find_usable(library)
     if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
-        raise SchemaError("the card of a paint needs a paint library, with reflectance (signature, band)")
+        raise SchemaError(
+            "the card of a paint needs a paint library",
+            expected="reflectance (signature, band)",
+            code="library-missing",
+        )
     names = [str(name) for name in usable[SIGNATURE].values]
     if paint not in names:
-        raise SchemaError(f"there is no paint {paint!r}; there is {', '.join(names[:20])}")
+        raise SchemaError(
+            f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
+        )
     own = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
     return own.isel({SIGNATURE: 0}), np.asarray(paint_colours(own)[0])
 
@@ -143,7 +155,7 @@ def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
     """Return the lines and columns around a region, in memory, and which pixels lie inside (line, column)."""
     ((along, across),) = pixels_of(Regions((region,)), line)
     if not along.size:
-        raise SchemaError(f"region {region.name!r} holds no pixel of this line")
+        raise SchemaError(f"region {region.name!r} holds no pixel of this line", code="region-empty")
     longer = max(np.ptp(along), np.ptp(across)) + 1
     margin = max(MIN_MARGIN_PX, int(MARGIN * longer))
     rows, columns = (

@@ -78,7 +78,9 @@ def rgb(
 
     dataset = schema.rename_to_roles(dataset)
     if lines is not None and lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 line of the picture or more")
+        raise SchemaError(
+            f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
+        )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
@@ -94,7 +96,8 @@ def rgb(
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
         raise SchemaError(
-            f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
+            f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}",
+            code="band-missing",
         )
     shift = None
     if "wavelength_shift" in dataset.variables:
@@ -336,7 +339,7 @@ def flags_of(dataset: xr.Dataset) -> Array:
     """Return the flags of all pixels (along_track, cross_track), as integers."""
     quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
-        raise SchemaError(f"quality is {quality.dtype}, expected uint16: one bit a flag")
+        raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
     return np.asarray(quality.values)
 
 
@@ -374,7 +377,8 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     moments = series.coords.get(schema.IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
         raise SchemaError(
-            "a picture of irradiance needs its times: the coordinate irradiance_time, one moment at least"
+            "a picture of irradiance needs the coordinate irradiance_time, with one moment or more",
+            code="variable-missing",
         )
     series = series.compute()
     start = series[schema.IRRADIANCE_TIME].values[0]

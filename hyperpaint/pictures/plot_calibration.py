@@ -123,9 +123,13 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
         there = {dim: sweep.sizes.get(dim) for dim in sizes}
-        problems.add(f"the sweep has sizes {there}, its calibration {sizes}; expected those of one camera")
+        problems.add(
+            f"the sweep has sizes {there}, its calibration {sizes}",
+            expected="sizes of one camera",
+            code="grid-mismatch",
+        )
     if column is not None and not 0 <= column < sizes[CROSS_TRACK]:
-        problems.add(f"column={column}, expected 0 to {sizes[CROSS_TRACK] - 1}")
+        problems.add(f"column={column}", expected=f"0 to {sizes[CROSS_TRACK] - 1}", code="value-out-of-range")
     problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():

@@ -101,7 +101,11 @@ def triptych(
     dataset = schema.rename_to_roles(dataset)
     counts = schema.require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
     if (region is None) == (pixels is None):
-        raise SchemaError("a triptych shows a region or pixels=(along_track, cross_track); give one of them")
+        raise SchemaError(
+            "a triptych shows a region or pixels=(along_track, cross_track)",
+            mend="give one of them",
+            code="option-conflict",
+        )
     calibrated = reflectance(dataset)
     cubes = {
         "counts": counts,
@@ -142,7 +146,9 @@ def _pixels_of_region(
     outlined = regions_from(region)
     if len(outlined) != 1:
         raise SchemaError(
-            f"a triptych shows one region, found {len(outlined)}; index them, such as regions[0]"
+            f"a triptych shows one region, found {len(outlined)}",
+            mend="index them, such as regions[0]",
+            code="region-number",
         )
     along, across = pixels_of(outlined, dataset)[0]
     step = max(1, -(-along.size // MOST_PIXELS))
@@ -153,7 +159,9 @@ def _pixels_of_region(
     name = outlined[0].name
     if not used.any():
         raise SchemaError(
-            f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"
+            f"region {name!r}: all {along.size} pixels are flagged",
+            mend="draw it elsewhere, or exclude less",
+            code="region-empty",
         )
     figure.suptitle(f"{label_for(name)}: {int(used.sum())} of {along.size} pixels")
     return along[used], across[used], {key: cube[used] for key, cube in spectra.items()}
@@ -164,14 +172,26 @@ def _checked_pixels(dataset: xr.Dataset, pixels: Any) -> tuple[Array, Array]:
     places = np.atleast_2d(np.asarray(pixels))
     problems = Problems("pixels cannot be drawn", SchemaError)
     if places.ndim != 2 or places.shape[-1] != 2 or places.dtype.kind not in "iu":
-        problems.add(f"pixels={pixels!r:.60}, expected whole (along_track, cross_track), or several")
+        problems.add(
+            f"pixels={pixels!r:.60}",
+            expected="one whole (along_track, cross_track), or several",
+            code="type-wrong",
+        )
         problems.raise_if_any()
     size = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if len(places) > MOST_CURVES:
-        problems.add(f"{len(places)} pixels, expected at most {MOST_CURVES}; outline them as a region")
+        problems.add(
+            f"{len(places)} pixels",
+            expected=f"at most {MOST_CURVES}",
+            mend="outline them as a region",
+            code="curve-number",
+        )
     for along, across in places.tolist():
         if not (0 <= along < size[0] and 0 <= across < size[1]):
-            problems.add(f"pixel ({along}, {across}) is outside of {size[0]} lines of {size[1]} columns")
+            problems.add(
+                f"pixel ({along}, {across}) is outside of {size[0]} lines of {size[1]} columns",
+                code="pixel-outside",
+            )
     problems.raise_if_any()
     return places[:, 0], places[:, 1]
 
@@ -312,8 +332,9 @@ def _map_of(line: xr.Dataset) -> xr.Dataset:
 
     if not {"east", "north"} <= set(line.coords) and "ground" not in line.attrs:
         raise SchemaError(
-            "the line is not located, and declares no height of the ground, so that it has no map; pass "
-            "line.paint.locate(...), or its map"
+            "the line is not located and declares no ground height, so it has no map",
+            mend="pass line.paint.locate(...), or its map",
+            code="line-not-located",
         )
     wavelength = schema.require(line, ["wavelength"], "a map")["wavelength"].values
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))

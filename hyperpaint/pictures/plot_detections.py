@@ -91,13 +91,19 @@ def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[floa
     arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
     score, paint, threshold, detected = (arrays[name].values for name in names)
     if is_target.shape != score.shape:
-        raise SchemaError(f"truth has shape {is_target.shape}", expected=f"{score.shape}, as the detections")
+        raise SchemaError(
+            f"truth has shape {is_target.shape}",
+            expected=f"{score.shape}, as the detections",
+            code="grid-mismatch",
+        )
     scored = paint >= 0
     above = (score - threshold[paint])[scored]
     true = is_target[scored]
     if not true.any() or true.all():
         raise SchemaError(
-            f"truth is {bool(true.any())} everywhere", expected="pixels with a paint, and others"
+            f"truth is {bool(true.any())} everywhere",
+            expected="pixels with a paint, and others",
+            code="truth-uniform",
         )
     order = np.argsort(-above, kind="stable")
     hits, alarms = np.cumsum(true[order]) / true.sum(), np.cumsum(~true[order]) / (~true).sum()

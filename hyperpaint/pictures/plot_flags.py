@@ -225,7 +225,9 @@ def _check_layer(dataset: xr.Dataset, layer: str) -> None:
     ]
     if layer not in planes:
         raise SchemaError(
-            f"no layer {layer!r} on (along_track, cross_track); there is {', '.join(planes) or 'none'}"
+            f"no layer {layer!r} on (along_track, cross_track)",
+            expected=", ".join(planes) or "a line with layers",
+            code="variable-missing",
         )
 
 
@@ -393,18 +395,22 @@ def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> A
     shape = dict(first["reflectance"].sizes)
     for other in others:
         if "reflectance" not in other.variables or dict(other["reflectance"].sizes) != shape:
-            problems.add(f"without= has no reflectance of the line's shape {shape}")
+            problems.add(
+                "without= has no reflectance of the line's size",
+                expected=f"shape {shape}",
+                code="grid-mismatch",
+            )
     if width < 1:
-        problems.add(f"width={width}, expected 1 or more pixels")
+        problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
     pairs = [regions_from(given) for given in (near, far)]
     for name, given in zip(("near", "far"), pairs, strict=True):
         if len(given) != 1:
-            problems.add(f"{name}= holds {len(given)} regions, expected one")
+            problems.add(f"{name}= holds {len(given)} regions", expected="one", code="region-number")
     problems.raise_if_any()
     pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
     for region, (along, _) in zip(pair, pixels_of(pair, first), strict=True):
         if not along.size:
-            problems.add(f"region {region.name!r} holds no pixel of the line")
+            problems.add(f"region {region.name!r} holds no pixel of the line", code="region-empty")
     problems.raise_if_any()
     return pair
 
@@ -414,7 +420,11 @@ def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tu
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
     if length < 1.0:
-        raise SchemaError("adjacency cannot be drawn: both regions have the same middle; choose them apart")
+        raise SchemaError(
+            "adjacency cannot be drawn: both regions have the same middle",
+            mend="choose them apart",
+            code="region-overlap",
+        )
     ahead = (stop - start) / length
     away = np.arange(int(length) + 1, dtype=np.float64)
     aside = np.arange(width) - (width - 1) / 2

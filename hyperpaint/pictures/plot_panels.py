@@ -65,6 +65,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
         raise SchemaError(
             "no panel was measured: 'panel_factor' is missing",
             mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
+            code="variable-missing",
         )
     figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
     draw_panels(figure.add_subplot(), closure)

@@ -84,7 +84,7 @@ def chips_and_renders(
         lines = dict(renders)
     if wrong or not paints.sizes[SIGNATURE] or not lines:
         found = "; ".join(wrong) or f"found {paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
-        raise SchemaError(f"a collage needs a paint library and a render: {found}")
+        raise SchemaError(f"a collage needs a paint library and a render: {found}", code="empty-input")
     count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
     columns = max(1, min(columns, count))
     rows = -(-count // columns)

@@ -136,20 +136,38 @@ def _is_library(dataset: xr.Dataset) -> bool:
 def _check(library: bool, regions: Any, pixels: Any, paints: Any, spread: str) -> None:
     problems = Problems("spectra cannot be drawn", SchemaError)
     if spread not in SPREADS:
-        problems.add(f"spread={spread!r:.40}, expected one of {', '.join(SPREADS)}")
+        problems.add(f"spread={spread!r:.40}", expected=f"one of {', '.join(SPREADS)}", code="choice-unknown")
     if library and (regions is not None or pixels is not None):
-        problems.add("a paint library has neither regions nor pixels; name paints=, or give a flight line")
+        problems.add(
+            "a paint library has neither regions nor pixels",
+            mend="name paints=, or give a flight line",
+            code="option-conflict",
+        )
     if not library:
         if paints is not None:
-            problems.add("paints are those of a library; a flight line has regions= and pixels=")
+            problems.add(
+                "paints= names paints of a library", mend="give regions= or pixels=", code="option-conflict"
+            )
         if (regions is None) == (pixels is None):
-            problems.add("a flight line needs either regions or pixels=(along_track, cross_track)")
+            problems.add(
+                "a flight line needs either regions or pixels=(along_track, cross_track)",
+                code="argument-missing",
+            )
     if pixels is not None:
         places = np.asarray(pixels)
         if places.ndim not in (1, 2) or places.shape[-1:] != (2,) or places.dtype.kind not in "iu":
-            problems.add(f"pixels={pixels!r:.60}, expected whole (along_track, cross_track), or several")
+            problems.add(
+                f"pixels={pixels!r:.60}",
+                expected="one whole (along_track, cross_track), or several",
+                code="type-wrong",
+            )
         elif places.ndim == 2 and len(places) > MOST_CURVES:
-            problems.add(f"{len(places)} pixels, expected at most {MOST_CURVES}; outline them as a region")
+            problems.add(
+                f"{len(places)} pixels",
+                expected=f"at most {MOST_CURVES}",
+                mend="outline them as a region",
+                code="curve-number",
+            )
     problems.raise_if_any()
 
 
@@ -161,10 +179,15 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     wanted = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
     if unknown := [name for name in wanted if name not in names]:
-        problems.add(f"no paint {', '.join(map(repr, unknown))}; there is {', '.join(names)}")
+        problems.add(
+            f"no paint {', '.join(map(repr, unknown))}", expected=", ".join(names), code="paint-unknown"
+        )
     if len(wanted) > MOST_CURVES:
         problems.add(
-            f"{len(wanted)} curves, expected at most {MOST_CURVES}; name some, or see library_overview"
+            f"{len(wanted)} curves",
+            expected=f"at most {MOST_CURVES}",
+            mend="name some, or see library_overview",
+            code="curve-number",
         )
     problems.raise_if_any()
     places = [names.index(name) for name in wanted]
@@ -219,7 +242,10 @@ def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
     size = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
     for along, across in places.tolist():
         if not (0 <= along < size[0] and 0 <= across < size[1]):
-            problems.add(f"pixel ({along}, {across}) is outside of {size[0]} lines of {size[1]} columns")
+            problems.add(
+                f"pixel ({along}, {across}) is outside of {size[0]} lines of {size[1]} columns",
+                code="pixel-outside",
+            )
     problems.raise_if_any()
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
@@ -317,12 +343,12 @@ def library_overview(
     paints, wrong = find_usable(paints)
     problems = Problems("a paint library cannot be drawn", SchemaError)
     for problem in wrong:
-        problems.add(problem)
+        problems.add(problem, code="variable-unusable")
     problems.raise_if_any()
     variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
     count = paints.sizes[schema.SIGNATURE]
     if not count:
-        raise SchemaError("an overview needs paints, the library has none")
+        raise SchemaError("the library has no paint to draw", code="library-empty")
     shown = min(count, MOST_PAINTS)
     columns = max(1, min(columns, shown))
     rows = -(-shown // columns)

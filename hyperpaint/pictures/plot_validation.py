@@ -74,7 +74,9 @@ def validation_figure(
     2
     """
     if columns < 1 or (limit is not None and not limit > 0.0):
-        raise SchemaError(f"columns={columns}, limit={limit}: expected positive numbers")
+        raise SchemaError(
+            f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
+        )
     shown = _chosen(validation)
     columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)

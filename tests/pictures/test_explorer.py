@@ -98,10 +98,10 @@ def test_what_is_drawn_is_saved_and_signatures_take_it(state: Explored, tmp_path
 
 
 def test_regions_to_begin_with_can_be_drawn() -> None:
-    with pytest.raises(SchemaError, match="map coordinates"):
+    with pytest.raises(SchemaError, match="region-coordinates"):
         Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
     holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
-    with pytest.raises(SchemaError, match="holes cannot be drawn: ring"):
+    with pytest.raises(SchemaError, match=r"ring.*region-holes"):
         Explored(flight().line, holed)
 
 
@@ -162,7 +162,7 @@ def test_a_file_that_was_changed_elsewhere_is_left_as_it_is(tmp_path: Path) -> N
     changed = path.read_text(encoding="utf-8").replace("roof", "bonnet")
     path.write_text(changed, encoding="utf-8")
     state.drop("roof")
-    with pytest.raises(StoreError, match=r"r\.geojson was changed elsewhere.*move it away"):
+    with pytest.raises(StoreError, match=r"changed elsewhere.*file-changed"):
         state.save_again(path)
     assert path.read_text(encoding="utf-8") == changed
     assert not state.is_saved
@@ -170,7 +170,7 @@ def test_a_file_that_was_changed_elsewhere_is_left_as_it_is(tmp_path: Path) -> N
     state.save_again(path)
     assert state.is_saved
     # one that appears meanwhile is not ours either
-    with pytest.raises(StoreError, match=r"theirs\.geojson was not read or saved here"):
+    with pytest.raises(StoreError, match=r"not read.*file-changed"):
         state.save_again(tmp_path / "theirs.geojson")
 
 

@@ -153,8 +153,9 @@ def test_unlit_columns_and_single_columns_are_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    with pytest.raises(SchemaError, match=r"(?s)expected those of one camera.*column=9, expected 0 to 5"):
+    with pytest.raises(SchemaError) as refused:
         calibration_report(calibration, sweep.isel(step=slice(9)), column=9)
+    assert refused.value.codes == ("grid-mismatch", "value-out-of-range")
     with pytest.raises(SchemaError, match="line_band"):
         calibration_report(calibration.drop_vars("line_band"))
     with pytest.raises(SchemaError, match=r"(?s)cal\.xls.*ends in one of.*\.pdf.*\.png"):
@@ -165,7 +166,7 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         calibration_report(calibration)
 
 

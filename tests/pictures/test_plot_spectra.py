@@ -100,17 +100,19 @@ def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
 
 
 def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match=r"(?s)spread='range'.*either regions or pixels"):
+    with pytest.raises(SchemaError) as refused:
         spectrum(line, spread="range")
-    with pytest.raises(SchemaError, match="neither regions nor pixels"):
+    assert refused.value.codes == ("choice-unknown", "argument-missing")
+    with pytest.raises(SchemaError, match="option-conflict"):
         spectrum(paints, pixels=(0, 0))
-    with pytest.raises(SchemaError, match=r"no paint 'middle'; there is left, _right \$x"):
+    with pytest.raises(SchemaError, match=r"'middle'.*left, _right \$x.*paint-unknown"):
         spectrum(paints, paints="middle", axes=axes())
-    with pytest.raises(SchemaError, match=r"(?s)\(20, 0\) is outside.*\(0, -1\) is outside"):
+    with pytest.raises(SchemaError) as refused:
         spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
-    with pytest.raises(SchemaError, match="whole"):
+    assert refused.value.codes == ("pixel-outside",) * 2
+    with pytest.raises(SchemaError, match=r"whole.*type-wrong"):
         spectrum(line, pixels=(0.5, 1.0))
-    with pytest.raises(SchemaError, match="at most 24"):
+    with pytest.raises(SchemaError, match="curve-number"):
         spectrum(line, pixels=[(0, 0)] * 25)
 
 
@@ -126,9 +128,9 @@ def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         spectrum(line, pixels=(0, 0))
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         triptych(line, LEFT)
 
 
@@ -168,11 +170,11 @@ def test_single_pixels_go_through_the_chain(line: xr.Dataset) -> None:
             np.testing.assert_allclose(drawn.get_color(), colour, atol=1e-6)
     labels = [text.get_text() for text in figure.axes[2].get_legend().get_texts()]
     assert [label[:7] for label in labels] == ["(3, 4)", "(10, 1)"] or labels[0].startswith("(3, 4)")
-    with pytest.raises(SchemaError, match="give one of them"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         triptych(line, LEFT, pixels=places)
-    with pytest.raises(SchemaError, match=r"\(99, 0\) is outside of 20 lines of 6 columns"):
+    with pytest.raises(SchemaError, match="pixel-outside"):
         triptych(line, pixels=[(99, 0)])
-    with pytest.raises(SchemaError, match="expected whole"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         triptych(line, pixels=[(1.5, 0)])
 
 
@@ -194,10 +196,10 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
 
 @pytest.mark.filterwarnings("ignore:counts are no whole numbers")
 def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="one region, found 2"):
+    with pytest.raises(SchemaError, match="region-number"):
         triptych(line, hp.Regions((LEFT, RIGHT)))
     dark = line.assign(saturation_count=((), np.float32(60.0), {"units": "count"}))
-    with pytest.raises(SchemaError, match="'left': none of 60 pixels is left"):
+    with pytest.raises(SchemaError, match=r"'left'.*region-empty"):
         triptych(dark, LEFT)
     with pytest.raises(SchemaError, match="counts"):
         triptych(line.drop_vars("counts"), LEFT)
@@ -257,7 +259,7 @@ def test_the_overview_is_bounded() -> None:
     figure = library_overview(library, columns=8)
     assert len(figure.axes) == MOST_PAINTS
     assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
-    with pytest.raises(SchemaError, match="has none"):
+    with pytest.raises(SchemaError, match="library-empty"):
         library_overview(library.isel(signature=slice(0, 0)))
 
 

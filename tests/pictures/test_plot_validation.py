@@ -76,7 +76,7 @@ def test_any_name_is_drawn(tmp_path: Path) -> None:
 def test_wrong_sizes() -> None:
     found = hp.validate(*agreeing())
     for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
-        with pytest.raises(SchemaError, match="expected positive numbers"):
+        with pytest.raises(SchemaError, match="value-out-of-range"):
             hp.pictures.validation_figure(found, **wrong)
 
 
