@@ -333,7 +333,7 @@ def test_what_cannot_be_is_said_at_once() -> None:
     line = flown(4, 5)
     with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
-    assert refused.value.codes == ("type-wrong", "type-wrong", "option-conflict", "not-finite")
+    assert refused.value.codes == ("type-wrong", "type-wrong", "argument-missing", "not-finite")
     bare = line.assign_attrs()
     bare.attrs = {}
     with pytest.raises(SchemaError, match="convention-missing"):

@@ -14,8 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
-_MAX_LOOK_ANGLE_DEG = 89.0
-"""Angle from the optical axis from which a camera no longer looks down."""
+_MAX_LOOK_ANGLE_DEG = 89.0  # from the optical axis
 
 
 @takes_quantities(pixel_pitch="m", focal_length="m", field_of_view="degree")
@@ -34,8 +33,8 @@ class PinholeCamera:
     field_of_view
         Angle between the outermost columns [degree], instead of the two lengths.
     edges
-        What ``field_of_view`` is between: ``"centres"`` of the outermost columns, or their ``"outer"`` edges.
-        The two differ by half a column at either edge of the swath; makers mean either, so none is assumed.
+        Ends of ``field_of_view``: ``"centres"`` of the outermost columns, or their ``"outer"`` edges. The two
+        differ by half a column at either edge of the swath; makers use both, so there is no default.
 
     Raises
     ------
@@ -147,7 +146,19 @@ def look_angles(
         across = camera.look_across(convention.column_order)
         along = np.zeros_like(across)
     else:
-        across, along = _table(line if camera is None else camera)
+        source = line if camera is None else camera
+        name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
+        if name is None:
+            raise SchemaError(
+                "the line has neither look_across nor look_angle (cross_track) [degree]",
+                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                "of the angles",
+                code="camera-missing",
+            )
+        across = convert(source[name], "degree").data.astype(np.float64)
+        along = np.zeros(across.shape)
+        if "look_along" in source.variables:
+            along = convert(source["look_along"], "degree").data.astype(np.float64)
     problems = Problems("the directions of the columns cannot be used", SchemaError)
     for name, angles in (("look_across", across), ("look_along", along)):
         if angles.shape != (line.sizes[CROSS_TRACK],):
@@ -176,19 +187,3 @@ def directions(across: Floats, along: Floats) -> Floats:
         )
     u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
     return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
-
-
-def _table(source: xr.Dataset) -> tuple[Any, Any]:
-    """Return ``look_across`` and ``look_along`` (cross_track,) [degree] of a dataset."""
-    name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
-    if name is None:
-        raise SchemaError(
-            "the line has neither look_across nor look_angle (cross_track) [degree]",
-            mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table of "
-            "the angles",
-            code="camera-missing",
-        )
-    across = convert(source[name], "degree").data.astype(np.float64)
-    if "look_along" not in source.variables:
-        return across, np.zeros(across.shape)
-    return across, convert(source["look_along"], "degree").data.astype(np.float64)

@@ -10,25 +10,19 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import SchemaError, needs_extra
 
 if TYPE_CHECKING:
     import pyproj
 
-GEODETIC = "EPSG:4979"
-"""Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
+GEODETIC = "EPSG:4979"  # of positions: latitude, longitude, height above the ellipsoid of WGS 84
 _GEOCENTRIC = "EPSG:4978"
-
-_MAX_LATITUDE_DEG = 89.9
-"""Latitude beyond which east and north change too fast for what is done here [degree]."""
+_MAX_LATITUDE_DEG = 89.9  # nearer to a pole east and north turn too fast for a polynomial
 
 
 def _pyproj() -> Any:
-    try:
+    with needs_extra("pyproj", "geo", "placing pixels on a map"):
         import pyproj
-    except ImportError as error:
-        needed = MissingExtraError.of("pyproj", "geo", "placing pixels on a map")
-        raise needed from error
     return pyproj
 
 
@@ -43,7 +37,7 @@ def _crs(text: str) -> pyproj.CRS:
 def _transformer(source: str, target: str) -> pyproj.Transformer:
     """Return the transformer between two reference systems; x or longitude come first.
 
-    Heights [m] belong to `GEODETIC` and to geocentric X, Y, Z [m] alone; of others the horizontal is taken.
+    Only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems are taken as horizontal.
     """
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
     transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
@@ -100,7 +94,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     Raises
     ------
     SchemaError
-        There is none: the place is not finite, or beyond 84 degrees north or 80 south.
+        The place is not finite, or beyond 84 degrees north or 80 south.
 
     Examples
     --------
@@ -180,12 +174,12 @@ def between_maps(places: Floats, source: str, target: str) -> Floats:
 def is_in_metres(crs: str) -> bool:
     """Return whether a reference system is a map with coordinates in metres to the east and north.
 
-    Those to the west and south (EPSG:2053) would turn every map over.
+    Axes to the west or south (EPSG:2053) would turn every map over.
     """
     system = _crs(crs)
-    ways = {axis.direction.lower() for axis in system.axis_info}
+    directions = {axis.direction.lower() for axis in system.axis_info}
     # both axes of a map of the north pole may point south
-    if "west" in ways or {"south", "east"} <= ways:
+    if "west" in directions or {"south", "east"} <= directions:
         return False
     return system.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in system.axis_info)
 
@@ -211,8 +205,7 @@ _OFFSETS = np.array(
         for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
     ],
     dtype=np.float64,
-)
-"""Places around the camera from which a polynomial of second degree is had by differences."""
+)  # places around the camera, whose differences give a polynomial of second degree
 
 
 def polynomials(
@@ -236,8 +229,8 @@ def polynomials(
 
     Notes
     -----
-    A map is not flat: its north turns and its scale changes from place to place. What is left out of the
-    second degree is of the order of d (d / R)^2, for a way d on an earth of radius R: 25 nm at 100 m, 0.2 mm
+    A map is not flat: its north turns and its scale changes from place to place. Terms beyond the second
+    degree are of the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm
     at 2 km.
     """
     coefficients = np.full((3, latitude.size, 10), np.nan)
@@ -258,7 +251,7 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
     coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
-    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ's sign for what is not on the map
+    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ returns infinity outside of the map
     return coefficients
 
 

@@ -44,10 +44,9 @@ from .poses import (
 )
 from .terrain import Terrain, grid_of, terrain_of
 
+# turns north, east, down into east, north, up
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Turns north, east, down into east, north, up."""
-_MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0
-"""Bounds of the way from the camera over which a map is looked at [m]."""
+_MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0  # distances over which the map around a camera is fitted
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Swath:
     poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
     look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
     boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
-    #: Projection centre from the point that positions are of: forward, right, down [m]
+    #: From the reference point of positions to the projection centre: forward, right, down [m]
     lever_arm: tuple[float, float, float]
     ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or a raster of heights
     crs: str  #: Map
@@ -86,7 +85,7 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     col, row = x.copy(), y.copy()
     if grid.crs != swath.crs:
         col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
-    # rasters count longitude from -180 or 0, or reach across 180
+    # longitude of rasters begins at -180 or 0, or runs across 180
     col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
     for place, (first, step) in ((col, grid.x), (row, grid.y)):
         place[:, 0] -= first
@@ -96,8 +95,8 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     return out
 
 
+# coordinates added, in the order in which the kernels write them
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
-"""Coordinates added, in the order in which the kernels write them."""
 
 
 @takes_quantities(**LOCATION_UNITS)
@@ -127,17 +126,17 @@ def locate(
         Record to take the poses from, with the same variables on ``navigation_time`` [UTC]; see
         `hyperpaint.geometry.interpolate_pose`.
     boresight
-        Roll, pitch and heading of the camera in the body [degree], a rotation as that of the body itself:
+        Roll, pitch and heading of the camera in the body [degree], applied like the angles of the body:
         first heading, then pitch, then roll; by default the line's attribute ``boresight``, else zero.
     lever_arm
-        From the point that positions are of to the camera's projection centre, forward, right, down [m]; by
+        From the reference point of positions to the camera's projection centre, forward, right, down [m]; by
         default the line's attribute ``lever_arm``, else zero.
     ground
         Height of level ground above the ellipsoid [m]; either this or ``dem``; by default the line's
         attribute ``ground``.
     dem
         Heights (y, x) [m, unless an attribute ``units`` says otherwise] with coordinates of cell centres and
-        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares what they are above:
+        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares the zero of heights:
         ``"ellipsoid"``, or ``"geoid"`` with ``geoid_undulation`` [m].
     crs
         Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
@@ -149,7 +148,7 @@ def locate(
     clock_offset_s
         Added to ``time`` to have the time of the navigation's clock [s].
     convention
-        What the angles and heights mean, and the order of the columns; by default what the attributes of
+        Meaning of angles and heights, and the order of the columns; by default as the attributes of
         ``navigation``, or of the line, declare. ``column_order`` is needed for a pinhole alone, and is also
         taken from the attributes of the line.
     max_gap_s, interpolation
@@ -167,8 +166,8 @@ def locate(
     Raises
     ------
     SchemaError
-        Neither or both of ``ground`` and ``dem``; variables, a declaration of what they mean, or the camera
-        are missing; the map is not in metres; all of a kind are listed.
+        Neither or both of ``ground`` and ``dem``; variables, the declaration of their meaning, or the camera
+        are missing; the map is not in metres; all problems of a kind are listed.
     TimeError
         The record runs backwards.
     UnitsError
@@ -184,12 +183,12 @@ def locate(
     -----
     A pixel's direction is ``R_nb R_bc u``: the camera's direction u turned into the body by the boresight
     and into north, east, down by ``R_nb = Rz(heading) Ry(pitch) Rx(roll)``. Each line is computed in the
-    local frame of its own position, in which its attitude is given, so that neither the map's convergence nor
-    its scale has to be corrected for. The way from there to the map is taken as a polynomial of second degree
+    local frame of its position, the frame of its attitude, so that neither the map's convergence nor its
+    scale needs a correction. Local coordinates are converted to the map by a polynomial of second degree
     around the camera, see `hyperpaint.geometry.georeference.geodesy.polynomials`.
 
-    Lines in memory have poses at once; of lazy ones nothing is read, unless ``crs`` is to be found out, which
-    needs the positions.
+    Poses of lines in memory are computed at once; of lazy lines nothing is read, unless ``crs`` has to be
+    derived from their positions.
 
     Examples
     --------
@@ -226,15 +225,25 @@ def locate(
         heights = dem.squeeze(drop=True).transpose("y", "x").data
         surface = _call(terrain_of, heights=heights, grid=grid)
     chunks = _line_chunks(line)
-    turn, arm = _triple(boresight), _triple(lever_arm)
+    turn, arm = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
-        Swath, poses=poses, look=_call(directions, across=across, along=along), boresight=turn, lever_arm=arm,
-        ground=surface, crs=crs, starts=np.concatenate([[0], np.cumsum(chunks)]),
-    )  # fmt: skip
+        Swath,
+        poses=poses,
+        look=_call(directions, across=across, along=along),
+        boresight=turn,
+        lever_arm=arm,
+        ground=surface,
+        crs=crs,
+        starts=np.concatenate([[0], np.cumsum(chunks)]),
+    )
     places = da.map_blocks(
-        places_of, dask.delayed(swath, pure=True), chunks=((len(_PLACES),), chunks, (len(across),)),
-        dtype=np.float64, meta=np.empty((0, 0, 0)), name=None,
-    )  # fmt: skip
+        places_of,
+        dask.delayed(swath, pure=True),
+        chunks=((len(_PLACES),), chunks, (len(across),)),
+        dtype=np.float64,
+        meta=np.empty((0, 0, 0)),
+        name=None,
+    )
     located = _with_places(_with_poses(line, poses, chunks), places, crs)
     settings = {
         "boresight": list(turn),
@@ -247,7 +256,7 @@ def locate(
     return located
 
 
-# --- what is asked for -------------------------------------------------------------------------------------
+# --- arguments ---------------------------------------------------------------------------------------------
 
 
 def _declared(
@@ -301,11 +310,6 @@ def _check(
         if number is not None and not is_number:
             problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
     problems.raise_if_any()
-
-
-def _triple(three: Sequence[float]) -> tuple[float, float, float]:
-    first, second, third = (float(number) for number in three)
-    return first, second, third
 
 
 def _map_of(poses: Any, crs: Any) -> str:
@@ -371,9 +375,13 @@ def _poses(
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
         return values
     return poses_at(
-        np.asarray(recorded), values, np.asarray(wanted), clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s, interpolation=interpolation,
-    )  # fmt: skip
+        np.asarray(recorded),
+        values,
+        np.asarray(wanted),
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
 
 
 def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:

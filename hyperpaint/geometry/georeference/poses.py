@@ -28,13 +28,16 @@ ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
-_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1
-"""Intervals, and seconds, that a gap is longer than."""
+_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1  # longer intervals between rows are gaps
 
 LOCATION_UNITS = {
-    "ground": "m", "boresight": "degree", "lever_arm": "m", "clock_offset_s": "s", "max_gap_s": "s",
-}  # fmt: skip
-"""Units of the arguments that say how a line is located."""
+    "ground": "m",
+    "boresight": "degree",
+    "lever_arm": "m",
+    "clock_offset_s": "s",
+    "max_gap_s": "s",
+}
+"""Units of the arguments of `locate`."""
 
 
 # --- canonical form ----------------------------------------------------------------------------------------
@@ -51,7 +54,7 @@ def canonical_navigation(
         ``latitude``, ``longitude`` [degree], ``altitude`` [m], ``roll``, ``pitch``, ``heading``
         (navigation_time), as their file has them; also of a flight line (along_track).
     convention
-        What they mean; by default what the attributes declare.
+        Meaning of these variables; by default as their attributes declare.
     crs
         Map whose north ``"grid"`` headings count from, where the convention names none.
 
@@ -64,8 +67,8 @@ def canonical_navigation(
     Raises
     ------
     SchemaError
-        Variables are missing, the meaning of their numbers is not declared, or units contradict it; all are
-        listed. No declination, geoid undulation or grid for what needs it.
+        Variables are missing, their meaning is not declared, or units contradict it; all are listed. A
+        declination, geoid undulation or grid is needed and missing.
     UnitsError
         Units that cannot be read, or are of another dimension.
 
@@ -251,9 +254,13 @@ def interpolate_pose(
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(
-        navigation[NAVIGATION_TIME].values, values, time.values, clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s, interpolation=interpolation,
-    )  # fmt: skip
+        navigation[NAVIGATION_TIME].values,
+        values,
+        time.values,
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
     interpolated = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
     return interpolated.assign_attrs(convention.of_canonical.to_attrs())
 
@@ -284,7 +291,7 @@ def poses_at(
             poses[part] = between(
                 knots[is_recorded], values[part][:, is_recorded], wanted, gap, interpolation
             )
-    # half a pose places nothing
+    # an incomplete pose is no pose
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
     return poses
 
@@ -338,7 +345,7 @@ def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools
     step = knots[after] - knots[before]
     since = np.where(inside, wanted - knots[before], 0)
     weight = since / np.maximum(step, 1)
-    # on a row there is nothing to interpolate, however far the next one is
+    # a time equal to a row needs no interpolation, however far the next row is
     return before, weight, inside & ((step / _NS_PER_S <= gap) | (since == 0) | (since == step))
 
 

@@ -16,8 +16,7 @@ from hyperpaint.kernels.arguments import BLOCK
 
 from .geodesy import crs_of
 
-_MAX_UNEVENNESS = 1e-3
-"""Part of a cell by which the coordinates of a raster may miss their even spacing."""
+_MAX_UNEVENNESS_CELLS = 1e-3  # deviation of a raster's coordinates from even spacing
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,8 @@ class TerrainGrid:
     crs: str  #: Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
-    heights: Convention  #: What the raster's numbers are above
-    missing: tuple[float, ...]  #: Numbers that stand for holes
+    heights: Convention  #: Height reference of the raster
+    missing: tuple[float, ...]  #: Numbers that mark holes
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     Raises
     ------
     SchemaError
-        It is nothing but holes.
+        All cells are holes.
     """
     elevation = np.array(heights, dtype=np.float64)
     for value in grid.missing:
@@ -116,17 +115,12 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     if np.isnan(elevation).all():
         raise SchemaError("this DEM holds no heights, only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
-    return Terrain(
-        grid, elevation, _tops(elevation), float(np.nanmin(elevation)), float(np.nanmax(elevation))
-    )
-
-
-def _tops(heights: Floats) -> Floats:
-    filled = np.where(np.isnan(heights), -np.inf, heights)
+    # highest point of every block of cells; neighbouring blocks share a border
+    filled = np.where(np.isnan(elevation), -np.inf, elevation)
     rows, cols = (range(0, size - 1, BLOCK) for size in filled.shape)
-    # a block owns the borders it shares
     strips = [filled[r : r + BLOCK + 1].max(axis=0) for r in rows]
-    return np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
+    tops = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
+    return Terrain(grid, elevation, tops, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
 
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
@@ -138,7 +132,7 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
         raise SchemaError(f"{values.size} along {name!r}", expected="two or more", code="length-mismatch")
     step = (values[-1] - values[0]) / (values.size - 1)
     uneven = np.abs(values - (values[0] + step * np.arange(values.size)))
-    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS * abs(step)):
+    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS_CELLS * abs(step)):
         raise SchemaError(
             f"coordinate {name!r} is not evenly spaced",
             mend="bring the DEM to a regular grid",
@@ -150,7 +144,7 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
 def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
     """Return whether the rows of a raster, by its GeoTransform, do not run east or west.
 
-    That of a part of a raster may be stale, so that nothing but directions are taken from it.
+    The origin in the GeoTransform of a cropped raster may be stale; only the directions are used.
     """
     try:
         numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
@@ -159,7 +153,7 @@ def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bo
     if len(numbers) != 6:
         return False
     _, right, right_by_row, _, up_by_column, _ = numbers
-    # of a flight to the south: distances from a corner grow to the west
+    # on the grid of a flight to the south, x grows to the west
     return bool(right_by_row or up_by_column) or (right < 0.0 < axes.get("x", (0.0, 0.0))[1])
 
 
@@ -178,6 +172,6 @@ def _crs_text(dem: xr.DataArray) -> str | None:
 
 
 def _missing(dem: xr.DataArray) -> tuple[float, ...]:
-    # of what xarray has decoded, with the mark in `encoding`, holes are NaN already
+    # in rasters that xarray decoded (mark in `encoding`) holes are NaN already
     marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
     return tuple({float(value) for value in marks if np.ndim(value) == 0 and np.isfinite(float(value))})

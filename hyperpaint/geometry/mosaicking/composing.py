@@ -26,16 +26,14 @@ from .levelling import LEVELLED_BY, Levelling, overlap_factors
 from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
 
 RULES = ("nadir", "unflagged", "newest")
+# variables that a rule needs of every line
 _RANKED_BY = {
-    "nadir": ("view_zenith",), "unflagged": ("quality", "view_zenith"), "newest": ("line_time",)
-}  # fmt: skip
-"""What a rule needs of every line."""
-_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)
-"""Flags of pixels that hold nothing: any other line is better."""
-_LOCATION = (
-    "navigation", "boresight", "lever_arm", "ground", "dem", "crs", "camera", "clock_offset_s", "convention",
-    "max_gap_s", "interpolation",
-)  # fmt: skip
+    "nadir": ("view_zenith",),
+    "unflagged": ("quality", "view_zenith"),
+    "newest": ("line_time",),
+}
+_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)  # pixels of any other line are better
+_LOCATION = (*LOCATION_UNITS, "navigation", "dem", "crs", "camera", "convention", "interpolation")
 NO_LINE = np.int16(-1)
 Place = tuple[int, int]
 
@@ -54,8 +52,8 @@ def mosaic(
 ) -> xr.Dataset:
     """Return several flight lines as one map with north up; every cell shows one line.
 
-    Lazy but for one look at where the pixels of each line lie. A tile reads the lines that show it, one
-    after another, and no others.
+    Lazy except for one survey of the pixel positions of each line. A tile reads only the lines that show it,
+    one after another.
 
     Parameters
     ----------
@@ -64,35 +62,35 @@ def mosaic(
         `hyperpaint.geometry.locate`; or maps with north up, as `hyperpaint.geometry.orthorectify`
         returns them, on grids that fit. Lines of a sequence are numbered.
     gsd
-        Edge of a cell [m]; by default that of the maps, else the largest spacing of the pixels of any line.
+        Edge of a cell [m]; by default the cell of the maps, else the largest pixel spacing of any line.
     rule
-        Which line counts where several show a cell: that which looks down most steeply (``"nadir"``, by
+        The line shown where several cover a cell: the line that looks down most steeply (``"nadir"``, by
         ``view_zenith``); the same, but pixels without any flag of ``quality`` first (``"unflagged"``); or
-        that flown last (``"newest"``, by ``line_time``). Whatever the rule, pixels without data
-        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order counts.
+        the line flown last (``"newest"``, by ``line_time``). Under every rule pixels without data
+        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order is shown.
     levelling
         ``"overlap"`` multiplies the spectra of every line by one factor a band, so that lines agree where
         unflagged cells of two overlap: robust least squares on the logarithm of their ratio, which keeps the
-        mean of all lines. It makes seams fade, and brings errors of one line into the others: off by default.
-        Looking at all overlaps is eager.
+        mean of all lines. Seams fade, but errors of one line enter the others: off by default. Reading the
+        overlaps is eager.
     variables
-        What comes along, as of `hyperpaint.geometry.orthorectify`; all lines must have it.
+        Variables of the map, as for `hyperpaint.geometry.orthorectify`; all lines must have them.
     tile
         Rows and columns of a task.
     progress
-        Called with slabs looked at and to do, for every line.
+        Called with the number of slabs surveyed and their total, for every line.
     **options
         ``method``, ``multi_hit`` and ``max_stretch`` of `hyperpaint.geometry.orthorectify`, and options of
-        `hyperpaint.geometry.locate`, which hold for all lines.
+        `hyperpaint.geometry.locate`, for all lines.
 
     Returns
     -------
     xarray.Dataset
-        The variables (y, x[, band]) of the line that counts, never averaged, and unchanged but by levelling.
-        ``flightline`` (y, x): its number, whose name ``flag_values`` and ``flag_meanings`` tell, -1 where no
-        line shows a cell; ``line_count``: how many do; ``gap``: none does, but within the ends of a line;
-        ``levelling_factor`` (source, band), where asked for; its attribute ``interpolated_bands`` names those
-        of which overlaps say nothing, and whose factors are from their neighbours.
+        The variables (y, x[, band]) of the line shown, never averaged, and changed by levelling alone.
+        ``flightline`` (y, x): its number, with its name in ``flag_values`` and ``flag_meanings``, -1 where no
+        line covers a cell; ``line_count``: number of lines that cover it; ``gap``: uncovered, but between
+        the ends of a line; ``levelling_factor`` (source, band), with levelling; its attribute
+        ``interpolated_bands`` names the bands without usable overlaps, whose factors are interpolated.
         Sides of more than 256 cells begin at whole multiples of 128, as chunks of a store do.
         Otherwise as `hyperpaint.geometry.orthorectify`, whose ``nearest_line`` and ``nearest_sample`` are the
         pixel of that line.
@@ -100,8 +98,8 @@ def mosaic(
     Raises
     ------
     SchemaError
-        No lines, or ones on different maps or grids, of different wavelengths, units or types, or without
-        what the rule needs; options that do not exist; all of a kind are listed.
+        No lines, or lines on different maps or grids, of different wavelengths, units or types, or without
+        the variables of the rule; unknown options; all problems of a kind are listed.
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
 
@@ -111,7 +109,7 @@ def mosaic(
 
     Examples
     --------
-    Two lines side by side, of which the second looks down more steeply at what both show:
+    Two lines side by side; the second looks down more steeply at the cells that both cover:
 
     >>> import numpy as np, xarray as xr
     >>> def line(first, zenith):
@@ -174,7 +172,7 @@ def _planes(
         ranks = _ranks(rule, plane)
         if not best:
             best = [np.zeros(shape, rank.dtype) for rank in ranks]
-        # of a tuple of ranks the first that differs decides; equals stay with the line that came first
+        # the first rank that differs decides; equal ranks stay with the line that came first
         better, equal = np.zeros(shape, bool), np.ones(shape, bool)
         for rank, least in zip(ranks, best, strict=True):
             better |= equal & (rank < least)
@@ -288,8 +286,8 @@ class _Tiles:
 def _aligned(grid: MapGrid) -> MapGrid:
     """Return a grid whose longer sides begin at a chunk of a store.
 
-    Tiles begin at whole multiples of their size on the map. Where a mosaic of several begins between two
-    chunks of a store, every chunk is written from up to four tiles, which are held until then.
+    Tiles begin at whole multiples of their size on the map. If a mosaic of several tiles began between two
+    chunks of a store, every chunk would be written from up to four tiles, which are held until then.
     """
     starts = [
         first - first % STORE_TILE if size > 2 * STORE_TILE else first
@@ -325,7 +323,7 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
         factors, interpolated = tiles.levelling(_cube_to_level(first, flat))
         about = {"units": "1", "long_name": "Factor of the spectra of a line, from its overlaps with others"}
         if interpolated.any():
-            # of these bands overlaps say nothing; by line, numbers from 0
+            # bands without usable overlaps, by line, numbered from 0
             about["interpolated_bands"] = "; ".join(
                 f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
                 for strip, bands in zip(strips, interpolated, strict=True)
@@ -347,13 +345,14 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
         and all(coordinate.variable.identical(s.map[name].variable) for s in strips)
     }
     attrs = {
-        key: value for key, value in first.attrs.items()
+        key: value
+        for key, value in first.attrs.items()
         if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
-    }  # fmt: skip
+    }
     attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
     attrs["flightlines"] = [strip.name for strip in strips]
     whole = xr.Dataset(variables, of_bands, attrs)
-    # tiles reach beyond the lines
+    # cut the tiles to the extent of the lines
     offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
     rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
     return whole.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))

@@ -16,15 +16,14 @@ from hyperpaint.base.errors import SchemaError
 
 from .strips import Recipe
 
-LEVELLED_BY = ("hits", "quality")
-"""Planes that are needed beside the spectra."""
+LEVELLED_BY = ("hits", "quality")  # planes needed besides the spectra
 
 
 @dataclass(frozen=True)
 class Rules:
     """Thresholds of the factors, and their origin."""
 
-    step: int = 2  #: every how many rows and columns are looked at: neighbours say the same
+    step: int = 2  #: step of the rows and columns used: neighbouring cells are redundant
     min_cells: int = 20  #: cells of a tile in which two lines must overlap
     #: Standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964).
     huber_sd: float = 1.345
@@ -47,7 +46,7 @@ class Levelling(NamedTuple):
     """Factors, and the bands in which they are interpolated."""
 
     factors: Floats  #: (line, band) [1]
-    #: (line, band): whether a line that overlaps say something of has its factor from neighbouring bands
+    #: (line, band): whether the factor of an overlapping line is interpolated from neighbouring bands
     interpolated: Bools
 
 
@@ -56,19 +55,19 @@ def overlap_factors(
 ) -> Levelling:
     """Return factors that make lines agree where they overlap (eager, a tile at a time).
 
-    ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Least squares on the
-    logarithm of the medians of tiles, tiles that lie off counting less; unflagged cells alone. Lines that
-    hang together by overlaps keep their mean logarithm; lines without enough overlap have the factor 1.
-    In a band that is not above 0 in one of two lines these do not overlap: a factor of 1 between those of its
-    neighbours would be a step in the spectrum, so that the logarithm is interpolated over ``wavelength``
-    (band,), or bands, line by line, and held beyond the outermost ones.
+    ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
+    the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
+    logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
+    or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
+    interpolated over ``wavelength`` (band,), or band numbers, line by line, and held beyond the outermost
+    bands.
 
     Raises
     ------
     SchemaError
         No two lines overlap.
     """
-    # as part of the callable: of arguments dask would look into the recipes for tasks of its own
+    # as part of the callable: in arguments dask would search the recipes for tasks
     looks = [
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
     ]
@@ -84,7 +83,7 @@ def overlap_factors(
         incidence[row, ratio.first], incidence[row, ratio.second] = -1.0, 1.0
     observed = np.stack([ratio.log_ratio for ratio in ratios])
     weights = np.sqrt(np.stack([ratio.cells for ratio in ratios]))
-    # the lines that hang together by the overlaps of any band: in those of one band all of them must be tied
+    # lines connected by overlaps in any band must be connected in this band too
     whole = _parts(incidence)
     logs = np.zeros((lines, bands))
     is_tied = np.zeros((lines, bands), bool)
@@ -92,7 +91,8 @@ def overlap_factors(
         there = np.isfinite(observed[:, band])
         if there.any():
             logs[:, band] = _robust(incidence[there], observed[there, band], weights[there, band])
-            is_tied[:, band] = _of_whole_parts(_parts(incidence[there]), whole)
+            parts = _parts(incidence[there])
+            is_tied[:, band] = [np.unique(parts[whole == number]).size == 1 for number in whole]
     overlapping: Bools = np.any(incidence != 0.0, axis=0)
     interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
     place = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
@@ -115,11 +115,6 @@ def _parts(incidence: Floats) -> Ints:
         if (parts == before).all():
             break
     return parts
-
-
-def _of_whole_parts(parts: Ints, whole: Ints) -> Bools:
-    """Return the lines whose whole connected part is connected in this band too (line,)."""
-    return np.array([np.unique(parts[whole == number]).size == 1 for number in whole])
 
 
 def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:

@@ -1,7 +1,7 @@
 """Several flight lines as maps on one grid, each cut into the tiles of the mosaic.
 
-A line is surveyed once for where it lies, and then orthorectified over the tiles that it touches, so that
-its own tiles are those of the mosaic and nothing is cut up again.
+The extent of a line is surveyed once; then the line is orthorectified over the tiles of the mosaic that it
+touches, so that nothing has to be cut again.
 """
 
 from __future__ import annotations
@@ -27,11 +27,9 @@ from hyperpaint.geometry.orthorectification.grids import Survey, covering, north
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
-_ON_GRID_CELLS = 1e-3
-"""Part of a cell by which grids may miss one another and still be one."""
+_ON_GRID_CELLS = 1e-3  # largest offset between two grids that count as one
 _SAME_WAVELENGTH_NM = 1e-6
-_NEEDED = ("hits", "gap")
-"""What every map from `orthorectify` has, and a mosaic is composed by."""
+_NEEDED = ("hits", "gap")  # variables of every map from `orthorectify`
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,9 @@ class Strip:
 class Recipe:
     """The tasks of one tile of one line, which run one after another within a task of the mosaic.
 
-    As tasks of their own they would be shared with the neighbouring tiles, and the slabs of all lines of a
-    row of tiles be held until the row is done: memory would grow with the number of lines. The price is that
-    a slab is computed for every tile it reaches into.
+    As separate tasks they would be shared between neighbouring tiles, and dask would hold the slabs of all
+    lines of a row of tiles until the row is done: memory would grow with the number of lines. The price is
+    that a slab is computed again for every tile it reaches into.
     """
 
     graph: dict[Any, Any]
@@ -157,16 +155,14 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     size = float(size)
     axes = north_axes()
     if transforms:
-        # maps of others begin anywhere; those of hyperpaint at whole multiples of a cell
+        # maps of other programs begin anywhere, maps of hyperpaint at whole multiples of a cell
         east, *_, north, _, _ = next(iter(transforms.values()))
         phase = [way - size * round(way / size) for way in (east, north)]
         if max(map(abs, phase)) > _ON_GRID_CELLS * size:
             axes = type(axes)(axes.right, (phase[0], phase[1]))
     grids = {name: covering(axes, size, survey.box, whole=False) for name, survey in surveys.items()}
     for name, transform in transforms.items():
-        col, row = (
-            (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
-        )  # fmt: skip
+        col, row = (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
         off = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
         if off > _ON_GRID_CELLS:
             problems.add(
@@ -197,7 +193,7 @@ def strips_of(
     Raises
     ------
     SchemaError
-        Lines have other wavelengths, units or types than the first; maps lack what a mosaic is composed by.
+        Lines have other wavelengths, units or types than the first; maps lack ``hits`` or ``gap``.
     """
     strips = []
     for name, line in lines.items():
@@ -224,8 +220,8 @@ def strips_of(
 def _tiles_of(part: MapGrid, tile: int) -> tuple[tuple[int, int], list[int], list[int]]:
     """Return row and column of the first tile a map touches, and the edges of its tiles in rows and columns.
 
-    Tiles are counted from the anchor of the grid, as cells are: those of a line do not move when another
-    line joins the mosaic, and with them no rounding does.
+    Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when another
+    line joins the mosaic, so its rounding does not change either.
     """
     edges, corner = [], []
     for first, count in zip(part.first, part.shape, strict=True):

@@ -30,11 +30,11 @@ class Rules:
     #: Cells from the middle of a patch to its edge: large enough for a few objects, small enough that the
     #: camera's errors are one shift in it.
     half_patch: int = 20
-    #: Least correlation that is taken for the same place. Noise of half the contrast leaves 0.8.
+    #: Smallest correlation accepted as the same place. Noise of half the contrast leaves 0.8.
     min_correlation: float = 0.8
-    #: What another place within the search may reach, as a part of the best: beyond it the pattern repeats.
+    #: Largest correlation elsewhere, relative to the best: beyond it the pattern repeats.
     max_rival: float = 0.9
-    #: Least standard deviation of a patch along its flattest direction, relative to its mean.
+    #: Smallest standard deviation of a patch along its flattest direction, relative to its mean.
     min_texture: float = 0.01
     max_patches: int = 150  #: patches of a pair of lines, those with the most texture
     outlier_sd: float = 4.0  #: standard deviations of shifts from a plane through those of a pair
@@ -73,37 +73,35 @@ def find_tie_points(
     gsd
         Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
     search_m
-        How far apart on the map the two lines may show one place [m]; by default 16 cells. It should be less
-        than half the distance at which the ground repeats itself.
+        Largest distance on the map between the two positions of one place [m]; by default 16 cells. It should
+        be less than half the distance at which the ground repeats itself.
     band
-        Number of the band that is looked at, of counts, else radiance, else reflectance; by default the
-        middle one.
+        Number of the band to compare, of counts, else radiance, else reflectance; by default the middle one.
     rules
         Thresholds.
     progress
-        Called with pairs of lines done and to do.
+        Called with the number of pairs of lines done and their total.
     **location
         Options of `hyperpaint.geometry.locate`.
 
     Returns
     -------
     xarray.Dataset
-        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): where each of the two lines shows the
-        place, in fractions of a pixel from the centre of the first; ``flightline`` (point, side);
-        ``east``, ``north`` and ``height`` (point) [m]: where the first of them places it; ``shift``
-        (point, side): how far east and north the second places it of that [m]; ``quality`` (point): the
-        correlation, 1 at the most.
+        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): position in each of the two lines, in
+        fractions of a pixel from the centre of the first; ``flightline`` (point, side); ``east``, ``north``
+        and ``height`` (point) [m]: ground position by the first line; ``shift`` (point, side): position by
+        the second line minus the first, east and north [m]; ``quality`` (point): correlation, at most 1.
 
     Raises
     ------
     SchemaError
-        Less than two lines, maps in their place, no cube, or no overlap in which anything is found.
+        Fewer than two lines, maps instead of lines, no cube, or no tie points in the overlaps.
 
     Notes
     -----
     Both lines are resampled bilinearly on one grid with north up. Patches with texture in every direction are
-    looked for in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
-    Patterns that repeat within the search, and shifts apart from a plane through all of a pair, are left out.
+    searched in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
+    Patterns that repeat within the search, and shifts off a plane through all shifts of a pair, are left out.
 
     Examples
     --------
@@ -174,7 +172,7 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     number = line.sizes[BAND] // 2 if band is None else band
     seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
     names = {name for name in line.data_vars if BAND in line[name].dims}
-    # without index coordinates places are positions in the line, also in a crop
+    # without index coordinates the map holds positions in the line, also for a crop
     other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
     flat = line.drop_vars([*names, *other]).assign(picture=seen.drop_vars(other, errors="ignore"))
     orthomap = orthorectify(
@@ -188,9 +186,7 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
     """Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10)."""
     half = rules.half_patch
     first = np.maximum(one.corner, other.corner)
-    last = np.minimum(
-        np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape)
-    )  # fmt: skip
+    last = np.minimum(np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape))
     if (last - first <= 2 * half).any():
         return np.empty((0, 10))
     centres = [
@@ -238,6 +234,7 @@ def _texture(patch: Floats) -> float:
 
 def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
     """Return the offset of a patch from the middle of a window (rows, columns), and its correlation."""
+    from scipy.ndimage import maximum_filter
     from scipy.signal import fftconvolve
 
     none = np.zeros(2), 0.0
@@ -251,24 +248,18 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
     sums, squares, counts = (fftconvolve(of, box, "valid") for of in (filled, filled**2, is_shown * 1.0))
     spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * middle**2)) * np.linalg.norm(weights)
     score = fftconvolve(filled, weights[::-1, ::-1], "valid") / spread
-    score[counts < size - 0.5] = -1.0  # a place is compared whole or not at all
+    score[counts < size - 0.5] = -1.0  # only complete patches are compared
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
     best, reach = float(score[peak]), score.shape[0] // 2
     if not all(0 < k < n - 1 for k, n in zip(peak, score.shape, strict=True)):
         return none
     near = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
-    if near.min() <= -1.0 or _rival(score, peak) > rules.max_rival * best:
-        return none
-    return np.array(peak) - reach + _summit(near), best
-
-
-def _rival(score: Floats, peak: Sequence[Any]) -> float:
-    """Return the highest local maximum other than the peak."""
-    from scipy.ndimage import maximum_filter
-
+    # the highest local maximum other than the peak
     others = np.where(score == maximum_filter(score, 5), score, -1.0)
     others[tuple(peak)] = -1.0
-    return float(others.max())
+    if near.min() <= -1.0 or float(others.max()) > rules.max_rival * best:
+        return none
+    return np.array(peak) - reach + _summit(near), best
 
 
 def _summit(near: Floats) -> Floats:
@@ -298,8 +289,9 @@ def _at(picture: _Picture, place: Array) -> Floats:
 def _on_a_plane(table: Floats, rules: Rules) -> Bools:
     """Return the ties of a pair whose shifts lie on a plane through all of its shifts."""
     good = np.ones(len(table), bool)
-    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)]) \
-        if len(table) else np.empty((0, 3))  # fmt: skip
+    if not len(table):
+        return good
+    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
     for _ in range(10):
         if good.sum() < 6:
             return good

@@ -1,7 +1,6 @@
 """Cells of a map, and the survey of all lines that decides its extent.
 
-Nothing of the places is kept but a few numbers a line, so that the memory this takes is that of a few slabs
-however long the flight.
+The survey keeps a few numbers a line, so that it needs the memory of a few slabs, however long the flight.
 """
 
 from __future__ import annotations
@@ -19,13 +18,11 @@ from dask.highlevelgraph import HighLevelGraph
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
 
+# smallest and largest distance to the right, then down, from the anchor of axes [m]
 Box = tuple[float, float, float, float]
-"""Least and largest way to the right, then down, from the anchor of axes [m]."""
 
-_MIN_ELONGATION = 2.0
-"""How much longer than wide a track is, to have a direction of flight."""
-_ROUNDING_CELLS = 1e-6
-"""Part of a cell that is not worth a cell of its own."""
+_MIN_ELONGATION = 2.0  # length over width of a track that has a direction of flight
+_ROUNDING_CELLS = 1e-6  # part of a cell that adds no cell
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class MapGrid:
     Attributes
     ----------
     axes
-        Which way the grid lies.
+        Directions and anchor.
     gsd
         Edge of a cell [m].
     first
@@ -122,8 +119,8 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
 
     Notes
     -----
-    The direction is the longest axis of the middles of the lines. A track that is hardly longer than it is
-    wide has none; square to the lines is taken instead.
+    The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
+    none; the normal of the lines is used instead.
     """
     middle = (left + right) / 2
     _, spread, directions = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)
@@ -160,25 +157,21 @@ def box_of(axes: Axes, bounds: Any) -> Box:
     return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
 
-# --- the look at all lines -----------------------------------------------------------------------------
+# --- the survey of all lines ---------------------------------------------------------------------------
 
 
-_SAMPLED_LINES = 64
-"""Lines that the direction of flight is found from."""
-_SAMPLED_COLUMNS = 64
-"""Columns of a line, at the least, that its spacing is the median of."""
-_TOGETHER = 8
-"""Slabs of a task."""
-_COLUMNS = 10
-"""Of a line: its box (4), its ends (4), its median spacing across and along (2)."""
+_SAMPLED_LINES = 64  # for the direction of flight
+_SAMPLED_COLUMNS = 64  # at least, for the median spacing of a line
+_TASK_SLABS = 8
+_COLUMNS = 10  # of a line: box (4), ends (4), median spacing across and along (2)
 
 
 @dataclass(frozen=True)
 class Survey:
     """Extent and spacing of every line."""
 
-    #: (line, 4) float64: least and largest way to the right and down along the axes [m]; NaN of a line
-    #: without any place
+    #: (line, 4) float64: smallest and largest distance to the right and down along the axes [m]; NaN for a
+    #: line without any located pixel
     boxes: Floats
     ends: Floats  #: (line, 2, 2) float64: east and north of its first and last pixel that has a place [m]
     #: Median over lines of the median distance of neighbouring columns, and to the next line [m]
@@ -207,7 +200,7 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
     """
     count = east.shape[0]
     sampled = np.unique(np.linspace(0, count - 1, _SAMPLED_LINES).astype(int))
-    for lines in (sampled, np.arange(count)):  # all, where those have no pose
+    for lines in (sampled, np.arange(count)):  # all lines, if the sampled ones have no pose
         ends = _ends_of(east, north, lines)
         if len(ends):
             break
@@ -225,7 +218,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
         No pixel has a place.
     """
     slabs = range(east.numblocks[0])
-    groups = [list(slabs[first : first + _TOGETHER]) for first in slabs[::_TOGETHER]]
+    groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
     surveyed = _computed(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
     starts = np.cumsum([len(rows) for rows, _ in surveyed])
@@ -264,7 +257,7 @@ def _computed(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
     """Return the surveys of groups of consecutive slabs; reports progress where the scheduler allows it."""
-    # as one array: a collection a slab would cost more than the look
+    # as one array: a collection per slab would cost more than the survey
     name = f"look-{uuid.uuid4().hex}"
     layer = {
         (name, k): (_looked_at, *([(of.name, slab, 0) for slab in group] for of in (east, north)), axes)
@@ -280,7 +273,7 @@ def _computed(
         if waiting.pop(key, None) is not None:
             progress(slabs - sum(map(len, waiting.values())), slabs)
 
-    # schedulers of a cluster do not call it: they report the end alone
+    # schedulers of a cluster do not call it; then only the end is reported
     with Callback(posttask=report):
         surveyed = list(lazy.compute())
     if waiting:
@@ -291,7 +284,7 @@ def _computed(
 def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
     """Return the survey rows of the lines of some slabs (line, `_COLUMNS`), and the pixels at their ends.
 
-    As an array of this one object.
+    The result is an array of one object.
     """
     from hyperpaint.kernels.inverse_map import look_at_lines
 

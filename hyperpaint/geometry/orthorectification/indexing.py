@@ -15,22 +15,20 @@ from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 
 from .grids import MapGrid, Survey
 
-Window = tuple[slice, slice]
-"""Rows and columns of a tile."""
+Window = tuple[slice, slice]  # rows and columns of a tile
 
-RULES = ("nadir", "first", "last")
-"""Which of several places of the line counts, in the order of the kernel's numbers."""
+RULES = ("nadir", "first", "last")  # choice among several places, in the order of the kernel's numbers
 
 
 @dataclass(frozen=True)
 class Plan:
     """Settings that all tiles share."""
 
-    grid: MapGrid  #: How the cells lie
+    grid: MapGrid
     rule: int  #: Position in `RULES`
-    longest: float  #: Edge from which four pixels do not span a patch [cell]
+    longest: float  #: Edge beyond which four pixels do not span a patch [cell]
     last: int  #: Number of the last line
-    #: How far neighbouring pixels may be shifted against each other by their heights [m]
+    #: Largest shift of neighbouring pixels against each other by their heights [m]
     parallax: float
     #: (pair, 4, 2) float64: east and north of the corners of the area from every line that has a place to
     #: the next that has, around it [m]
@@ -102,8 +100,8 @@ def index_tile(
     """Return the places of the line at the cells of a tile.
 
     ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
-    ``relief`` are the height of what they show [m], and the tangent of the zenith angle they are seen at,
-    where that is known: between pixels far apart in height there is ground that neither shows.
+    ``relief``, where known, are the height of the ground [m] and the tangent of the view zenith angle:
+    between pixels far apart in height there is ground that neither shows.
     """
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
@@ -126,11 +124,11 @@ def index_tile(
 def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
     """Return where ground is hidden between pixels and those of the line before (line, column - 1).
 
-    ``height`` [m] and ``tangent`` of the zenith angle (line, column) are of lines that follow one another,
-    ``before`` (column,) those of the line before. Of four pixels that span a patch, the difference of heights
-    times the tangent is by how much some are shifted on the map against where their neighbours see past them.
-    That is more than their spacing only where the surface falls away steeper than the line of sight; on a
-    wall that is seen it is just the spacing.
+    ``height`` [m] and ``tangent`` of the zenith angle (line, column) belong to consecutive lines, ``before``
+    (column,) to the line before. For four pixels that span a patch, the difference of heights times the
+    tangent is their shift on the map against the line of sight of their neighbours. It exceeds the pixel
+    spacing only where the surface falls away steeper than the line of sight; on a visible wall it equals the
+    spacing.
     """
     heights, tangents = (
         np.concatenate([first[None], lines]) for first, lines in zip(before, (height, tangent), strict=True)
@@ -182,7 +180,7 @@ def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
     """Return spectra (row, col, band) from slabs (line, band, column) that begin at the lines ``starts``.
 
-    Cells that no patch covers get ``empty``, whose type is that of the result.
+    Uncovered cells get ``empty``, whose type the result has.
     """
     bands, columns = slabs[0].shape[1:]
     bilinear = reading.along.size > 0
@@ -221,7 +219,7 @@ def plane_values(
             continue
         along, across = reading.along[here], reading.across[here]
         lines = np.concatenate([slabs[slab], _line_after(starts, slabs, slab)[None]])
-        # of what is 0 away the next is not looked at
+        # a pixel at distance 0 needs no neighbour
         corners = ((0, 0), (0, 1), (1, 0), (1, 1))
         taps = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
         if flags:

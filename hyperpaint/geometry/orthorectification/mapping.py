@@ -36,21 +36,19 @@ from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
 _RELIEF = ("ground_height", "view_zenith")
+# dim of the flight line along which a position counts
 _AXES = {
-    "glt_line": ALONG_TRACK, "nearest_line": ALONG_TRACK, "glt_sample": CROSS_TRACK,
+    "glt_line": ALONG_TRACK,
+    "nearest_line": ALONG_TRACK,
+    "glt_sample": CROSS_TRACK,
     "nearest_sample": CROSS_TRACK,
-}  # fmt: skip
-"""The dim of the flight line that a place on it is along."""
+}
+# Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
+# On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind
+# cars is shown; with 0.6 no fewer than with 1.05, and more visible ground is lost (support/hidden_ground.py).
 _MAX_PARALLAX_PX = 1.05
-"""Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
-
-On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind cars
-is shown; with 0.6 no fewer than with 1.05, and more of what was seen is lost (support/hidden_ground.py).
-"""
-_MAX_KEPT_BYTES = 64 * 2**20
-"""Places of pixels that are kept from the look at all lines, for the tiles: 6,500 lines of 640 columns."""
-_MAX_TILES = 100_000
-"""A graph of more takes minutes and gigabytes before anything is computed."""
+_MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
+_MAX_TILES = 100_000  # a larger graph takes minutes and gigabytes before anything is computed
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m", bounds="m")
@@ -70,14 +68,14 @@ def orthorectify(
 ) -> xr.Dataset:
     """Return a flight line as a map of square cells, with the place of every cell in the line.
 
-    Lazy but for one look at where the lines lie. A task makes one tile, and reads only the slabs of lines
-    that cover it.
+    Lazy except for one survey of the lines' positions. A task makes one tile, and reads only the slabs of
+    lines that cover it.
 
     Parameters
     ----------
     line
-        A flight line; one that is located (``east``, ``north``, as `hyperpaint.geometry.locate` adds them) or
-        one that can be, with the options of ``location``.
+        A flight line; either located (``east``, ``north``, as `hyperpaint.geometry.locate` adds them), or to
+        be located with the options of ``location``.
     gsd
         Edge of a cell [m]; by default the larger of the spacings across and along the track, as medians over
         lines. Finer cells repeat pixels, coarser ones leave pixels out: nothing is averaged.
@@ -86,27 +84,26 @@ def orthorectify(
         grid. ``"flight"``: rows across the flight, which goes up; smaller, and quicker, since a tile then
         needs few lines.
     variables
-        What comes along: cubes, and whatever pixels, lines or columns have one of. By default reflectance
-        (else radiance; with neither it is computed from counts), ``quality``, ``time`` as ``line_time``,
-        ``irradiance_age``, ``view_zenith``, ``view_azimuth`` and ``ground_height``, as far as the line has
-        them. Spectra are brought to nominal wavelengths first; counts are left as they are.
+        Variables of the map: cubes, and variables with one value per pixel, line or column. By default
+        reflectance (else radiance; with neither it is computed from counts), ``quality``, ``time`` as
+        ``line_time``, ``irradiance_age``, ``view_zenith``, ``view_azimuth`` and ``ground_height``, as far as
+        the line has them. Spectra are brought to nominal wavelengths first; counts are not.
     method
-        ``"nearest"`` keeps spectra and whole numbers as they are. ``"bilinear"`` interpolates spectra and
-        numbers between four pixels, is NaN where one of them is, and joins their flags; directions, times and
-        what lines or columns have are those of the nearest.
+        ``"nearest"`` leaves spectra and integers unchanged. ``"bilinear"`` interpolates spectra and numbers
+        between four pixels, is NaN where one of them is, and joins their flags; directions, times and values
+        per line or column are those of the nearest pixel.
     multi_hit
-        What counts where several places of the line show one cell: that nearest to the middle column
+        Choice where several places of the line show one cell: the place nearest to the middle column
         (``"nadir"``), or the first or last in time. Spectra are never averaged.
     max_stretch
         Four neighbouring pixels with an edge longer than this many cells, or pixel spacings where these are
-        larger, are a gap, and nothing is drawn between them: two frames that were lost are bridged, three are
-        not.
+        larger, are a gap, and nothing is drawn between them: two lost frames are bridged, three are not.
     tile
         Rows and columns of a task.
     bounds
         West, south, east, north of the part wanted, in the line's crs [m]; by default all of the line.
     progress
-        Called with slabs looked at and to do.
+        Called with the number of slabs surveyed and their total.
     **location
         Options of `hyperpaint.geometry.locate`, for a line that is not located.
 
@@ -116,19 +113,19 @@ def orthorectify(
         The variables on (y, x[, band]), all lazy, and ``glt_line`` and ``glt_sample``: the place of every
         cell in the line, in lines and columns and fractions of them; ``nearest_line`` and ``nearest_sample``:
         the nearest of the four pixels around it; all by the index coordinates of the line where these are
-        whole numbers, and so those of the whole line in a crop; ``hits``: how many patches of four pixels
-        show a cell; ``gap``, where none does between the ends of the lines. Where nothing is shown, numbers
-        are NaN, whole numbers as their attribute ``empty_value`` says, and ``quality`` is ``off_swath``.
-        ``spatial_ref`` holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates
-        with north up. A grid along the flight is turned, as its GeoTransform says, and has ``east`` and
-        ``north`` (y, x) in their place: programs would take distances for map coordinates. (The ``reproject``
-        of rioxarray wants to be given a target for it, or another map to match.)
+        integers, so that a crop keeps the numbers of the whole line; ``hits``: number of patches of four
+        pixels that cover a cell; ``gap``: uncovered, between the ends of the lines. In uncovered cells
+        numbers are NaN, integers have the value of their attribute ``empty_value``, and ``quality`` is
+        ``off_swath``. ``spatial_ref`` holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map
+        coordinates with north up. A grid along the flight is turned, see its GeoTransform, and has ``east``
+        and ``north`` (y, x) instead: other programs would read distances as map coordinates. (The
+        ``reproject`` of rioxarray needs a target for it, or another map to match.)
 
     Raises
     ------
     SchemaError
-        Options that do not exist or fit; nothing of the line is placed on the ground; variables are missing;
-        all of a kind are listed.
+        Options that do not exist or fit; no pixel is placed on the ground; variables are missing; all
+        problems of a kind are listed.
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
 
@@ -138,22 +135,21 @@ def orthorectify(
 
     Notes
     -----
-    Four neighbouring pixels span a bilinear patch on the map; of every cell whose centre lies in it,
-    the patch is inverted. That is exact, needs no search radius and leaves no holes in a line that has none
-    [1]_.
+    Four neighbouring pixels span a bilinear patch on the map, which is inverted at every cell whose centre
+    lies in it. This is exact, needs no search radius and leaves no holes in a line that has none [1]_.
 
-    On a line that was located on a raster of heights, ground that is hidden behind a car or a house is a gap:
-    where the heights of four neighbouring pixels shift them against each other by more than their spacing,
-    the surface falls away steeper than the line of sight, and nothing between them was seen. Some cells along
-    the edges of what stands up, which were seen in part, go with it.
+    On a line located on a raster of heights, ground hidden behind a car or a house is a gap: where the
+    heights of four neighbouring pixels shift them against each other by more than their spacing, the surface
+    falls away steeper than the line of sight, and the ground between them was not seen. Some cells along the
+    edges of raised objects, which were seen in part, become gaps too.
 
-    Where pixels lie is computed once of a line on level ground of up to 4 million pixels, else twice: once to
-    learn the extent, and once a tile. Of a long line over a DEM,
-    ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` trades 16 bytes a
-    pixel for it.
+    Positions of pixels are computed once for a line on level ground of up to 4 million pixels, else twice:
+    once for the extent, and once a tile. For a long line over a DEM,
+    ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` computes them once,
+    for 16 bytes a pixel.
 
-    Signatures are better averaged over the pixels of the line, since nearest resampling never uses 15 to 40 %
-    of them: regions drawn on this map can be given to ``line.paint.signatures`` of the located line.
+    Average signatures over the pixels of the line: nearest resampling leaves out 15 to 40 % of them. Regions
+    drawn on this map can be given to ``line.paint.signatures`` of the located line.
 
     References
     ----------
@@ -179,18 +175,26 @@ def orthorectify(
     line, names = prepared(line, variables)
     lines = _line_chunks(line, names)
     (east, north, *relief), crs = _places(line, lines)
-    survey, made_grid = _planned(east, north, gsd, grid, bounds, progress)
-    _check_tiles(made_grid, tile)
-    windows = tile_windows(made_grid.shape, tile)
-    stretch = max_stretch * max(1.0, survey.gsd / made_grid.gsd)
+    survey, cells = _planned(east, north, gsd, grid, bounds, progress)
+    rows, cols = cells.shape
+    count = -(-rows // tile) * -(-cols // tile)
+    if count > _MAX_TILES:
+        raise SchemaError(
+            f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
+            expected=f"at most {_MAX_TILES}",
+            mend="give a larger gsd, bounds, or a larger tile",
+            code="map-too-large",
+        )
+    windows = tile_windows(cells.shape, tile)
+    stretch = max_stretch * max(1.0, survey.gsd / cells.gsd)
     last = line.sizes[ALONG_TRACK] - 1
     parallax = _MAX_PARALLAX_PX * survey.across
-    plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
-    slabs = needed_slabs(survey, made_grid, lines, windows)
+    plan = Plan(cells, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
+    slabs = needed_slabs(survey, cells, lines, windows)
     tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")
     rectified = _dataset(line, names, tiles, lines, crs)
     settings = {
-        "gsd": made_grid.gsd,
+        "gsd": cells.gsd,
         "spacing_across": survey.across,
         "spacing_along": survey.along,
         "grid": grid,
@@ -281,7 +285,7 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
             code="line-too-short",
         )
     crs = coordinates["east"].attrs.get("crs")
-    # a line that was located on level ground says its height
+    # a line located on level ground has its height as an attribute
     is_level = isinstance(line.attrs.get("ground"), int | float)
     relief = []
     if not is_level and set(_RELIEF) <= set(line.variables):
@@ -290,7 +294,7 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
         relief = [height, np.tan(np.radians(zenith))]
     places = [in_slabs(each, lines).astype(np.float64) for each in coordinates.values()]
     is_lazy = any(each.chunks is not None for each in coordinates.values())
-    # heights are computed with them, in the same tasks, and would be once more all the same
+    # over relief, heights are computed in the same tasks and would be computed again anyway
     return [*(_kept(places) if is_lazy and not relief else places), *relief], crs
 
 
@@ -319,25 +323,13 @@ def _planned(
             "the pixels lie upon one another and give no cell size", mend="give gsd= [m]", code="gsd-missing"
         )
     if kind == "flight":
-        # the centre of the first cell lies in the corner of what is covered
+        # the centre of the first cell lies in the corner of the covered area
         left, _, upper, _ = survey.box
         x, y = left - size / 2, upper - size / 2
         axes = axes.moved(x, y)
         survey = replace(survey, boxes=survey.boxes - np.array([x, x, y, y]))
     box = survey.box if bounds is None else box_of(axes, bounds)
     return survey, covering(axes, size, box, whole=bounds is not None)
-
-
-def _check_tiles(grid: MapGrid, tile: int) -> None:
-    rows, cols = grid.shape
-    count = -(-rows // tile) * -(-cols // tile)
-    if count > _MAX_TILES:
-        raise SchemaError(
-            f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}",
-            expected=f"at most {_MAX_TILES}",
-            mend="give a larger gsd, bounds, or a larger tile",
-            code="map-too-large",
-        )
 
 
 def _dataset(
@@ -363,7 +355,7 @@ def _dataset(
 def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
     """Return positions in a line (row, col) as its own line or column numbers, which a crop keeps.
 
-    Numbers that are no whole ones from 0 on, as of averaged lines, name no pixel: positions stay as they are.
+    Numbers other than integers from 0 on, such as those of averaged lines, name no pixel; positions stay.
     """
     numbers = numbers_of(line, dim)
     counted = np.arange(numbers.size)
@@ -415,9 +407,9 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     Returns
     -------
     dict
-        ``cells``: of the whole rectangle; ``covered``: that at least one patch of four pixels shows;
-        ``gaps``: that none shows, between the ends of the lines; ``multiple``: that several show, where the
-        line goes back over itself; ``most_hits``: the most that show one cell.
+        Numbers of cells. ``cells``: in the whole rectangle; ``covered``: by one patch of four pixels or more;
+        ``gaps``: uncovered, between the ends of the lines; ``multiple``: covered by several patches, where
+        the line goes back over itself. ``most_hits``: largest number of patches over one cell.
 
     Raises
     ------

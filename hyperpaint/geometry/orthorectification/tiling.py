@@ -1,6 +1,6 @@
 """The dask graph of a map: one task per tile for its places in the line, and one per variable.
 
-A task is given the slabs of lines that cover its tile, and no others.
+A task reads only the slabs of lines that cover its tile.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ from .indexing import (
     reading_of,
 )
 
-Place = tuple[int, int]
-"""Row and column of a tile."""
+Place = tuple[int, int]  # row and column of a tile
 
 
 def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
@@ -48,7 +47,7 @@ def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
 class Tiles:
     """The tiles of a map, and the slabs that each of them reads."""
 
-    grid: MapGrid  #: How the cells lie
+    grid: MapGrid
     windows: list[list[Window]]  #: Cells of the tiles, by row and column
     slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads
     starts: tuple[int, ...]  #: First line of every slab
@@ -103,7 +102,7 @@ class Tiles:
     def cube(self, cube: da.Array, empty: Any) -> da.Array:
         """Return spectra (row, col, band) of a cube (line, band, column) in chunks of the slabs.
 
-        They have the type of what stands in empty cells.
+        They have the type of ``empty``.
         """
         reading = self.before if self.bilinear else self.nearest
         return self._tile_array("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
@@ -112,7 +111,7 @@ class Tiles:
         """Return values (row, col) of a plane (line, column) in chunks of the slabs.
 
         Where spectra are interpolated, ``kind`` is ``"bilinear"``, ``"nearest"``, or ``"flags"``, which
-        joins.
+        joins the bits of all pixels.
         """
         reading = self.nearest if kind == "nearest" or not self.bilinear else self.before
         return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
@@ -165,9 +164,7 @@ def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
 
 
 def _each(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
-    for row, windowsof_row in enumerate(windows):
-        for col, window in enumerate(windowsof_row):
-            yield (row, col), window
+    return (((row, col), window) for row, part in enumerate(windows) for col, window in enumerate(part))
 
 
 def _centres(grid: MapGrid, rows: slice, cols: slice, part: int) -> Array:
@@ -190,21 +187,21 @@ def _array(
     return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
 
-# --- what comes along, and what stands where there is nothing ------------------------------------------
+# --- variables of the map, and values of empty cells ---------------------------------------------------
 
 
 _PRODUCTS = ("reflectance", "radiance")
 _BY_DEFAULT = ("quality", "time", "irradiance_age", "view_zenith", "view_azimuth", "ground_height")
 _RENAMED = {"time": "line_time"}
+# angles that jump from 360 to 0, or from 180 to -180, and cannot be interpolated
 _TURNING = ("view_azimuth", "sun_azimuth", "heading", "longitude")
-"""Angles that jump from 360 to 0, or from 180 to -180, between which nothing can be interpolated."""
 _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 
 
 def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
     """Return a line with spectra at nominal wavelengths, and the names of the variables to map.
 
-    Without a choice that is its reflectance, else its radiance; with counts alone reflectance is computed.
+    By default reflectance, else radiance; from counts alone reflectance is computed.
 
     Raises
     ------
@@ -228,7 +225,7 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
         if name not in line.variables:
             held = ", ".join(sorted(map(str, line.variables)))
             problems.add(f"{name!r} is not there", expected=f"{held:.400}", code="variable-missing")
-        elif not _is_mapped(line[name].dims):
+        elif set(line[name].dims) not in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK}):
             dims = ", ".join(map(str, line[name].dims)) or "a scalar"
             problems.add(
                 f"{name!r} ({dims}) has no place on a map",
@@ -246,10 +243,6 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     return line, names
 
 
-def _is_mapped(dims: Sequence[Any]) -> bool:
-    return set(dims) in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK})
-
-
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
     """Return the dtype that kernels take instead: native byte order, no half floats."""
     if dtype.kind == "f":
@@ -260,7 +253,7 @@ def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     """Return a line whose variables have native dtypes; those that have one keep their memory."""
     wanted = {name: _native(line[name].dtype) for name in names}
-    # numpy takes types of either byte order for equal
+    # numpy compares types of either byte order as equal
     other = [
         name for name, dtype in wanted.items() if dtype is not None and dtype.str != line[name].dtype.str
     ]
@@ -272,7 +265,7 @@ def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
     """Return the value of a cell that no pixel shows.
 
-    NaN and NaT; ``off_swath`` of ``quality``; of whole numbers -1, or the largest where there is no -1.
+    NaN or NaT; ``off_swath`` for ``quality``; for integers -1, or the largest of an unsigned type.
     """
     if name == "quality":
         return np.uint16(Quality.OFF_SWATH)
