@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import save_figure
 from hyperpaint.pictures.plot_chain import triptych
-from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum
+from hyperpaint.pictures.plot_spectra import MAX_PAINTS, library_overview, spectrum
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])
@@ -251,14 +251,14 @@ def test_colours_of_paints() -> None:
 
 def test_the_overview_is_bounded() -> None:
     nm = np.arange(400.0, 800.0, 40.0)
-    count = MOST_PAINTS + 3
+    count = MAX_PAINTS + 3
     library = xr.Dataset(
         {"reflectance": (("signature", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
         {"wavelength": ("band", nm, {"units": "nm"}), "signature": [f"p{k}" for k in range(count)]},
     )
     figure = library_overview(library, columns=8)
-    assert len(figure.axes) == MOST_PAINTS
-    assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
+    assert len(figure.axes) == MAX_PAINTS
+    assert figure.get_suptitle() == f"the first {MAX_PAINTS} of {count} paints"
     with pytest.raises(SchemaError, match="library-empty"):
         library_overview(library.isel(signature=slice(0, 0)))
 
