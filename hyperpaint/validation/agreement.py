@@ -169,12 +169,16 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     # bands over missing channels, wider than two widths of their neighbours
     at, width = spectrum.wavelength[used], spectrum.fwhm[used]
     open_ = np.diff(at) > 2.0 * np.maximum(width[1:], width[:-1])
-    torn = np.zeros(size, bool)
+    has_gap = np.zeros(size, bool)
     for left, right in zip(at[:-1][open_], at[1:][open_], strict=True):
-        torn |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
+        has_gap |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
     # a band of NaN noise gain, which is unknown, is left out too
-    seen = ~torn & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
-    weights[np.ix_(seen, used)] = matching.weights[0][seen]
+    is_covered = ~has_gap & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
+    weights[np.ix_(is_covered, used)] = matching.weights[0][is_covered]
     return Operator(
-        weights, seen, np.where(torn, 0.0, matching.coverage[0]), matching.misfit[0], matching.noise_gain[0]
+        weights,
+        is_covered,
+        np.where(has_gap, 0.0, matching.coverage[0]),
+        matching.misfit[0],
+        matching.noise_gain[0],
     )

@@ -57,16 +57,6 @@ def light_notes(sun_zenith: float, sky_is_contradictory: bool) -> list[str]:
     return notes
 
 
-def _into(geometry: str, index: float) -> float | None:
-    """Return the coat's reflectance for the light of an instrument that looks near the normal [1]."""
-    angles = {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
-    if geometry in angles:
-        return float(interface_reflectance(angles[geometry], index))
-    if geometry in ("d/0", "0/d", "d/8", "8/d"):
-        return float(sky_reflectance([550.0], None, index=index)[0])
-    return None
-
-
 def as_body(reference: Measured, signature: Measured) -> Measured:
     r"""Return a reading outside of a coat as one of the body under it, where the signature is of the body.
 
@@ -82,10 +72,15 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     """
     if signature.quantity != BODY or reference.quantity != OUTSIDE:
         return reference
-    into = _into(reference.geometry, reference.coat_index)
-    if into is None:
+    # reflectance of the coat for the light of the instrument [1]
+    index, angles = reference.coat_index, {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
+    if reference.geometry in angles:
+        into = float(interface_reflectance(angles[reference.geometry], index))
+    elif reference.geometry in ("d/0", "0/d", "d/8", "8/d"):
+        into = float(sky_reflectance([550.0], None, index=index)[0])
+    else:
         return reference
-    normal = float(interface_reflectance(0.0, reference.coat_index))
+    normal = float(interface_reflectance(0.0, index))
     mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
     factor = (1.0 - normal) / (1.0 - into)
 
@@ -93,7 +88,6 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         return None if spread is None else spread * factor
 
     # uncertainty of the subtracted reflectance by the index; for black paint it is the largest part
-    index = reference.coat_index
     normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
     known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
     systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
@@ -117,13 +111,13 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
 
 def difference(signature: Measured, reference: Measured) -> str:
     """Return why signature and reference are different quantities, and the remedy; else ""."""
-    own, other = signature.quantity, reference.quantity
-    if not own or not other or own == other:
+    quantity, reference_quantity = signature.quantity, reference.quantity
+    if not quantity or not reference_quantity or quantity == reference_quantity:
         return ""
     mend = {
         BODY: "give the reference the attributes measurement_geometry and specular_component, or make "
         "signatures with coat=False",
         OUTSIDE: "make signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
         THROUGH_COAT: "make signatures with coat=True, or call correct_coat",
-    }[own]
-    return f"the signature is a {own}, the reference a {other}: {mend}"
+    }[quantity]
+    return f"the signature is a {quantity}, the reference a {reference_quantity}: {mend}"

@@ -64,8 +64,8 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     for signature in signatures:
         named = (signature.wanted or signature.name,)
         names = named if wanted is None else wanted.get(signature.name, ())
-        own = sorted({k for name in names for k in _called(name, references, problems)})
-        if not own:
+        matching = sorted({k for name in names for k in _called(name, references, problems)})
+        if not matching:
             asks = wanted is None and bool(signature.wanted)
             alone.append(signature.name + (f" (wants {signature.wanted!r})" if asks else ""))
             missed += alone[-1:] if asks else []
@@ -76,10 +76,10 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
                 mend="give each a unique name",
                 code="paint-duplicate",
             )
-        used.update(own)
-        instruments = dict.fromkeys(references[k].instrument for k in own)
+        used.update(matching)
+        instruments = dict.fromkeys(references[k].instrument for k in matching)
         for instrument in instruments:
-            group = tuple(references[k] for k in own if references[k].instrument == instrument)
+            group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
@@ -107,14 +107,14 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
             if name in each.names.ranks[rank] and each.instrument not in matches:
                 hits.setdefault(each.instrument, []).append(k)
         matches |= hits
-    for instrument, own in matches.items():
-        places = {references[k].names.place for k in own}
+    for instrument, numbers in matches.items():
+        places = {references[k].names.place for k in numbers}
         if len(places) > 1:
             several = len({dataset for dataset, _ in places}) > 1
             held = _listed(
                 [
                     references[k].name + (f" (dataset {references[k].names.place[0]})" if several else "")
-                    for k in own
+                    for k in numbers
                 ]
             )
             mend = "name one, or all that are repeated readings, with {}, or leave files out"
@@ -124,7 +124,7 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
                 option=mend.format("--pairs"),
                 code="reference-ambiguous",
             )
-    return [k for own in matches.values() for k in own]
+    return [k for numbers in matches.values() for k in numbers]
 
 
 def _named_pairs(
@@ -170,9 +170,9 @@ def between_references(pairs: Sequence[Pair]) -> list[Pair]:
     for pair in pairs:
         of_paint.setdefault(id(pair.signature), []).append(pair)
     return [
-        Pair(_mean_of(one), other.references, between=True)
-        for own in of_paint.values()
-        for one, other in itertools.combinations(own, 2)
+        Pair(_mean_of(first), second.references, between=True)
+        for same_paint in of_paint.values()
+        for first, second in itertools.combinations(same_paint, 2)
     ]
 
 
@@ -221,8 +221,8 @@ class Compared:
     @property
     def instrument(self) -> str:
         """Instrument of the references."""
-        own = self.pair.references[0].instrument
-        return f"{self.pair.signature.instrument} against {own}" if self.pair.between else own
+        make = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {make}" if self.pair.between else make
 
     @property
     def used(self) -> npt.NDArray[np.bool_]:
@@ -263,15 +263,15 @@ class Compared:
 
     def warnings(self) -> list[tuple[str, str]]:
         """Return code and text of each condition that the user can act on."""
-        name, own, other = self.pair.signature.name, self.pair.signature.mirror, self.mirror
+        name, mirror, reference_mirror = self.pair.signature.name, self.pair.signature.mirror, self.mirror
         texts = dict.fromkeys(difference(self.pair.signature, each) for each in self.pair.references)
         if apart := [("coats-differ", f"{name}: {text}") for text in texts if text]:
             return apart
-        if own == other or not {own, other} <= {"included", "excluded", "mixed"}:
+        if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
             return []
         text = (
-            f"{name}: the mirror image of the sky is {own} in the signature, {other} in the reference; the "
-            "mirror of a clear coat adds 0.04 times the share of skylight; see remove_mirrored_sky"
+            f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in the "
+            "reference; a clear coat mirrors 0.04 times the share of skylight; see remove_mirrored_sky"
         )
         return [("mirrored-sky-differs", text)]
 
@@ -285,35 +285,38 @@ class Compared:
             )
         if self.bands is not self.pair.signature:
             notes.append("the signature was brought onto the reference's bands")
-        notes += self._left_out()
-        notes += self._scales()
-        return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
-
-    def _scales(self) -> list[str]:
-        """Return a remark where one side is relative to a panel and the other is absolute."""
-        own = self.pair.signature.absolute
-        sides = "reference", "signature"
-        if all(each.absolute == own for each in self.pair.references):
-            return []
-        relative, absolute = sides if own else sides[::-1]
-        advice = "; pass panel=" if own else ""
-        return [
-            f"the {relative} is relative to a white panel, the {absolute} is absolute: the panel's own "
-            f"reflectance is in the difference{advice}"
+        # bands left out, with the reason
+        narrow = np.any([~each.seen & np.isfinite(each.noise_gain) for each in self.onto], axis=0)
+        reasons = {
+            "not covered completely, or without a value": ~self.used & ~narrow,
+            "narrower than the other side can resolve": ~self.used & narrow,
+        }
+        notes += [
+            f"left out of {self.used.size} bands: {int(which.sum())} {reason}"
+            for reason, which in reasons.items()
+            if which.any()
         ]
+        is_absolute = self.pair.signature.absolute
+        if any(each.absolute != is_absolute for each in self.pair.references):
+            sides = ("reference", "signature") if is_absolute else ("signature", "reference")
+            notes.append(
+                f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
+                f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
+            )
+        return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
 
     def _uncertainty(self) -> list[str]:
         """Return remarks on unknown parts of the uncertainties."""
-        own, others = self.pair.signature, self.pair.references
+        signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
-            "signature": own.has_uncertainty,
-            "reference": len(others) > 1 or others[0].has_uncertainty,
+            "signature": signature.has_uncertainty,
+            "reference": len(references) > 1 or references[0].has_uncertainty,
         }
         unknown = [side for side, has in has_uncertainty.items() if not has]
         notes = []
         if unknown:
             notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
-        for side, spectra in (("signature", (own,)), ("reference", others)):
+        for side, spectra in (("signature", (signature,)), ("reference", references)):
             notes += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
         return notes
 
@@ -324,19 +327,6 @@ class Compared:
         if len(self.pair.references) < 2 or not self.used.any():
             return 0.0
         return float(np.sqrt((spreads["reference_sd"][self.used] ** 2).mean()))
-
-    def _left_out(self) -> list[str]:
-        """Return the number of bands left out, with the reason."""
-        dull = np.any([~each.seen & np.isfinite(each.noise_gain) for each in self.onto], axis=0)
-        reasons = {
-            "not covered completely, or without a value": ~self.used & ~dull,
-            "narrower than the other side can resolve": ~self.used & dull,
-        }
-        return [
-            f"left out of {self.used.size} bands: {int(which.sum())} {reason}"
-            for reason, which in reasons.items()
-            if which.any()
-        ]
 
     def dataset(self) -> xr.Dataset:
         """Return both spectra on the common bands."""
@@ -367,14 +357,14 @@ class Compared:
     def _spreads(self) -> dict[str, Floats]:
         """Return standard deviations of the pixels or readings behind signature and reference (band,)."""
         spreads = {}
-        own, others = self.pair.signature.sd, self.pair.references
-        if own is not None:
-            spreads["signature_sd"] = self.onto[-1](own)
-        if len(others) > 1:
-            seen = [use(each.values) for use, each in zip(self.onto[:-1], others, strict=True)]
-            spreads["reference_sd"] = np.std(seen, axis=0, ddof=1)
-        elif others[0].sd is not None:
-            spreads["reference_sd"] = self.onto[0](others[0].sd)
+        signature_sd, references = self.pair.signature.sd, self.pair.references
+        if signature_sd is not None:
+            spreads["signature_sd"] = self.onto[-1](signature_sd)
+        if len(references) > 1:
+            readings = [use(each.values) for use, each in zip(self.onto[:-1], references, strict=True)]
+            spreads["reference_sd"] = np.std(readings, axis=0, ddof=1)
+        elif references[0].sd is not None:
+            spreads["reference_sd"] = self.onto[0](references[0].sd)
         return spreads
 
 
@@ -387,23 +377,25 @@ def compare(pair: Pair, seed: int) -> Compared:
         pair = replace(pair, references=tuple(as_body(each, pair.signature) for each in pair.references))
     bands = bands_of(pair.signature, list(pair.references))
     onto = tuple(operator_onto(bands, each) for each in (*pair.references, pair.signature))
-    seen = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
+    readings = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
     rng = np.random.default_rng(seed)
-    has_uncertainty = pair.signature.has_uncertainty or len(seen) > 1 or pair.references[0].has_uncertainty
+    has_uncertainty = (
+        pair.signature.has_uncertainty or len(readings) > 1 or pair.references[0].has_uncertainty
+    )
     errors = None
     if has_uncertainty:
-        own = onto[-1](pair.signature.errors(rng, DRAWS))
-        errors = own, _errors_of_mean(pair.references, onto[:-1], seen, rng)
-    return Compared(pair, bands, onto[-1](pair.signature.values), seen.mean(axis=0), onto, errors)
+        signature_errors = onto[-1](pair.signature.errors(rng, DRAWS))
+        errors = signature_errors, _errors_of_mean(pair.references, onto[:-1], readings, rng)
+    return Compared(pair, bands, onto[-1](pair.signature.values), readings.mean(axis=0), onto, errors)
 
 
 def _errors_of_mean(
-    references: Sequence[Measured], onto: Sequence[Operator], seen: Floats, rng: np.random.Generator
+    references: Sequence[Measured], onto: Sequence[Operator], readings: Floats, rng: np.random.Generator
 ) -> Floats:
-    count = len(seen)
+    count = len(readings)
     if count == 1:
         return onto[0](references[0].errors(rng, DRAWS))
-    away = seen - seen.mean(axis=0)
+    away = readings - readings.mean(axis=0)
     errors = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
     # readings of one instrument share its systematic error, which repetition does not show
     common = [

@@ -221,11 +221,13 @@ def _of_library(
     has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
     between = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
     for number, name in enumerate(arrays[SIGNATURE].values):
-        own = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
+        spreads = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
+        # independent pixels, if known: neighbours share errors
+        counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
         yield channels.spectrum(
             values[number],
-            own,
-            _count_of(arrays, number),
+            spreads,
+            next((count for count in counts if np.isfinite(count)), None),
             names=names_of_paint(str(name), dataset_number),
             wanted=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or otherwise,
@@ -264,12 +266,6 @@ def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
     return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
 
 
-def _count_of(arrays: Mapping[str, Any], number: int) -> float | None:
-    """Return the number of independent pixels of a paint; neighbours share errors."""
-    counts = (float(arrays[name].values[number]) for name in ("n_eff", "n") if name in arrays)
-    return next((count for count in counts if np.isfinite(count)), None)
-
-
 # --- spectrometers -----------------------------------------------------------------------------------------
 
 
@@ -292,9 +288,13 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     if widths is not None and widths.dims != ("wavelength",):
         widths = None
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
-    channels = _Channels.of(
-        wavelength, widths, fwhm, str(attrs.get("instrument", "")), _detectors_of(dataset)
-    )
+    # number of every channel's detector, in the order of the file, if stated
+    detectors = None
+    if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
+        names = [str(name) for name in dataset["detector"].values]
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        detectors = np.array([numbers[name] for name in names], np.intp)
+    channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
         texts_of = {
@@ -317,15 +317,6 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             **coat_of(attrs),
         )
-
-
-def _detectors_of(dataset: xr.Dataset) -> npt.NDArray[np.intp] | None:
-    """Return the number of every channel's detector, in the order of the file; None where not given."""
-    if "detector" not in dataset.variables or dataset["detector"].dims != ("wavelength",):
-        return None
-    names = [str(name) for name in dataset["detector"].values]
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    return np.array([numbers[name] for name in names], np.intp)
 
 
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
@@ -383,21 +374,21 @@ class _Channels:
         """Return channels on one increasing axis; widths ``given`` by the user or ``held`` by the data."""
         wavelength = np.asarray(wavelength, np.float64)
         axis = join_detectors(wavelength)
-        at = wavelength[axis.order]
+        nm_sorted = wavelength[axis.order]
         joins = ", ".join(f"{nm:.4g}" for nm in axis.joins)
         notes = [f"detectors joined at {joins} nm"] if joins else []
         if given is not None:
-            _check_widths(np.array([given]), at)
+            _check_widths(np.array([given]), nm_sorted)
             notes.append(f"widths of channels {given:g} nm, as given")
-            return cls(axis.order, at, np.full(at.size, given), tuple(notes))
+            return cls(axis.order, nm_sorted, np.full(nm_sorted.size, given), tuple(notes))
         if held is not None:
-            own = convert(held, "nm").values.astype(np.float64)[axis.order]
-            if np.isfinite(own).all() and (own > 0).all():
-                _check_widths(own, at)
-                return cls(axis.order, at, own, tuple(notes))
+            fwhm_of_data = convert(held, "nm").values.astype(np.float64)[axis.order]
+            if np.isfinite(fwhm_of_data).all() and (fwhm_of_data > 0).all():
+                _check_widths(fwhm_of_data, nm_sorted)
+                return cls(axis.order, nm_sorted, fwhm_of_data, tuple(notes))
         own_detector = axis.detector if detector is None else detector[axis.order]
-        fwhm, source = channel_widths(at, own_detector, instrument)
-        return cls(axis.order, at, fwhm, (*notes, source))
+        fwhm, source = channel_widths(nm_sorted, own_detector, instrument)
+        return cls(axis.order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
         self, values: Floats, spreads: Mapping[str, Any], count: float | None, **about: Any
@@ -432,5 +423,5 @@ def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
 def _known(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
     if spread is None:
         return None
-    own = np.asarray(spread, np.float64)[order]
-    return own if np.isfinite(own).any() else None
+    known_spread = np.asarray(spread, np.float64)[order]
+    return known_spread if np.isfinite(known_spread).any() else None

@@ -165,7 +165,18 @@ def validate(
     limits = _limits(tolerance)
     named = parts is not None
     parts = PARTS if parts is None else parts
-    _check_parts(parts)
+    problems = Problems("parts= cannot be used", SchemaError)
+    if not isinstance(parts, Mapping) or not parts:
+        problems.add(
+            f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
+        )
+        problems.raise_if_any()
+    for name, edges in parts.items():
+        if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
+            problems.add(
+                f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
+            )
+    problems.raise_if_any()
     measured = references_from(references, reference_fwhm)
     if panel is not None:
         measured = scaled_by_panel(measured, panel)
@@ -182,8 +193,6 @@ def validate(
             )
     problems.raise_if_any()
     scatters = [_scatter(each, limits) for each in compared]
-
-    references_apart = _between(between, parts, limits, named=named)
     noticed = [pair for each in compared for pair in each.warnings()]
     noticed += [
         ("reference-scatter", f"{each.pair.signature.name}: {text}")
@@ -191,7 +200,17 @@ def validate(
         for text in texts
     ]
     noticed += [("references-exchanged", text) for text in _exchanged(compared)]
-    if references_apart is not None:
+    references_apart = None
+    if between:
+        references_apart = Validation(
+            statistics=_statistics(between, parts, limits, named=named),
+            spectra=tuple(each.dataset() for each in between),
+            notes=((),) * len(between),
+            unpaired_signatures=(),
+            unpaired_references=(),
+            missing=(),
+            tolerance=limits,
+        )
         noticed += [("references-disagree", text) for text in _disagreements(references_apart.statistics)]
     for code, text in dict.fromkeys(noticed):
         warnings.warn(PaintWarning(text, code=code), stacklevel=2)
@@ -204,27 +223,6 @@ def validate(
         missing=pairing.signatures if require_all else pairing.missing,
         tolerance=limits,
         between=references_apart,
-    )
-
-
-def _between(
-    compared: Sequence[Compared],
-    parts: Mapping[str, tuple[float, float]],
-    limits: Mapping[str, float],
-    *,
-    named: bool,
-) -> Validation | None:
-    """Return the agreement of the references of one paint; None where no paint has two instruments."""
-    if not compared:
-        return None
-    return Validation(
-        statistics=_statistics(compared, parts, limits, named=named),
-        spectra=tuple(each.dataset() for each in compared),
-        notes=((),) * len(compared),
-        unpaired_signatures=(),
-        unpaired_references=(),
-        missing=(),
-        tolerance=limits,
     )
 
 
@@ -254,23 +252,25 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
             float(np.sqrt(((seen.signature - known.reference)[used] ** 2).mean())) if used.any() else np.nan
         )
 
-    own = np.array([rmse(each, each) for each in compared])
-    places = np.flatnonzero(own > _EXCHANGED_MIN_RMSE)
+    own_rmse = np.array([rmse(each, each) for each in compared])
+    places = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
     texts = []
-    for i, j in itertools.combinations(sorted(places[np.argsort(-own[places])][:_EXCHANGED_MAX_PAINTS]), 2):
+    for i, j in itertools.combinations(
+        sorted(places[np.argsort(-own_rmse[places])][:_EXCHANGED_MAX_PAINTS]), 2
+    ):
         one, other = compared[i], compared[j]
         names = one.pair.signature.name, other.pair.signature.name
         same = one.instrument == other.instrument and names[0] != names[1]
         if not (same and np.array_equal(one.bands.wavelength, other.bands.wavelength)):
             continue
         across = rmse(one, other), rmse(other, one)
-        whole = _EXCHANGED_SHARE * (own[i] + own[j])
+        whole = _EXCHANGED_SHARE * (own_rmse[i] + own_rmse[j])
         # both must agree: of three paints exchanged in turn, only one of two would
-        if sum(across) < whole and (np.array(across) < own[[i, j]]).all() and max(across) < 0.5 * whole:
+        if sum(across) < whole and (np.array(across) < own_rmse[[i, j]]).all() and max(across) < 0.5 * whole:
             texts.append(
                 f"{names[0]} and {names[1]}: each agrees with the reference of the other (RMSE "
-                f"{across[0]:.3f} and {across[1]:.3f}, with its own {own[i]:.3f} and {own[j]:.3f}); were the "
-                "samples, or their names, exchanged?"
+                f"{across[0]:.3f} and {across[1]:.3f}, with its own {own_rmse[i]:.3f} and "
+                f"{own_rmse[j]:.3f}); were the samples, or their names, exchanged?"
             )
     return texts
 
@@ -296,10 +296,10 @@ def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
 
 
 def _limits(tolerance: Any) -> dict[str, float]:
-    given = {"rmse": tolerance} if tolerance is not None else TOLERANCE
-    given = dict(tolerance) if isinstance(tolerance, Mapping) else dict(given)
+    limits = {"rmse": tolerance} if tolerance is not None else TOLERANCE
+    limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
     problems = Problems("tolerance= cannot be used", SchemaError)
-    for name, limit in given.items():
+    for name, limit in limits.items():
         if name not in (RELATIVE, FLOOR, *STATISTICS):
             problems.add(
                 f"there is no statistic {name!r}",
@@ -308,33 +308,18 @@ def _limits(tolerance: Any) -> dict[str, float]:
             )
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
-    if not given:
+    if not limits:
         problems.add("no limit", mend="name one, such as 0.02 of RMSE", code="argument-missing")
-    if FLOOR in given and RELATIVE not in given:
+    if FLOOR in limits and RELATIVE not in limits:
         problems.add(
             "floor is added to a share of the paint's level",
             mend="name relative as well, such as 0.05",
             code="option-conflict",
         )
-    if RELATIVE in given:
-        given.setdefault(FLOOR, TOLERANCE[FLOOR])
+    if RELATIVE in limits:
+        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
     problems.raise_if_any()
-    return {name: float(limit) for name, limit in given.items()}
-
-
-def _check_parts(parts: Any) -> None:
-    problems = Problems("parts= cannot be used", SchemaError)
-    if not isinstance(parts, Mapping) or not parts:
-        problems.add(
-            f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
-        )
-    else:
-        for name, edges in parts.items():
-            if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
-                problems.add(
-                    f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
-                )
-    problems.raise_if_any()
+    return {name: float(limit) for name, limit in limits.items()}
 
 
 def _statistics(
@@ -344,7 +329,6 @@ def _statistics(
     *,
     named: bool,
 ) -> xr.Dataset:
-    """Return the statistics of all pairs (pair, part)."""
     shape = len(compared), len(parts)
     statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
     statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}

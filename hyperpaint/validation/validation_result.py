@@ -183,10 +183,10 @@ class Validation:
 
     def _repr_html_(self) -> str:
         cell = "padding:1px 10px 1px 0;text-align:right"
-        own = [*self._rows(), *(self.between._rows() if self.between else [])]
+        table_rows = [*self._rows(), *(self.between._rows() if self.between else [])]
         rows = "".join(
             "<tr>" + "".join(f'<{tag} style="{cell}">{html.escape(text)}</{tag}>' for text in row) + "</tr>"
-            for tag, row in [("th", _HEAD), *(("td", row) for row in own)]
+            for tag, row in [("th", _HEAD), *(("td", row) for row in table_rows)]
         )
         remarks = "".join(f"<li>{html.escape(text)}</li>" for text in (*self._remarks(), *_LEGEND))
         return (
@@ -198,7 +198,6 @@ class Validation:
         return [str(text) for text in self.statistics[name].values]
 
     def _rows(self) -> list[tuple[str, ...]]:
-        """Return the cells of the table, one row for every pair and part with bands."""
         statistics = self.statistics
         rows: list[tuple[str, ...]] = []
         for row in range(statistics.sizes["pair"]):
@@ -246,11 +245,11 @@ class Validation:
     def _whom(self, rows: Sequence[int]) -> str:
         """Return the pairs as text: all, all of an instrument, or paints by name."""
         instruments = self._texts("instrument")
-        own = {instruments[row] for row in rows}
+        named = {instruments[row] for row in rows}
         if len(rows) == len(instruments):
             return "all"
-        if len(own) == 1 and len(rows) == sum(name in own for name in instruments):
-            return own.pop()
+        if len(named) == 1 and len(rows) == sum(name in named for name in instruments):
+            return named.pop()
         paints = [_short(self._texts("signature")[row]) for row in rows]
         rest = len(paints) - _MAX_NAMES
         return ", ".join(paints[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")

@@ -156,7 +156,6 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
 
 
 def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
-    """Return east and north of every pixel [m], and their CRS."""
     coordinates = require(located, ["east", "north"], "the outline of a line")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
@@ -170,7 +169,6 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
 
 
 def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
-    """Return distances to the next column and to the next line [m]."""
     across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
     along = np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))
     return across, along

@@ -28,7 +28,6 @@ def _pyproj() -> Any:
 
 @functools.lru_cache(maxsize=64)
 def _crs(text: str) -> pyproj.CRS:
-    """Return the horizontal part of a reference system, given as `crs_of` returns it."""
     horizontal: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
     return horizontal
 
@@ -256,7 +255,6 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
 
 
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
-    """Return the directions east, north and up in geocentric coordinates (line, 3, 3)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     zero = np.zeros_like(sin_lat)

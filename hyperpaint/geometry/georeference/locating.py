@@ -206,7 +206,11 @@ def locate(
     >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
-    boresight, lever_arm, ground = _declared(line, boresight, lever_arm, ground, dem)
+    # arguments come before declarations of the line
+    level: Sequence[float] = (0.0, 0.0, 0.0)
+    boresight = line.attrs.get("boresight", level) if boresight is None else boresight
+    lever_arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
+    ground = line.attrs.get("ground") if ground is None and dem is None else ground
     if dem is not None and "units" in dem.attrs:
         dem = convert(dem, "m", "dem")
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
@@ -244,7 +248,15 @@ def locate(
         meta=np.empty((0, 0, 0)),
         name=None,
     )
-    located = _with_places(_with_poses(line, poses, chunks), places, crs)
+    # the poses used, in chunks of the cube where they are lazy
+    if not isinstance(poses, np.ndarray):
+        shape = (len(POSE), line.sizes[ALONG_TRACK])
+        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
+    columns_used = {
+        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
+    }
+    located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
+    located = _with_places(located, places, crs)
     settings = {
         "boresight": list(turn),
         "lever_arm": list(arm),
@@ -259,22 +271,6 @@ def locate(
 # --- arguments ---------------------------------------------------------------------------------------------
 
 
-def _declared(
-    line: xr.Dataset,
-    boresight: Sequence[float] | None,
-    lever_arm: Sequence[float] | None,
-    ground: float | None,
-    dem: xr.DataArray | None,
-) -> tuple[Sequence[float], Sequence[float], Any]:
-    """Return mounting and ground height as given, else as the line's attributes declare them."""
-    level: Sequence[float] = (0.0, 0.0, 0.0)
-    turn = line.attrs.get("boresight", level) if boresight is None else boresight
-    arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
-    if ground is None and dem is None:
-        ground = line.attrs.get("ground")
-    return turn, arm, ground
-
-
 def _check(
     line: xr.Dataset,
     boresight: Sequence[float],
@@ -283,7 +279,6 @@ def _check(
     dem: xr.DataArray | None,
     clock_offset_s: float,
 ) -> None:
-    """Refuse arguments that contradict one another or are out of range; all are listed."""
     problems = Problems("this line cannot be located", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
@@ -292,13 +287,13 @@ def _check(
                 mend=f"isel({dim}=[5]) keeps it, dims= names it",
                 code="dim-missing",
             )
-    for name, three in (("boresight", boresight), ("lever_arm", lever_arm)):
+    for name, triple in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
-            fine = np.shape(three) == (3,) and bool(np.isfinite(np.asarray(three, np.float64)).all())
+            is_valid = np.shape(triple) == (3,) and bool(np.isfinite(np.asarray(triple, np.float64)).all())
         except (TypeError, ValueError):
-            fine = False
-        if not fine:
-            problems.add(f"{name} {three!r:.80}", expected="three finite numbers", code="type-wrong")
+            is_valid = False
+        if not is_valid:
+            problems.add(f"{name} {triple!r:.80}", expected="three finite numbers", code="type-wrong")
     if (ground is None) == (dem is None):
         problems.add(
             "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
@@ -384,22 +379,10 @@ def _poses(
     )
 
 
-def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:
-    """Return the line with the poses used, in chunks of its cube where they are lazy."""
-    if not isinstance(poses, np.ndarray):
-        shape = (len(POSE), line.sizes[ALONG_TRACK])
-        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
-    coordinates = {
-        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
-    }
-    return line.drop_vars(POSE, errors="ignore").assign_coords(coordinates)
-
-
 # --- places ------------------------------------------------------------------------------------------------
 
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
-    """Return the line with ground positions, and the flag ``off_swath`` where there are none."""
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
@@ -422,9 +405,21 @@ def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
         if array.chunks is not None:
             return tuple(array.chunksizes[ALONG_TRACK])
     samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
-    slab = lines_a_task(4 * samples, CHUNK_LINES)
-    full, rest = divmod(line.sizes[ALONG_TRACK], slab)
-    return (slab,) * full + ((rest,) if rest or not full else ())
+    return line_slabs(line.sizes[ALONG_TRACK], lines_a_task(4 * samples, CHUNK_LINES)) or (0,)
+
+
+def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
+    """Return the lines of every slab, the last one being the rest."""
+    full, rest = divmod(lines, slab)
+    return (slab,) * full + ((rest,) if rest else ())
+
+
+def is_located(line: xr.Dataset) -> bool:
+    """Return whether every pixel of a line has ``east`` and ``north``."""
+    return all(
+        axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
+        for axis in ("east", "north")
+    )
 
 
 def _is_lazy(*values: Any) -> bool:

@@ -111,9 +111,9 @@ def convention_of_line(
     """
     source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
     declared = convention_of(source, convention, subject)
-    own = Convention.from_attrs(line.attrs)
-    if declared.column_order is None and own is not None:
-        declared = declared.replace(column_order=own.column_order)
+    of_line = Convention.from_attrs(line.attrs)
+    if declared.column_order is None and of_line is not None:
+        declared = declared.replace(column_order=of_line.column_order)
     return declared
 
 

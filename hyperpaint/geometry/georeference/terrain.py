@@ -72,8 +72,14 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
             "hyperpaint.geometry.orthorectify",
             code="grid-turned",
         )
-    crs = _crs_text(dem)
-    if crs is None:
+    # as rioxarray declares it, or an attribute of the raster
+    declared_crs = [
+        str(attrs[name])
+        for attrs in (dem.attrs, _mapping_attrs(dem))
+        for name in ("crs", "crs_wkt", "spatial_ref")
+        if attrs.get(name)
+    ]
+    if not declared_crs:
         problems.add(
             "no crs",
             mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
@@ -97,7 +103,10 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         except SchemaError as error:
             problems.add_error("heights", error)
     problems.raise_if_any()
-    return TerrainGrid(crs_of(crs), axes["x"], axes["y"], heights, _missing(dem))
+    # in rasters that xarray decoded (mark in `encoding`) holes are NaN already
+    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
+    holes = {float(mark) for mark in marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
+    return TerrainGrid(crs_of(declared_crs[0]), axes["x"], axes["y"], heights, tuple(holes))
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
@@ -160,18 +169,3 @@ def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bo
 def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:
     mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
     return dem.coords[mapping].attrs if mapping in dem.coords else {}
-
-
-def _crs_text(dem: xr.DataArray) -> str | None:
-    """Return the CRS that a raster declares, in the attributes of rioxarray or its own."""
-    for attrs in (dem.attrs, _mapping_attrs(dem)):
-        for name in ("crs", "crs_wkt", "spatial_ref"):
-            if attrs.get(name):
-                return str(attrs[name])
-    return None
-
-
-def _missing(dem: xr.DataArray) -> tuple[float, ...]:
-    # in rasters that xarray decoded (mark in `encoding`) holes are NaN already
-    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
-    return tuple({float(value) for value in marks if np.ndim(value) == 0 and np.isfinite(float(value))})

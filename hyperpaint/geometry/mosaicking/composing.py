@@ -230,7 +230,6 @@ class _Tiles:
     def _array(
         self, name: str, tasks: Mapping[Any, Any], dtype: Any, bands: tuple[int, ...], of: list[da.Array]
     ) -> da.Array:
-        """Return the dask array of some tasks, given by place."""
         layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
         graph = HighLevelGraph.from_collections(name, layer, dependencies=of)
         rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
@@ -238,12 +237,11 @@ class _Tiles:
         return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
     def levelling(self, variable: str) -> Levelling:
-        """Return the levelling factors of a cube, in its dtype."""
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
-        own = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
-        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], own)
+        nm = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
+        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], nm)
         return levelling._replace(factors=levelling.factors.astype(first.dtype))
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
@@ -259,14 +257,13 @@ class _Tiles:
         for place in np.ndindex(self.count):
             at = self.first[0] + place[0], self.first[1] + place[1]
             gaps = [strip.recipe(["gap"], at) for strip in self.strips if strip.covers(at)]
-            given = (rule, names, fills, self.size, self._recipes(names, place), gaps)
-            tasks[place] = (partial(_planes, *given),)
+            arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
+            tasks[place] = (partial(_planes, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
         name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
         return self._array(name, tasks, object, (), [])
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
-        """Return one plane (row, col)."""
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
         return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
 
@@ -276,9 +273,9 @@ class _Tiles:
         fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
         tasks = {}
         for place in np.ndindex(self.count):
-            given = {"fill": fill, "bands": bands, "factors": factors}
+            options = {"fill": fill, "bands": bands, "factors": factors}
             recipes = self._recipes([variable], place)
-            tasks[place] = (partial(_spectra, recipes=recipes, **given), (lines.name, *place))
+            tasks[place] = (partial(_spectra, recipes=recipes, **options), (lines.name, *place))
         name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
         return self._array(name, tasks, first.dtype, (bands,), [lines])
 
@@ -298,7 +295,6 @@ def _aligned(grid: MapGrid) -> MapGrid:
 
 
 def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None) -> xr.Dataset:
-    """Return the mosaic of lines on one grid."""
     first = strips[0].map
     starts = [start // tile for start in grid.first]
     ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
@@ -309,27 +305,30 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
     numbers = np.arange(len(strips), dtype=np.int16)
     meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
     flags = {"flag_values": numbers, "flag_meanings": meanings, "empty_value": int(NO_LINE)}
-    own: dict[str, tuple[Any, str, dict[str, Any]]] = {
+    planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
         "flightline": (np.int16, "Flight line that shows a cell", flags),
         "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
         "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
     }
     variables: dict[str, Any] = {}
-    for name, (dtype, meaning, attrs) in own.items():
+    for name, (dtype, meaning, attrs) in planes_of_choice.items():
         attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
         variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
     factors = None
     if levelling is not None:
         factors, interpolated = tiles.levelling(_cube_to_level(first, flat))
-        about = {"units": "1", "long_name": "Factor of the spectra of a line, from its overlaps with others"}
+        attributes = {
+            "units": "1",
+            "long_name": "Factor of the spectra of a line, from its overlaps with others",
+        }
         if interpolated.any():
             # bands without usable overlaps, by line, numbered from 0
-            about["interpolated_bands"] = "; ".join(
+            attributes["interpolated_bands"] = "; ".join(
                 f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
                 for strip, bands in zip(strips, interpolated, strict=True)
                 if bands.any()
             )
-        variables["levelling_factor"] = (("source", BAND), factors, about)
+        variables["levelling_factor"] = (("source", BAND), factors, attributes)
         variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
     for name in common:
         lazy = (
@@ -359,7 +358,6 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
 
 
 def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
-    """Return the name of the only cube of a map."""
     cubes = [str(name) for name in first.data_vars if name not in flat and first[name].ndim == 3]
     missing = [name for name in LEVELLED_BY if name not in first.variables]
     if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:

@@ -118,7 +118,6 @@ def _parts(incidence: Floats) -> Ints:
 
 
 def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
-    """Return the ratios of all pairs of lines in a tile."""
     logs = {}
     for number, recipe in recipes.items():
         hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe.values())

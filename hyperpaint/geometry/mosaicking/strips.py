@@ -22,6 +22,7 @@ from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs
 from hyperpaint.geometry.orthorectification import MapGrid, orthorectify
 from hyperpaint.geometry.orthorectification.grids import Survey, covering, north_axes, survey_lines
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
@@ -53,7 +54,6 @@ class Strip:
         return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
-        """Return the tasks that make a tile of some variables."""
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
         arrays = [self.map[name].data for name in names]
         keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
@@ -79,7 +79,6 @@ class Recipe:
     keys: list[Any]
 
     def values(self) -> list[Array]:
-        """Return the tile of every variable."""
         return list(dask.get(self.graph, self.keys))
 
 
@@ -106,14 +105,10 @@ def is_map(line: xr.Dataset) -> bool:
 
 def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
     """Return the lines with ground positions; maps and located lines are returned unchanged."""
-    located = {}
-    for name, line in lines.items():
-        placed = is_map(line) or all(
-            axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
-            for axis in ("east", "north")
-        )
-        located[name] = line if placed else locate(line, **location)
-    return located
+    return {
+        name: line if is_map(line) or is_located(line) else locate(line, **location)
+        for name, line in lines.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -136,7 +131,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     problems = Problems("these lines make no mosaic", SchemaError)
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
-        listed = ", ".join(f"{name}: {one}" for name, one in crs.items())
+        listed = ", ".join(f"{name}: {code}" for name, code in crs.items())
         problems.add(
             f"lines on different maps ({listed})", mend="give crs=", option="give --crs", code="crs-conflict"
         )
@@ -147,12 +142,9 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     }
     transforms = {name: _transform(name, line, problems) for name, line in lines.items() if is_map(line)}
     problems.raise_if_any()
-    size = gsd
-    if size is None:
-        size = next(
-            (one[1] for one in transforms.values()), max((s.gsd for s in surveys.values()), default=np.nan)
-        )
-    size = float(size)
+    # the cell of the first map, else the largest spacing of a line
+    largest = max((survey.gsd for survey in surveys.values()), default=np.nan)
+    size = float(next((transform[1] for transform in transforms.values()), largest) if gsd is None else gsd)
     axes = north_axes()
     if transforms:
         # maps of other programs begin anywhere, maps of hyperpaint at whole multiples of a cell
@@ -197,9 +189,15 @@ def strips_of(
     """
     strips = []
     for name, line in lines.items():
-        corner, rows, cols = _tiles_of(shared.grids[name], tile)
+        # Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when
+        # another line joins the mosaic, so its rounding does not change either.
+        part = shared.grids[name]
+        row, col = (first // tile for first in part.first)
+        end_row, end_col = (-(-(k + count) // tile) for k, count in zip(part.first, part.shape, strict=True))
+        corner = row, col
+        rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
         if is_map(line):
-            strips.append(_cut(name, line, shared.grids[name], (corner, rows, cols), variables))
+            strips.append(_cut(name, line, part, (corner, rows, cols), variables))
             continue
         own = replace(shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0]))
         west, _, _, north, _, _ = own.transform
@@ -215,20 +213,6 @@ def strips_of(
         strips.append(Strip(name, strip, corner, touched))
     _check_alike(strips)
     return strips
-
-
-def _tiles_of(part: MapGrid, tile: int) -> tuple[tuple[int, int], list[int], list[int]]:
-    """Return row and column of the first tile a map touches, and the edges of its tiles in rows and columns.
-
-    Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when another
-    line joins the mosaic, so its rounding does not change either.
-    """
-    edges, corner = [], []
-    for first, count in zip(part.first, part.shape, strict=True):
-        begin, end = first // tile, -(-(first + count) // tile)
-        edges.append([k * tile for k in range(begin, end + 1)])
-        corner.append(begin)
-    return (corner[0], corner[1]), edges[0], edges[1]
 
 
 def _cut(
@@ -247,10 +231,9 @@ def _cut(
             code="variable-missing",
         )
     corner, *edges = tiles
-    pads, sizes = [], []
-    for start, count, edge in zip(own.first, own.shape, edges, strict=True):
-        pads.append((start - edge[0], edge[-1] - (start + count)))
-        sizes.append(tuple(np.diff(edge).tolist()))
+    spans = zip(own.first, own.shape, edges, strict=True)
+    pads = [(start - edge[0], edge[-1] - (start + count)) for start, count, edge in spans]
+    sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
     names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_NEEDED, *variables])]
     cut = {}
     for variable in (held for held in names if {"y", "x"} <= set(line[held].dims)):
@@ -276,7 +259,6 @@ def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def _check_alike(strips: Sequence[Strip]) -> None:
-    """Refuse lines whose bands, units or types differ from the first line's; all problems are listed."""
     problems = Problems("these lines make no mosaic", SchemaError)
     first = strips[0]
     for strip in strips[1:]:
@@ -289,14 +271,14 @@ def _check_alike(strips: Sequence[Strip]) -> None:
                     code="variable-missing",
                 )
                 continue
-            for what, new, old in (
+            for property_name, new, old in (
                 ("type", theirs.dtype, ours.dtype),
                 ("size", theirs.shape[2:], ours.shape[2:]),
                 ("units", theirs.attrs.get("units"), ours.attrs.get("units")),
             ):
                 if new != old:
                     problems.add(
-                        f"{what} of {name} of {strip.name} {new}",
+                        f"{property_name} of {name} of {strip.name} {new}",
                         expected=f"{old} of {first.name}",
                         code="variable-mismatch",
                     )
@@ -309,15 +291,10 @@ def _check_alike(strips: Sequence[Strip]) -> None:
 
 
 def _places(line: xr.Dataset) -> tuple[da.Array, da.Array]:
-    """Return east and north of the pixels of a located line [m], in slabs."""
     chunks = line["east"].variable.chunksizes.get(ALONG_TRACK)
-    if chunks is None:
-        full, rest = divmod(line.sizes[ALONG_TRACK], CHUNK_LINES)
-        chunks = (CHUNK_LINES,) * full + ((rest,) if rest else ())
-    east, north = (
-        in_slabs(line[axis].transpose(ALONG_TRACK, CROSS_TRACK), chunks) for axis in ("east", "north")
-    )
-    return east, north
+    slabs = chunks or line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
+    east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))
+    return in_slabs(east, slabs), in_slabs(north, slabs)
 
 
 def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
@@ -325,7 +302,6 @@ def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
 
 
 def _crs(line: xr.Dataset) -> Any:
-    """Return the CRS of a line's map, for comparison."""
     if not is_map(line):
         return line["east"].attrs.get("crs")
     named = line["x"].attrs.get("crs") if "x" in line.coords else None
@@ -336,12 +312,12 @@ def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, 
     """Return the GeoTransform of a map; problems are noted."""
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
-    fine = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
-    if not fine:
+    is_north_up = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
+    if not is_north_up:
         problems.add(
             f"the map {name} has the GeoTransform {text}",
             expected="square cells with north up",
             mend="orthorectify with grid='north'",
             code="grid-turned",
-        )  # fmt: skip
+        )
     return numbers

@@ -170,11 +170,11 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
             code="variable-missing",
         )
     number = line.sizes[BAND] // 2 if band is None else band
-    seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
+    image = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
     names = {name for name in line.data_vars if BAND in line[name].dims}
     # without index coordinates the map holds positions in the line, also for a crop
     other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
-    flat = line.drop_vars([*names, *other]).assign(picture=seen.drop_vars(other, errors="ignore"))
+    flat = line.drop_vars([*names, *other]).assign(picture=image.drop_vars(other, errors="ignore"))
     orthomap = orthorectify(
         flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
     )[["picture", *_FIELDS]].compute()
@@ -201,9 +201,9 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
         shift, quality = _match(_window(one, place, half), _window(other, place, half + reach), rules)
         if quality < rules.min_correlation:
             continue
-        seen_by_one = _at(one, np.array(place, float))
-        seen_by_other = _at(other, np.array(place) + shift)
-        tie = [*place, *shift, quality, seen_by_one[2], *seen_by_one[:2], *seen_by_other[:2]]
+        in_one = _at(one, np.array(place, float))
+        in_other = _at(other, np.array(place) + shift)
+        tie = [*place, *shift, quality, in_one[2], *in_one[:2], *in_other[:2]]
         if np.isfinite(tie).all():
             ties.append(tie)
     table = np.array(ties, np.float64).reshape(-1, 10)

@@ -36,7 +36,6 @@ class Axes:
 
     @property
     def down(self) -> tuple[float, float]:
-        """East and north of one step down."""
         return self.right[1], -self.right[0]
 
     def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
@@ -86,7 +85,6 @@ class MapGrid:
         return (east, size * a, size * c, north, size * b, size * d)
 
     def _place(self, row: Any, col: Any) -> tuple[Any, Any]:
-        """Return east and north of places in rows and columns of cells [m]."""
         (a, b), (c, d) = self.axes.right, self.axes.down
         y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
@@ -180,12 +178,10 @@ class Survey:
 
     @property
     def gsd(self) -> float:
-        """The larger of the two spacings [m]."""
         return float(np.nanmax([self.across, self.along]))
 
     @property
     def box(self) -> Box:
-        """The box of all lines."""
         low, high = np.nanmin(self.boxes, axis=0), np.nanmax(self.boxes, axis=0)
         return float(low[0]), float(high[1]), float(low[2]), float(high[3])
 
@@ -305,7 +301,6 @@ def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
 
 
 def _medians(steps: Floats) -> Floats:
-    """Return the median of every row without NaN; NaN for rows of nothing else."""
     if not steps.shape[1] or not np.isnan(steps).any():
         return np.median(steps, axis=1) if steps.size else np.full(len(steps), np.nan)
     return np.array([_median(row) for row in steps])

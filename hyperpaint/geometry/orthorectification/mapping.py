@@ -26,6 +26,7 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs
 from hyperpaint.io.store.computing import client_in_force
 
 from .grids import MapGrid, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
@@ -171,8 +172,14 @@ def orthorectify(
            [0., 1., 2.]])
     """
     _check(gsd, grid, method, multi_hit, max_stretch, tile, bounds)
-    line = _located(line, location)
-    line, names = prepared(line, variables)
+    if is_located(line) and location:
+        options = ", ".join(f"{name}=" for name in location)
+        raise SchemaError(
+            f"this line is located already, so {options} would have no effect",
+            mend="leave it out, or drop east and north",
+            code="option-conflict",
+        )
+    line, names = prepared(line if is_located(line) else locate(line, **location), variables)
     lines = _line_chunks(line, names)
     (east, north, *relief), crs = _places(line, lines)
     survey, cells = _planned(east, north, gsd, grid, bounds, progress)
@@ -211,14 +218,14 @@ def _check(
     gsd: Any, grid: Any, method: Any, multi_hit: Any, max_stretch: Any, tile: Any, bounds: Any
 ) -> None:
     problems = Problems("this line cannot be orthorectified", SchemaError)
-    for name, given, choices in (
+    for name, value, choices in (
         ("grid", grid, _GRIDS),
         ("method", method, _METHODS),
         ("multi_hit", multi_hit, RULES),
     ):
-        if given not in choices:
+        if value not in choices:
             problems.add(
-                f"{name} {given!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
+                f"{name} {value!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
             )
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
@@ -234,10 +241,10 @@ def _check(
         )
     if bounds is not None:
         edges = np.asarray(bounds, np.float64)
-        fine = (
+        is_valid = (
             edges.shape == (4,) and np.isfinite(edges).all() and edges[0] < edges[2] and edges[1] < edges[3]
         )
-        if not fine:
+        if not is_valid:
             problems.add(
                 f"bounds {bounds!r:.80}",
                 expected="west, south, east, north [m], in this order",
@@ -246,41 +253,22 @@ def _check(
     problems.raise_if_any()
 
 
-def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
-    """Return the line with the ground positions of its pixels."""
-    placed = all(
-        name in line.variables and set(line[name].dims) == {ALONG_TRACK, CROSS_TRACK}
-        for name in ("east", "north")
-    )
-    if not placed:
-        return locate(line, **location)
-    if location:
-        given = ", ".join(f"{name}=" for name in location)
-        raise SchemaError(
-            f"this line is located already, and {given} would do nothing",
-            mend="leave out, or drop east and north",
-            code="option-conflict",
-        )
-    return line
-
-
 def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
     """Return the lines of every slab: as the cube is chunked, else the positions."""
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
             return tuple(line[name].variable.chunksizes[ALONG_TRACK])
-    full, rest = divmod(line.sizes[ALONG_TRACK], CHUNK_LINES)
-    return (CHUNK_LINES,) * full + ((rest,) if rest else ())
+    return line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
 
 
 def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
     """Return east and north [m], over relief also heights and tangents of zenith angles; the CRS."""
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
-        lines_, columns = coordinates["east"].shape
+        count, columns = coordinates["east"].shape
         raise SchemaError(
-            f"{lines_} lines of {columns} columns make no map",
+            f"{count} lines of {columns} columns make no map",
             expected="two or more of each",
             code="line-too-short",
         )
@@ -302,19 +290,18 @@ def _kept(places: list[da.Array]) -> list[da.Array]:
     """Return positions in memory, for a line short enough to trace its rays once (eager)."""
     if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
         return places
-    kept = [np.empty(place.shape) for place in places]
-    da.store(places, kept, lock=False)
+    arrays = [np.empty(place.shape) for place in places]
+    da.store(places, arrays, lock=False)
     names = (f"kept-{place.name}" for place in places)
     return [
         in_memory(*each, place.chunks)
-        for each, place in zip(zip(kept, names, strict=True), places, strict=True)
+        for each, place in zip(zip(arrays, names, strict=True), places, strict=True)
     ]
 
 
 def _planned(
     east: da.Array, north: da.Array, gsd: float | None, kind: str, bounds: Any, progress: Progress | None
 ) -> tuple[Survey, MapGrid]:
-    """Return the survey of all lines, and the grid."""
     axes = direction_of_flight(east, north) if kind == "flight" else north_axes()
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
@@ -366,13 +353,11 @@ def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
 
 
 def _numbers_at(positions: Array, numbers: Array) -> Array:
-    """Return the numbers at positions, interpolated linearly; positions below 0 and NaN stay."""
     at = np.interp(positions, np.arange(numbers.size), numbers)
-    return np.where(positions >= 0, at, positions).astype(positions.dtype)
+    return np.where(positions >= 0, at, positions).astype(positions.dtype)  # below 0 and NaN stay
 
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:
-    """Return the coordinates of a map."""
     grid = tiles.grid
     transform = " ".join(repr(float(number)) for number in grid.transform)
     attrs: dict[str, Any] = {"GeoTransform": transform}

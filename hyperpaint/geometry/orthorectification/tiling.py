@@ -38,7 +38,6 @@ Place = tuple[int, int]  # row and column of a tile
 
 
 def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
-    """Return the tiles of a grid, by row and column."""
     rows, cols = ([slice(k, min(k + tile, size)) for k in range(0, size, tile)] for size in shape)
     return [[(row, col) for col in cols] for row in rows]
 
@@ -95,7 +94,6 @@ class Tiles:
         return cls(plan.grid, windows, slabs, starts, index, gap, nearest, before, bilinear)
 
     def part(self, name: str, dtype: Any) -> da.Array:
-        """Return a part of the index (row, col)."""
         tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _each(self.windows)}
         return _array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
@@ -121,7 +119,6 @@ class Tiles:
         return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
 
     def centres(self) -> tuple[da.Array, da.Array]:
-        """Return east and north of the centres of cells (row, col) [m]."""
         coordinates = []
         for part, name in enumerate(("east", "north")):
             tasks = {place: (_centres, self.grid, *window, part) for place, window in _each(self.windows)}
@@ -251,7 +248,6 @@ def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 
 
 def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return a line whose variables have native dtypes; those that have one keep their memory."""
     wanted = {name: _native(line[name].dtype) for name in names}
     # numpy compares types of either byte order as equal
     other = [
@@ -321,7 +317,6 @@ class _InMemory:
 
 
 def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
-    """Return an array in chunks of whole lines."""
     chunks: dict[Any, Any] = {dim: lines if dim == ALONG_TRACK else -1 for dim in array.dims}
     values = array.variable._data
     if not isinstance(values, np.ndarray):
