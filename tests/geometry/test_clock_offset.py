@@ -115,5 +115,5 @@ def test_one_record_is_asked_for() -> None:
     line, record = lit(0.0, 0.5, 0)
     with pytest.raises(SchemaError, match="option-conflict"):
         estimate_clock_offset(line)
-    with pytest.raises(SchemaError, match=r"max_offset_s.*value-out-of-range"):
+    with pytest.raises(SchemaError, match=r"max_offset_s.*out-of-range"):
         estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0)

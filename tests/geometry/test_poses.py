@@ -228,13 +228,13 @@ def test_units_references_and_heights() -> None:
     magnetic = Convention(heading_reference="magnetic", declination=-7.5)
     turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9
-    with pytest.raises(SchemaError, match="declination is not declared"):
+    with pytest.raises(SchemaError, match="declination"):
         hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="magnetic"))
     high = Convention(height_reference="geoid", geoid_undulation=-33.2)
     np.testing.assert_allclose(
         hp.geometry.canonical_navigation(data, convention=high).altitude, data.altitude - 33.2
     )
-    with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
+    with pytest.raises(SchemaError, match="geoid_undulation"):
         hp.geometry.canonical_navigation(data, convention=Convention(height_reference="geoid"))
 
 
@@ -246,7 +246,7 @@ def test_headings_from_grid_north() -> None:
                             (Convention(heading_reference="grid", grid_crs="EPSG:32617"), None)):  # fmt: skip
         made = hp.geometry.canonical_navigation(data, convention=convention, crs=crs)["heading"]
         assert np.abs((made - data["heading"] - gamma + 180) % 360 - 180).max() < 1e-5
-    with pytest.raises(SchemaError, match="grid north, whose direction is not known"):
+    with pytest.raises(SchemaError, match="grid north"):
         hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="grid"))
 
 

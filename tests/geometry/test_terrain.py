@@ -212,7 +212,7 @@ def test_rasters_that_cannot_be_used() -> None:
     with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
     assert refused.value.codes == ("crs-missing", "height-reference-missing")
-    with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
+    with pytest.raises(SchemaError, match="geoid_undulation"):
         hp.geometry.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
     uneven = dem(heights)
     uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))

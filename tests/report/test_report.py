@@ -231,9 +231,9 @@ def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
     assert done.flightlines == ("flightlines/raw_20",)
     with pytest.raises(SchemaError, match=r"'raw_1'.*flightline-unknown"):
         hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
-    with pytest.raises(SchemaError, match=r"cards=-1.*value-out-of-range"):
+    with pytest.raises(SchemaError, match=r"cards=-1.*out-of-range"):
         hp.report.write_report(lot, tmp_path / "none.html", cards=-1)
-    with pytest.raises(SchemaError, match=r"lines=0.*value-out-of-range"):
+    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
         hp.report.write_report(lot, tmp_path / "none.html", lines=0)
     assert not (tmp_path / "none.html").exists()
 
