@@ -1,4 +1,4 @@
-"""Regions that are drawn on a flight line: their corners, their lines, the files that hold them."""
+"""Regions drawn on a flight line: corners of polygons, their flight lines, and the files that hold them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from hyperpaint.regions import Region, Regions, regions_from
 
 
 def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
-    """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
+    """Return clicked places as corners of a polygon: whole pixels of the line, no corner twice in a row.
 
-    ``along`` and ``across`` are places as they were clicked, ``shape`` lines and columns. Returns (vertex,
-    2), x (cross_track) and y (along_track); None where the corners hold no area.
+    ``along`` and ``across`` are the clicked positions, ``shape`` is lines and columns. Returns (vertex, 2),
+    x (cross_track) and y (along_track); None where the corners enclose no area.
 
     Examples
     --------
@@ -41,9 +41,10 @@ def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int
 
 
 def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ...]]:
-    """Return the regions that are on a flight line, and those of others; all are, of a line without a name.
+    """Return the regions of one flight line, and the regions of other lines.
 
-    Raises `SchemaError`: they are in map coordinates, or have holes.
+    All regions belong to a line without a name. Raises `SchemaError`: they are in map coordinates, or have
+    holes.
 
     Examples
     --------
@@ -55,42 +56,51 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     outlines = Regions(()) if regions is None else regions_from(regions)
     if outlines.coordinates != "sensor":
         raise SchemaError(
-            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
+            "regions to begin with are in map coordinates",
+            expected="coordinates of the sensor (column and line)",
+            code="region-coordinates",
         )
     lines = {"", flightline.replace(" ", "_")}
-    others = [one for one in outlines if flightline and one.flightline.replace(" ", "_") not in lines]
+    others = [
+        region for region in outlines if flightline and region.flightline.replace(" ", "_") not in lines
+    ]
     if others:
         names = {region.name for region in others}
         outlines = Regions(tuple(region for region in outlines if region.name not in names))
     if holed := [region.name for region in outlines if region.holes]:
-        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
+        raise SchemaError(
+            f"regions with holes cannot be drawn: {', '.join(holed)}",
+            mend="leave them out",
+            code="region-holes",
+        )
     return outlines, tuple(others)
 
 
 class RegionFiles:
-    """What files held when they were read or saved here last: what others wrote since is not replaced."""
+    """Remembers the content of region files, so that changes by other programs are not overwritten."""
 
     def __init__(self, regions: Any) -> None:
         self._digests: dict[str, str] = {}
         if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
-            with contextlib.suppress(OSError):  # reading it says why it cannot be read
+            with contextlib.suppress(OSError):  # an unreadable file is reported when it is read
                 self.remember(Path(regions))
 
     def remember(self, path: Path) -> None:
-        """Take a file as one that was read or saved here."""
+        """Note the present content of a file that was read or saved here."""
         self._digests[os.path.realpath(path)] = _digest(path)
 
     def may_replace(self, path: Path) -> bool:
-        """Tell whether there is a file to replace; raise `StoreError` where others wrote it since."""
+        """Return whether a file exists and may be replaced; `StoreError` if another program changed it."""
         if not is_plain_file(path):
             return False
         digest = self._digests.get(os.path.realpath(path))
         if digest != _digest(path):
             raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}: "
-                "it is left as it is, and nothing is saved",
+                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}; "
+                "nothing is saved",
                 mend="move it away or choose another file, and save again",
                 option="move it away and save again, or begin anew with --regions and another file",
+                code="file-changed",
             )
         return True
 

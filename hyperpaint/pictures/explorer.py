@@ -1,4 +1,4 @@
-"""The widget that explores a flight line, of panel and bokeh (extra ``interactive``)."""
+"""The widget to explore a flight line, made with panel and bokeh (extra ``interactive``)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .explorer_figures import (
     SpectraFigure,
     band_around,
     place,
-)  # fmt: skip
-from .explorer_state import INFRARED, TRUE_COLOUR, Explored, Place, Spectrum, spoken
-from .plot import percent
+)
+from .explorer_state import INFRARED, TRUE_COLOUR, Explored, NearPaint, Place, Spectrum
+from .plot import flag_label, percent
 
 _MODES = {"Spectrum": "spectrum", "Draw": "draw", "Edit": "edit", "Move": "move"}
 _HELP = {
-    "spectrum": "Click for a pixel's spectrum, drag for a box; the wheel zooms",
+    "spectrum": "Click for the spectrum of a pixel, drag for the median of a box; the wheel zooms",
     "draw": "Click the corners of a region, double-click the last one",
     "edit": "Click a region to choose it, drag its corners",
     "move": "Drag to move the picture; the wheel or two fingers zoom",
@@ -40,21 +40,21 @@ WIDE = {"sizing_mode": "stretch_width"}
 
 
 class Explorer:
-    """A widget to look at a flight line with; see `explore`.
+    """A widget that shows a flight line; see `explore`.
 
-    ``view`` is the layout of panel, which ``panel serve`` shows as well. With ``save_to`` what is drawn is
-    saved there and nowhere else.
+    ``view`` is the layout of panel, which ``panel serve`` shows as well. With ``save_to`` regions are saved
+    to that file only.
     """
 
     def __init__(self, state: Explored, *, theme: str = "light", save_to: Path | None = None) -> None:
         import panel
 
-        panel.extension()  # loads what a notebook needs; nothing elsewhere
+        panel.extension()  # loads scripts into a notebook
         self._state, self._theme, self._save_to = state, theme, save_to
         self._is_showing = False
         self._window: tuple[int, int] | None = None
         self._picture, self._spectra = PictureFigure(state, theme), SpectraFigure(theme)
-        # what was clicked last, or the name of the chosen region: something is there to be seen
+        # the last click, or the name of the chosen region; at first the middle of the line
         lines, columns = state.shape
         self._current: Place | str | None = (min(lines, columns) // 2, columns // 2)
         self._make_widgets()
@@ -65,17 +65,17 @@ class Explorer:
 
     @property
     def regions(self) -> Regions:
-        """What is drawn now, in sensor coordinates: x is cross_track, y along_track, whole pixels."""
+        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
         return self._state.regions
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write what is drawn as GeoJSON; see `hyperpaint.write_regions`."""
+        """Write the regions as GeoJSON; see `hyperpaint.write_regions`."""
         return self._state.save(path, overwrite=overwrite)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         return self.view._repr_mimebundle_(include, exclude)
 
-    # --- what is made once --------------------------------------------------------------------------------
+    # --- widgets and layout -------------------------------------------------------------------------------
 
     def _make_widgets(self) -> None:
         import panel
@@ -88,7 +88,7 @@ class Explorer:
         state = self._state
         bands = sorted(set(np.round(state.wavelength[np.isfinite(state.wavelength)], 1).tolist()))
         recipes = [name for name, recipe in _RECIPES.items() if state.has_bands(recipe)]
-        flags = {f"{spoken(flag)}, {percent(share)}": flag for flag, share in state.flag_shares.items()}
+        flags = {f"{flag_label(flag)}, {percent(share)}": flag for flag, share in state.flag_shares.items()}
         self._mode = make("RadioButtonGroup", "", options=_MODES, value="spectrum")
         self._recipe = make("Select", "Colours", options=[*recipes, _ONE_BAND])
         self._band = make(
@@ -121,10 +121,8 @@ class Explorer:
 
         lines, columns = self._state.shape
         navigator = [shown(self._picture.navigator())] if lines > 3 * columns else []
-        flags = self._layers if self._state.flag_shares else panel.pane.HTML("none stored", **WIDE)
-        near = panel.pane.HTML(
-            "<b>Nearest paints</b>: spectral angle, and by what they are multiplied", **WIDE
-        )
+        flags = self._layers if self._state.flag_shares else panel.pane.HTML("no flags stored", **WIDE)
+        near = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **WIDE)
         buttons = panel.Row(self._keep, self._undo, self._remove, **WIDE)
         return panel.Column(
             panel.FlexBox(
@@ -151,7 +149,7 @@ class Explorer:
         plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
         self._spectra.plot.on_event(Tap, lambda event: self.take_band(event.x))
         self._picture.corners.on_change("data", self._dragged)
-        self._picture.seen.on_change("data", self._looked)
+        self._picture.view.on_change("data", self._looked)
         calls = (
             (self._mode, "value", lambda _: self._take_mode()),
             (self._recipe, "value", lambda _: self._show_pictures()),
@@ -174,7 +172,7 @@ class Explorer:
             button.on_click(self._unless_showing(lambda _, press=press: press()))
 
     def _unless_showing(self, call: Any) -> Any:
-        """Return a call that is left out where a widget changes because of what is shown."""
+        """Return a callback that does nothing while the program itself sets widgets."""
         import panel
 
         def run(event: Any) -> None:
@@ -184,23 +182,23 @@ class Explorer:
 
         return run
 
-    # --- what the mouse did --------------------------------------------------------------------------------
+    # --- events of the mouse -------------------------------------------------------------------------------
 
     def tap(self, along: float, across: float) -> None:
-        """Take a click on the picture: a pixel, a corner, or the region to edit."""
+        """Handle a click on the picture: show a pixel, add a corner, or choose the region to edit."""
         pixel = int(np.floor(along + 0.5)), int(np.floor(across + 0.5))
         mode = self._mode.value
         if mode == "draw":
             self._draw_draft(None, (along, across))
         elif mode == "edit":
             spot = np.array([across]), np.array([along])
-            names = [one.name for one in self._state.drawn if contains(one.polygon, (), *spot)[0]]
+            names = [region.name for region in self._state.drawn if contains(region.polygon, (), *spot)[0]]
             self._show(names[-1] if names else self._chosen.value)
         elif all(0 <= number < size for number, size in zip(pixel, self._state.shape, strict=True)):
             self._look_at(pixel)
 
     def drag(self, geometry: dict[str, Any]) -> None:
-        """Take a box that was dragged over the picture."""
+        """Show the median spectrum of a box dragged over the picture."""
         if self._mode.value != "spectrum" or geometry.get("type") != "rect":
             return
         ends = []
@@ -215,11 +213,11 @@ class Explorer:
         self._look_at(Region("box", np.array(corners)))
 
     def close(self, along: float, across: float) -> None:
-        """End the polygon that is being drawn with a last corner: it becomes a region."""
+        """Add the last corner of the polygon in progress, and make it a region."""
         if self._mode.value == "draw":
             self.tap(along, across)
             draft = self._picture.draft.data
-            # two corners that were clicked in haste are no end
+            # a double click that encloses no area does not end the polygon
             if self._add(draft["along"], draft["across"]):
                 self._clear_draft()
 
@@ -244,7 +242,7 @@ class Explorer:
         name = self._state.add(along, across)
         self._show(name or self._chosen.value)
         if name is None:
-            self._say("these corners hold no area: a region needs three that are not in a row")
+            self._say("these corners enclose no area: a region needs three that are not in a row")
         return name is not None
 
     def _draw_draft(self, stop: int | None, *more: tuple[float, float]) -> None:
@@ -298,7 +296,7 @@ class Explorer:
     def _looked(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
         (first, last), (width, height) = new["along"], new["size"]
         if self._window is None and width and height:
-            # pixels as long as they are on the ground, the first time that the size is known
+            # pixels with the aspect ratio on the ground, the first time that the size is known
             lines, columns = self._state.shape
             shown = columns * width / height / self._state.orientation.aspect
             first = -0.5 - max(0.0, shown - lines) / 2
@@ -309,7 +307,7 @@ class Explorer:
             self._window = window
             self._show_pictures(base=False)
 
-    # --- what is shown ----------------------------------------------------------------------------------
+    # --- display ----------------------------------------------------------------------------------------
 
     def _say(self, text: str) -> None:
         self._message.object = html.escape(text)
@@ -320,7 +318,7 @@ class Explorer:
         return f"{count} region{'' if count == 1 else 's'}" + f" (and {others} of other lines)" * bool(others)
 
     def _show_pictures(self, *, base: bool = True) -> None:
-        """Show the picture of the lines that are looked at, and with ``base`` of the whole line behind it."""
+        """Show the lines in view; with ``base`` also the picture of the whole line behind them."""
         recipe = _RECIPES.get(self._recipe.value) or ()
         if self._recipe.value == _ONE_BAND:
             recipe = (self._band.value,)
@@ -346,13 +344,13 @@ class Explorer:
         place(self._picture.flags, self._state.flag_picture(flags, self._window) if flags else None)
 
     def _show(self, name: str | None) -> None:
-        """Show all regions and spectra, one region in bold, in edit mode with corners to be dragged."""
+        """Show all regions and spectra; the region ``name`` is bold, with handles in edit mode."""
         regions, picture = self._state.drawn, self._picture
         chosen = name if name in regions.names else None
         if chosen is not None or isinstance(self._current, str):
             self._current = chosen
-        own = [one.polygon for one in regions if one.name == chosen and self._mode.value == "edit"]
-        along, across = (own[0][:, axis].tolist() if own else [] for axis in (1, 0))
+        edited = [one.polygon for one in regions if one.name == chosen and self._mode.value == "edit"]
+        along, across = (edited[0][:, axis].tolist() if edited else [] for axis in (1, 0))
         self._is_showing = True
         try:
             self._chosen.options = [None, *regions.names]
@@ -375,13 +373,13 @@ class Explorer:
 
     @property
     def _looked_at(self) -> Place | None:
-        """What was clicked or chosen last."""
+        """The pixel or region chosen last."""
         if isinstance(self._current, str):
             return next(one for one in self._state.drawn if one.name == self._current)
         return self._current
 
     def _show_spectra(self) -> None:
-        """Show the spectra of all regions, of what was clicked last, and of paints near to that."""
+        """Show the spectra of all regions, of the last click, and of similar paints."""
         import panel
 
         rows: list[tuple[Spectrum, str, str, float]] = []
@@ -396,69 +394,59 @@ class Explorer:
         if isinstance(now, Spectrum) and not isinstance(self._current, str):
             rows.append((now, "clicked", INK[self._theme], 2))
         spreads = [
-            {**band_around(one.wavelength, *one.spread), "colour": colour}
-            for one, _, colour, _ in rows
-            if one.spread is not None
+            {**band_around(spectrum.wavelength, *spectrum.spread), "colour": colour}
+            for spectrum, _, colour, _ in rows
+            if spectrum.spread is not None
         ]
-        curves = [
-            {"nm": one.wavelength, "reflectance": one.reflectance, "name": name, "colour": colour,
-             "width": width, "dash": "solid"}
-            for one, name, colour, width in rows
-        ]  # fmt: skip
-        curves += self._near_curves(now if isinstance(now, Spectrum) else None)
+        curves = [_curve(spectrum, name, colour, width, "solid") for spectrum, name, colour, width in rows]
+        # the paints most similar to the last click; ticked paints are drawn
+        near = self._state.near_paints(now) if isinstance(now, Spectrum) else []
+        self._is_showing = True
+        self._paints.options = {
+            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i for i, paint in enumerate(near)
+        }
+        self._is_showing = False
+        curves += [
+            _curve(near[i], near[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
+            for i in self._paints.value
+            if i < len(near)
+        ]
         _fill(self._spectra.spreads, spreads)
         _fill(self._spectra.curves, curves)
         _fill(self._spectra.uncertainty, [])
         name = f"{self._current}: " if isinstance(self._current, str) else ""
-        text = (
-            "Click on the picture for a spectrum"
-            if now is None
-            else now
-            if isinstance(now, str)
-            else now.text
-        )
+        text = now.text if isinstance(now, Spectrum) else now or "Click on the picture for a spectrum"
         self._text.object = html.escape(name + text)
         if isinstance(clicked, tuple):
             self._picture.mark(np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _BOX]))
         else:
             self._picture.mark(clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2)))
         if isinstance(now, Spectrum):
-            # the curve is there first
+            # the curve appears before its uncertainty is computed
             panel.state.execute(self._show_uncertainty, schedule=True)
 
-    def _near_curves(self, spectrum: Spectrum | None) -> list[dict[str, Any]]:
-        """List the paints nearest to a spectrum; return the curves of those that are ticked."""
-        near = [] if spectrum is None else self._state.near_paints(spectrum)
-        self._is_showing = True
-        self._paints.options = {
-            f"{one.name}: {one.angle:.1f}°, x {one.factor:.2f}": i for i, one in enumerate(near)
-        }
-        self._is_showing = False
-        return [
-            {"nm": near[i].wavelength, "reflectance": near[i].reflectance, "name": near[i].name,
-             "colour": NEAR_COLOUR, "width": 1.5, "dash": DASHES[i % len(DASHES)]}
-            for i in self._paints.value
-            if i < len(near)
-        ]  # fmt: skip
-
     def _show_uncertainty(self) -> None:
-        """Shade the standard uncertainty around the spectrum of what was clicked last."""
         clicked = self._looked_at
         now = None if clicked is None else self._state.spectrum_of(clicked)
         if clicked is None or not isinstance(now, Spectrum):
             return
-        sure = self._state.uncertainty_of(clicked)
+        uncertainty = self._state.uncertainty_of(clicked)
         name = f"{self._current}: " if isinstance(self._current, str) else ""
-        if isinstance(sure, str):
-            text = f"uncertainty not known: {sure.splitlines()[-1].strip()}"
+        if isinstance(uncertainty, str):
+            text = f"uncertainty unknown: {uncertainty.splitlines()[-1].strip()}"
         else:
             colour = INK[self._theme]
             if isinstance(self._current, str):
                 colour = _colour(self._state.drawn.names.index(self._current))
-            around = band_around(now.wavelength, now.reflectance - sure.u, now.reflectance + sure.u)
-            _fill(self._spectra.uncertainty, [{**around, "colour": colour}])
-            text = sure.text
+            low, high = now.reflectance - uncertainty.u, now.reflectance + uncertainty.u
+            _fill(self._spectra.uncertainty, [{**band_around(now.wavelength, low, high), "colour": colour}])
+            text = uncertainty.text
         self._text.object = f"{html.escape(name + now.text)}<br><small>{html.escape(text)}</small>"
+
+
+def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
+    axes = {"nm": spectrum.wavelength, "reflectance": spectrum.reflectance}
+    return {**axes, "name": name, "colour": colour, "width": width, "dash": dash}
 
 
 def _fill(source: Any, rows: list[dict[str, Any]]) -> None:

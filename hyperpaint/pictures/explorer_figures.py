@@ -1,4 +1,4 @@
-"""Figures of the explorer in bokeh, with the sources that it writes what is shown into."""
+"""Figures of the explorer in bokeh, with their data sources."""
 
 from __future__ import annotations
 
@@ -10,35 +10,34 @@ from hyperpaint.base.arrays import Array
 
 from .explorer_state import Explored, Picture
 
+# of the regions, in turn
 COLOURS = ("#e6550d", "#1f9ed1", "#31a354", "#c51b8a", "#a6761d", "#6a51a3", "#d7b600", "#17becf")
-"""Of the regions, in turn."""
-INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}
-"""Themes, with the colour of what stands out."""
+INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}  # text colour of each theme
 NEAR_COLOUR = "#8c8c8c"
 DASHES = ("dashed", "dotted", "dotdash", "dashdot", "solid")
 PICTURE_HEIGHT, NAVIGATOR_HEIGHT, SPECTRA_HEIGHT = 380, 60, 330
 
+# reports the lines in view, once the view has been still for a moment
 _WATCH = """
 const timers = (window.hyperpaint_timers = window.hyperpaint_timers || {});
 clearTimeout(timers[plot.id]);
 timers[plot.id] = setTimeout(() => {
-  seen.data = {along: [plot.x_range.start, plot.x_range.end], size: [plot.inner_width, plot.inner_height]};
+  view.data = {along: [plot.x_range.start, plot.x_range.end], size: [plot.inner_width, plot.inner_height]};
 }, 120);
 """
-"""Says which lines are shown, once they have been for a moment."""
 
 
 def source_of(*names: str) -> Any:
-    """Return a source of bokeh with empty columns."""
+    """Return a bokeh data source with empty columns."""
     from bokeh.models import ColumnDataSource
 
     return ColumnDataSource({name: [] for name in names})
 
 
 class PictureFigure:
-    """The picture of a flight line, flown to the right, and below a longer one the whole line in small.
+    """The picture of a flight line, flown to the right, with a small picture of the whole line below.
 
-    ``seen`` holds the ends of what is shown and the size of the figure [pixel].
+    ``view`` holds first and last line in view, and the size of the figure [pixel].
     """
 
     def __init__(self, state: Explored, theme: str) -> None:
@@ -48,22 +47,33 @@ class PictureFigure:
         self.base, self.detail, self.flags = (source_of("image", "x", "y", "dw", "dh") for _ in range(3))
         self.outlines = source_of("along", "across", "name", "colour", "width")
         self.draft, self.corners, self.spot = (source_of("along", "across") for _ in range(3))
-        self.seen = source_of("along", "size")
+        self.view = source_of("along", "size")
         self._lines, columns = state.shape
         edges = (-0.5, columns - 0.5)
         # flown to the right, the columns to the right of the flight are the lower ones
         self._edges = edges if state.orientation.is_mirrored else edges[::-1]
         self.plot = plot = figure(
-            name="picture", height=PICTURE_HEIGHT, sizing_mode="stretch_width", tools="wheel_zoom,reset",
-            active_scroll="wheel_zoom", x_axis_label="line, flown to the right", y_axis_label="column",
-            x_range=Range1d(-0.5, min(self._lines, 2 * columns) - 0.5), y_range=Range1d(*self._edges),
-        )  # fmt: skip
+            name="picture",
+            height=PICTURE_HEIGHT,
+            sizing_mode="stretch_width",
+            tools="wheel_zoom,reset",
+            active_scroll="wheel_zoom",
+            x_axis_label="line, flown to the right",
+            y_axis_label="column",
+            x_range=Range1d(-0.5, min(self._lines, 2 * columns) - 0.5),
+            y_range=Range1d(*self._edges),
+        )
         for pictures in (self.base, self.detail, self.flags):
             plot.image_rgba("image", "x", "y", "dw", "dh", source=pictures, level="image")
         plot.patches(
-            "along", "across", source=self.outlines, fill_color="colour", line_color="colour",
-            fill_alpha=0.2, line_width="width",
-        )  # fmt: skip
+            "along",
+            "across",
+            source=self.outlines,
+            fill_color="colour",
+            line_color="colour",
+            fill_alpha=0.2,
+            line_width="width",
+        )
         for colour, width in (("black", 4), ("white", 2)):
             plot.line("along", "across", source=self.draft, line_color=colour, line_width=width)
             plot.line("along", "across", source=self.spot, line_color=colour, line_width=width)
@@ -79,24 +89,29 @@ class PictureFigure:
         self.take_mode("spectrum")
         _styled(plot, theme)
         plot.grid.visible = False
-        watch = CustomJS(args={"plot": plot, "seen": self.seen}, code=_WATCH)
+        watch = CustomJS(args={"plot": plot, "view": self.view}, code=_WATCH)
         for name in ("start", "end"):
             plot.x_range.js_on_change(name, watch)
         plot.js_on_change("inner_width", watch)
 
     def take_mode(self, mode: str) -> None:
-        """Let drags over the picture do what the mode says."""
+        """Choose the effect of dragging over the picture: select, edit or move."""
         self.plot.toolbar.active_drag = self._tools[mode]
 
     def navigator(self) -> Any:
-        """Return a figure of the whole line with the part that is shown, to be dragged."""
+        """Return a figure of the whole line with a draggable frame around the part in view."""
         from bokeh.models import Range1d, RangeTool
         from bokeh.plotting import figure
 
         plot = figure(
-            name="navigator", height=NAVIGATOR_HEIGHT, sizing_mode="stretch_width", tools="",
-            x_range=Range1d(-0.5, self._lines - 0.5), y_range=Range1d(*self._edges), toolbar_location=None,
-        )  # fmt: skip
+            name="navigator",
+            height=NAVIGATOR_HEIGHT,
+            sizing_mode="stretch_width",
+            tools="",
+            x_range=Range1d(-0.5, self._lines - 0.5),
+            y_range=Range1d(*self._edges),
+            toolbar_location=None,
+        )
         plot.image_rgba("image", "x", "y", "dw", "dh", source=self.base, level="image")
         plot.axis.visible = plot.grid.visible = False
         plot.min_border = 0
@@ -107,17 +122,17 @@ class PictureFigure:
         return plot
 
     def show_lines(self, first: float, last: float) -> None:
-        """Show some lines, in place of those that are shown."""
+        """Bring lines ``first`` to ``last`` into view."""
         self.plot.x_range.update(start=first, end=last)
 
     def mark(self, corners: Array) -> None:
-        """Mark what was clicked by its corners (vertex, 2), x across and y along the track."""
+        """Outline the last click by its corners (vertex, 2), x across and y along the track."""
         closed = np.vstack([corners, corners[:1]])
         self.spot.data = {"along": closed[:, 1].tolist(), "across": closed[:, 0].tolist()}
 
 
 class SpectraFigure:
-    """Curves of reflectance, the spread of regions' pixels, and the uncertainty of one curve."""
+    """Curves of reflectance, the spread over regions' pixels, and the uncertainty of one curve."""
 
     def __init__(self, theme: str) -> None:
         from bokeh.models import HoverTool, Span
@@ -126,9 +141,13 @@ class SpectraFigure:
         self.curves = source_of("nm", "reflectance", "name", "colour", "width", "dash")
         self.spreads, self.uncertainty = (source_of("nm", "reflectance", "colour") for _ in range(2))
         self.plot = plot = figure(
-            name="spectra", height=SPECTRA_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,reset",
-            x_axis_label="wavelength [nm]", y_axis_label="reflectance factor [1]",
-        )  # fmt: skip
+            name="spectra",
+            height=SPECTRA_HEIGHT,
+            sizing_mode="stretch_width",
+            tools="pan,box_zoom,reset",
+            x_axis_label="wavelength [nm]",
+            y_axis_label="reflectance factor [1]",
+        )
         for shades, alpha in ((self.spreads, 0.12), (self.uncertainty, 0.35)):
             plot.patches(
                 "nm", "reflectance", source=shades, fill_color="colour", fill_alpha=alpha, line_alpha=0.0
@@ -143,12 +162,12 @@ class SpectraFigure:
         _styled(plot, theme)
 
     def mark(self, wavelength: float | None) -> None:
-        """Mark the band of the picture [nm]."""
+        """Mark the wavelength [nm] of the band shown in the picture."""
         self._band.update(visible=wavelength is not None, location=wavelength or 0.0)
 
 
 def place(source: Any, picture: Picture | None) -> None:
-    """Show a picture in a source, or none."""
+    """Put a picture into a data source; None empties the source."""
     names = ("image", "x", "y", "dw", "dh")
     if picture is None:
         source.data = {name: [] for name in names}
@@ -159,7 +178,7 @@ def place(source: Any, picture: Picture | None) -> None:
 
 
 def band_around(wavelength: Array, low: Array, high: Array) -> dict[str, Array]:
-    """Return the outline of what lies between two curves, where both are known."""
+    """Return the outline of the area between two curves, over wavelengths where both are finite."""
     is_known = np.isfinite(low) & np.isfinite(high)
     nm = wavelength[is_known]
     outline = np.concatenate([low[is_known], high[is_known][::-1]])
@@ -167,7 +186,6 @@ def band_around(wavelength: Array, low: Array, high: Array) -> dict[str, Array]:
 
 
 def _styled(plot: Any, theme: str) -> None:
-    """Take what is not needed from a figure, and give it the colours of the page."""
     plot.toolbar.logo = None
     plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
     colour = INK[theme]

@@ -1,4 +1,4 @@
-"""What an explorer of a flight line shows: pictures, spectra, flags, regions and near paints; no widget."""
+"""State of an explorer without any widget: pictures, spectra, flags, regions and similar paints."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -31,37 +32,26 @@ from hyperpaint.regions.pixels_in_regions import renumbered
 
 from .drawn_regions import RegionFiles, corners_at, regions_on
 from .orientation import map_dims, orientation_of
-from .plot import STRETCH, linear_srgb, percent, stored_picture
+from .plot import STRETCH, flag_label, linear_srgb, percent, stored_picture, visible_bands
 from .plot_flags import FLAG_COLOURS, reduced_lines
 from .plot_spectra import good_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Recipe of a picture: true colour, or the wavelengths of one or of three bands [nm].
 TRUE_COLOUR: tuple[float, ...] = ()
-"""Recipe of a picture: as the eye sees it. Others are the wavelengths of one or of three bands [nm]."""
 INFRARED = (860.0, 650.0, 550.0)
 
-DETAIL_LINES = 1536
-"""Lines that are read whole for a picture; of more, a line here and there."""
+DETAIL_LINES = 1536  # read completely for a picture; of a longer line, single lines are read
 _SPARSE_LINES = 48
 SPARSE_STEP = 64  # lines, from which on `pixels` reads single chunks
-_VISIBLE_BANDS = 24
-"""Of a true-colour picture in detail: the observer's curves are smooth."""
-MOST_PIXELS = 20_000
-"""Of a region's spectrum; of more, every n-th line is taken, and said."""
-_MOST_SURE_PIXELS = 4096
-"""Of a region whose uncertainty is computed while somebody waits."""
+_VISIBLE_BANDS = 24  # of a detailed true-colour picture: the observer's curves are smooth
+MAX_REGION_PIXELS = 20_000  # for a region's spectrum; of a larger region every n-th line is used
+_MAX_UNCERTAINTY_PIXELS = 4096  # of a region whose uncertainty is computed on a click
 _FLAG_OPACITY = 170
 
 
 T = TypeVar("T")
-Place = tuple[int, int] | Region
-"""A pixel, by its position along and across the track, or a region."""
-
-
-Lines = tuple[int, int, int]
-"""First, end and step, as of a slice."""
+Place = tuple[int, int] | Region  # a pixel, by its position along and across the track, or a region
+Lines = tuple[int, int, int]  # first, end and step, as of a slice
 
 
 class Picture(NamedTuple):
@@ -70,39 +60,39 @@ class Picture(NamedTuple):
     rgba: npt.NDArray[np.uint32]  #: (column, line)
     first: int
     last: int
-    text: str  #: Where not every line is shown, which are
+    text: str  #: Lines or blocks shown, if not every line is
 
 
 class Spectrum(NamedTuple):
-    """Reflectance of a pixel, or the median of a region's."""
+    """Reflectance of a pixel, or the median over the pixels of a region."""
 
-    wavelength: Floats  #: (band,) [nm]: of a pixel those of its own column
-    reflectance: Array  #: (band,) [1]: NaN in bands that are not good
+    wavelength: Floats  #: (band,) [nm]: for a pixel those of its column
+    reflectance: Array  #: (band,) [1]: NaN in bad bands
     spread: Floats | None  #: (2, band): 5 and 95 % of a region's pixels
     text: str  #: Place or number of pixels, and their flags
 
 
 class Uncertainty(NamedTuple):
-    """How sure a spectrum is."""
+    """Standard uncertainty of a spectrum."""
 
     u: Floats  #: (band,) [1]: standard uncertainty
-    text: str  #: How large it is, and what is in it
+    text: str  #: Its size and its parts
 
 
 class NearPaint(NamedTuple):
-    """A paint of the library that is like a spectrum."""
+    """A paint of the library that resembles a spectrum."""
 
     name: str
     angle: float  #: Spectral angle [degree]
-    factor: float  #: By which the paint is multiplied to be as bright
+    factor: float  #: Scales the paint to the brightness of the spectrum
     wavelength: Floats
     reflectance: Floats  #: Multiplied by the factor
 
 
 class Explored:
-    """A flight line that is looked at, and the regions drawn on it; places are positions on the picture.
+    """An opened flight line and the regions drawn on it; places are positions on the picture.
 
-    Takes what `hyperpaint.pictures.explore` does.
+    Takes the arguments of `hyperpaint.pictures.explore`.
     """
 
     def __init__(
@@ -114,10 +104,12 @@ class Explored:
         flightline: str = "",
         exclude: Quality | int | None = None,
     ) -> None:
-        # places on the picture are positions; what is given and drawn has the numbers of the line
+        # places on the picture are positions; given and drawn regions have the numbers of the line
         self._numbered = schema.rename_to_roles(line)
         if map_dims(self._numbered):
-            raise SchemaError("this is a map, expected a flight line", mend="explore the line that it is of")
+            raise SchemaError(
+                "this is a map", expected="a flight line", mend="explore the flight line", code="line-is-map"
+            )
         if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
             schema.require(self._numbered, ["reflectance"], "an explorer")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
@@ -129,8 +121,8 @@ class Explored:
         self.flightline = flightline
         self._excluded = int(EXCLUDED if exclude is None else exclude)
         self._files = RegionFiles(regions)  # as they are before they are read
-        own, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
-        self._regions = renumbered(own, self._numbered, back=True)
+        of_line, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
+        self._regions = renumbered(of_line, self._numbered, back=True)
         self._saved = self._all.digest
         self._linear = functools.lru_cache(6)(self._read_linear)
         self._spectra: dict[Any, Spectrum] = {}
@@ -138,17 +130,17 @@ class Explored:
 
     @property
     def regions(self) -> Regions:
-        """What is drawn now, in sensor coordinates: x is cross_track, y along_track, whole pixels."""
+        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
         return renumbered(self._regions, self._numbered)
 
     @property
     def drawn(self) -> Regions:
-        """The same in positions on the picture."""
+        """Regions drawn on this line, in positions on the picture."""
         return self._regions
 
     @property
     def others(self) -> tuple[Region, ...]:
-        """Regions of other flight lines, which are saved with those of this one."""
+        """Regions of other flight lines, which are saved together with the regions of this line."""
         return self._others
 
     @property
@@ -157,24 +149,24 @@ class Explored:
 
     @property
     def is_saved(self) -> bool:
-        """Whether all that is drawn was read or is saved."""
+        """Whether all regions are as they were read or last saved."""
         return self._all.digest == self._saved
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write what is drawn, and regions of other lines, as GeoJSON; see `hyperpaint.write_regions`."""
+        """Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`."""
         written = write_regions(self._all, path, overwrite=overwrite)
         self._files.remember(written)
         self._saved = self._all.digest
         return written
 
     def save_again(self, path: Path) -> Path:
-        """Save to a file that is new, or is as it was when it was last read or saved here."""
+        """Save to a new file, or to a file that no other program has changed since."""
         return self.save(path, overwrite=self._files.may_replace(path))
 
     # --- regions -------------------------------------------------------------------------------------------
 
     def add(self, along: Sequence[float], across: Sequence[float]) -> str | None:
-        """Make a polygon a region; return its new name, None where it holds no area."""
+        """Add a region with these corners; return its name, None where the corners enclose no area."""
         corners = corners_at(along, across, self.shape)
         if corners is None:
             return None
@@ -185,18 +177,18 @@ class Explored:
         return name
 
     def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
-        """Give a region other corners; return whether it took them: they must hold an area."""
+        """Move the corners of a region; return False where the new corners enclose no area."""
         corners = corners_at(along, across, self.shape)
         if corners is not None:
             self._replace(name, polygon=corners)
         return corners is not None
 
     def rename(self, name: str, new: str) -> str | None:
-        """Give a region another name; return why it cannot have it, None where it has."""
+        """Rename a region; return the reason where that is not possible, else None."""
         before = self._regions
         try:
             self._replace(name, name=new.strip())
-            _ = self._all  # names of other lines' regions are taken as well
+            _ = self._all  # names must differ from those of other lines' regions too
         except PaintError as error:
             self._regions = before
             return str(error)
@@ -214,28 +206,28 @@ class Explored:
     # --- spectra -------------------------------------------------------------------------------------------
 
     def spectrum_of(self, place: Place) -> Spectrum | str:
-        """Return the spectrum of a pixel, or the median of a region's pixels, or why there is none.
+        """Return the spectrum of a pixel or the median spectrum of a region, or a message why there is none.
 
-        That of a pixel has the bits of ``line.paint.pixels(along, across)``. Of a region pixels are left out
-        by their flags, as signatures do.
+        The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Pixels of a region
+        are excluded by their flags, as in signatures.
         """
         return _remembered(self._spectra, self._spectrum, place)
 
     def uncertainty_of(self, place: Place) -> Uncertainty | str:
-        """Return the standard uncertainty of a pixel, or of a region's mean, or why it is not known."""
+        """Return the standard uncertainty of a pixel or of a region's mean, or why it is unknown."""
         return _remembered(self._uncertainties, self._uncertainty, place)
 
     def _spectrum(self, place: Place) -> Spectrum:
         return self._median(place) if isinstance(place, Region) else self._of_pixel(*place)
 
     def _of_pixel(self, along: int, across: int) -> Spectrum:
-        one = pixels(self.line, along, across)
-        shift = one["wavelength_shift"].values if "wavelength_shift" in one.coords else 0.0
-        values = np.where(good_of(self.line), one["reflectance"].values, np.float32(np.nan))
+        pixel = pixels(self.line, along, across)
+        shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
+        values = np.where(good_of(self.line), pixel["reflectance"].values, np.float32(np.nan))
         rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
         text = f"line {rows[along]:g}, column {columns[across]:g}"
-        if "quality" in one:
-            text += f": {_flag_text(schema.flag_names(int(one['quality'])))}"
+        if "quality" in pixel:
+            text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
         return Spectrum(self.wavelength + shift, values, None, text)
 
     def _median(self, region: Region) -> Spectrum:
@@ -247,10 +239,12 @@ class Explored:
         flags = window["quality"].values[places] if "quality" in window else np.zeros(along.size, np.uint16)
         is_used = (flags & excluded_of(region, self._excluded)) == 0
         shares = schema.flag_shares(flags)
-        named = [f"{spoken(flag)} {percent(share)}" for flag, share in shares.items()]
+        named = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
         if not is_used.any():
-            raise SchemaError(f"{region.name}: all {along.size} pixels are left out: {', '.join(named)}")
-        # of one band after another, all of a kind
+            raise SchemaError(
+                f"{region.name}: all {along.size} pixels are excluded: {', '.join(named)}",
+                code="region-empty",
+            )
         quantiles = summarise(values[is_used], "median").quantiles
         quantiles[:, ~good_of(self.line)] = np.nan
         every = f" (every {step}. line)" if step > 1 else ""
@@ -258,11 +252,13 @@ class Explored:
         return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
 
     def _pixels_of(self, region: Region) -> tuple[Array, Array, int]:
-        """Return the pixels of a region, of every ``step``-th line where they are too many."""
+        """Return the pixels inside a region; of a large one only those of every ``step``-th line."""
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
         if not along.size:
-            raise SchemaError(f"{region.name} holds no pixel's centre; draw it larger")
-        step = -(-along.size // MOST_PIXELS)
+            raise SchemaError(
+                f"{region.name} holds no pixel's centre", mend="draw it larger", code="region-empty"
+            )
+        step = -(-along.size // MAX_REGION_PIXELS)
         is_taken = (along - along.min()) % step == 0
         return along[is_taken], across[is_taken], step
 
@@ -271,13 +267,16 @@ class Explored:
             along, across, step = self._pixels_of(place)
         else:
             along, across, step = *np.array(place).reshape(2, 1), 1
-        if along.size > _MOST_SURE_PIXELS or step > 1:
+        if along.size > _MAX_UNCERTAINTY_PIXELS or step > 1:
             raise SchemaError(
-                f"of {along.size} pixels, more than {_MOST_SURE_PIXELS}, line.paint.signatures says it"
+                f"{along.size} pixels",
+                expected=f"at most {_MAX_UNCERTAINTY_PIXELS}",
+                mend="see line.paint.signatures",
+                code="region-too-large",
             )
         lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
         part = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
-        # at once: each for itself reads the same counts again
+        # computed together: separately each would read the same counts again
         names = {"reflectance", *UNCERTAINTIES, "quality"} & set(part.data_vars)
         part = part.assign(dict(part[list(names)].compute().data_vars))
         inside = np.zeros((part.sizes[ALONG_TRACK], part.sizes[CROSS_TRACK]), bool)
@@ -288,18 +287,16 @@ class Explored:
         mean = mean_uncertainty(part.assign(reflectance=part["reflectance"].where(is_used)))
         random, systematic = (mean[name].values for name in ("u_random", "u_systematic"))
         is_known = bool(np.isfinite(systematic).any())
-        # what is not known of systematic errors is not to hide what is known of random ones
+        # random errors are shown even where systematic errors are unknown
         u = np.hypot(random, np.nan_to_num(systematic)) if is_known else random
-        what = "a pixel" if along.size == 1 else "the mean"
-        text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {what} in the median band"
-        return Uncertainty(u, text + ("" if is_known else "; systematic errors are not known"))
+        subject = "a pixel" if along.size == 1 else "the mean"
+        text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
+        return Uncertainty(u, text + ("" if is_known else "; systematic errors are unknown"))
 
     # --- paints --------------------------------------------------------------------------------------------
 
     def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
-        """Return the paints of the library at the smallest spectral angles; none without five good bands."""
-        import xarray as xr
-
+        """Return the paints at the smallest spectral angles; none with fewer than five good bands."""
         axis = (BAND, spectrum.wavelength, {"units": "nm"})
         like = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": axis})
         try:
@@ -308,19 +305,21 @@ class Explored:
             near = None
         if near is None:
             return []
-        own_nm = np.asarray(near["wavelength"].values, np.float64)
+        # the spectrum on the bands of the library
+        library_nm = np.asarray(near["wavelength"].values, np.float64)
         order = np.argsort(spectrum.wavelength, kind="stable")
-        nm, values = (np.asarray(each, np.float64)[order] for each in (spectrum.wavelength, spectrum[1]))
-        there = np.isfinite(nm) & np.isfinite(values)
-        own = np.interp(own_nm, nm[there], values[there], left=np.nan, right=np.nan)
+        nm, values = (np.asarray(axis, np.float64)[order] for axis in spectrum[:2])
+        is_known = np.isfinite(nm) & np.isfinite(values)
+        resampled = np.interp(library_nm, nm[is_known], values[is_known], left=np.nan, right=np.nan)
         paints = []
         for number, angle in enumerate(near["spectral_angle"].values.tolist()):
             paint = near["reflectance"].values[number].astype(np.float64)
-            both = np.isfinite(own) & np.isfinite(paint)
-            factor = float((own[both] @ paint[both]) / max(paint[both] @ paint[both], np.finfo(float).tiny))
+            both = np.isfinite(resampled) & np.isfinite(paint)
+            power = max(paint[both] @ paint[both], np.finfo(float).tiny)
+            factor = float((resampled[both] @ paint[both]) / power)
             name = str(near[schema.SIGNATURE].values[number])
             if np.isfinite(angle):
-                paints.append(NearPaint(name, float(np.degrees(angle)), factor, own_nm, factor * paint))
+                paints.append(NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint))
         return paints
 
     # --- pictures ------------------------------------------------------------------------------------------
@@ -331,12 +330,12 @@ class Explored:
         stretch: tuple[float, float] = STRETCH,
         window: tuple[int, int] | None = None,
     ) -> Picture:
-        """Return a picture of some lines, all by default.
+        """Return a picture of some lines, by default of all.
 
-        Up to 1536 lines are read whole; of more, true colour is the store's overview where it has one, and
-        anything else its means of blocks of pixels, or a line here and there where it has none. Black and
-        white are percentiles (``stretch``) of brightness over the whole line, whatever the window; without a
-        value a pixel is transparent.
+        Up to 1536 lines are read completely. Of more lines, true colour is the stored overview where there is
+        one; else the stored means of blocks of pixels are shown, or single lines without these. Black and
+        white are percentiles (``stretch``) of brightness over the whole line, whatever the window; pixels
+        without a value are transparent.
         """
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
@@ -360,8 +359,7 @@ class Explored:
         low, high = self._levels(recipe, stretch)
         shown = encode_srgb(((linear - low) / np.maximum(high - low, 1e-6)).clip(0.0, 1.0))
         last = first + step * len(linear)
-        is_there = np.asarray(np.isfinite(linear).all(axis=-1))
-        return Picture(_rgba(shown, is_there), first, last, text)
+        return Picture(_rgba(shown, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
 
     def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
         first, last = (0, self.shape[0]) if window is None else window
@@ -374,7 +372,7 @@ class Explored:
 
     @functools.cached_property
     def _means(self) -> xr.Dataset | None:
-        """The line at the size of a screen, where the store holds it."""
+        """Stored means of blocks of pixels; None where the store holds none."""
         if "coarse_reflectance" not in self.line.variables:
             return None
         means = coarse(self.line)
@@ -385,11 +383,8 @@ class Explored:
         if recipe != TRUE_COLOUR:
             values = self._bands(lines, recipe)
             return np.broadcast_to(values, (*values.shape[:2], 3))
-        visible = np.flatnonzero((self.wavelength > 380) & (self.wavelength < 780))
-        if visible.size < 3:
-            raise SchemaError("a true-colour picture needs three bands between 380 and 780 nm")
-        some = visible[:: max(1, visible.size // _VISIBLE_BANDS)]
-        nm = np.sort(self.wavelength[some])
+        visible = visible_bands(self.wavelength)
+        nm = np.sort(self.wavelength[visible[:: max(1, visible.size // _VISIBLE_BANDS)]])
         values = self._bands(lines, nm).swapaxes(1, 2)
         linear = linear_srgb(values, weights=srgb_weights(nm, None))
         linear[np.isnan(values).all(axis=1)] = np.nan
@@ -405,7 +400,7 @@ class Explored:
         return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
 
     def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
-        """Return what becomes black and white, of each colour, from lines over the whole flight line."""
+        """Return the values shown black and white, for each colour, from lines over the whole line."""
         step = self._step_of(self.shape[0])
         lines = (0, self.shape[0], step) if step == 1 or self._means is None else None
         linear = self._linear(lines, recipe).reshape(-1, 3)
@@ -416,12 +411,12 @@ class Explored:
         return levels[0].astype(np.float32), levels[1].astype(np.float32)
 
     def has_bands(self, recipe: tuple[float, ...]) -> bool:
-        """Tell whether there are bands for a recipe."""
+        """Return whether the line has the bands of a recipe."""
         try:
             bands_at(self.line, list(recipe))
+            return recipe != TRUE_COLOUR or bool(visible_bands(self.wavelength).size)
         except SchemaError:
             return False
-        return recipe != TRUE_COLOUR or int(((self.wavelength > 380) & (self.wavelength < 780)).sum()) > 2
 
     # --- flags ---------------------------------------------------------------------------------------------
 
@@ -433,11 +428,11 @@ class Explored:
 
     @functools.cached_property
     def flag_shares(self) -> dict[Quality, float]:
-        """Share of all pixels under every flag that occurs; none where the line holds no flags."""
+        """Share of all pixels with each flag that occurs; empty without flags."""
         return {} if self._quality is None else schema.flag_shares(self._quality)
 
     def flag_picture(self, flags: Iterable[Quality], window: tuple[int, int] | None = None) -> Picture:
-        """Return flags of some lines in their colours, transparent elsewhere, the rarest on top."""
+        """Return the flags of some lines in their colours, transparent elsewhere, the rarest on top."""
         first, last = self._window(window)
         step = -(-(last - first) // DETAIL_LINES)
         last = min(first + step * -(-(last - first) // step), self.shape[0])
@@ -461,17 +456,12 @@ def _remembered(results: dict[Any, T], compute: Callable[[Place], T], place: Pla
     return results[key]
 
 
-def spoken(flag: Quality) -> str:
-    """Return the name of a flag for reading."""
-    return str(flag.name).lower().replace("_", " ")
-
-
 def _flag_text(names: Sequence[str]) -> str:
     return ", ".join(names).replace("_", " ") or "no flag"
 
 
 def _rgba(picture: Array, is_there: Array | None = None) -> npt.NDArray[np.uint32]:
-    """Return a picture (line, column, 3) as bokeh draws it, columns as rows and lines to the right."""
+    """Return a picture (line, column, 3) as bokeh draws it: columns are rows, lines run to the right."""
     colours = np.full((*picture.shape[:2], 4), 255, np.uint8)
     colours[..., :3] = (np.nan_to_num(picture).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     if is_there is not None:

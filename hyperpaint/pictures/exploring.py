@@ -9,10 +9,11 @@ import secrets
 import signal
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
@@ -24,9 +25,6 @@ from .explorer import WIDE, Explorer
 from .explorer_figures import INK
 from .explorer_state import Explored
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 def explore(
     line: xr.Dataset,
@@ -37,7 +35,7 @@ def explore(
     exclude: Quality | int | None = None,
     theme: Literal["light", "dark"] = "light",
 ) -> Explorer:
-    """Look at a flight line with the mouse: pictures of bands, spectra, flags, regions, near paints.
+    """Show a flight line in an interactive widget: bands, spectra, flags, regions, similar paints.
 
     Click on the picture for the spectrum of a pixel, drag for the median of a box. Draw polygons, which
     become regions; name them, drag their corners, save them.
@@ -45,26 +43,26 @@ def explore(
     Parameters
     ----------
     line
-        A flight line with reflectance, or with what it follows from.
+        A flight line with reflectance, or with the variables to compute it.
     regions
-        To begin with, in sensor coordinates; see `hyperpaint.read_regions`. What
-        `hyperpaint.regions.propose_regions` returns serves as well.
+        Regions to begin with, in sensor coordinates, see `hyperpaint.read_regions`; also the proposals of
+        `hyperpaint.regions.propose_regions`.
     library
-        A paint library, or its path, whose paints are compared with what is clicked; by default
+        A paint library, or its path, whose paints are compared with clicked spectra; by default
         `hyperpaint.paints.starter_library`, of synthetic paints.
     flightline
-        Name of the flight line, which new regions get: needed where regions of several lines come together.
-        Regions of other lines than this, or than the line says itself, are not shown, but saved as well.
+        Name of the flight line, given to new regions; needed to combine regions of several lines. Regions of
+        other lines, by this name or the name of the line itself, are not shown, but saved as well.
     exclude
-        Flags of pixels that are left out of the spectra of regions; by default as
-        `hyperpaint.extract_signatures` does.
+        Flags of pixels excluded from the spectra of regions; by default as in
+        `hyperpaint.extract_signatures`.
     theme
-        Of the figures, ``"light"`` or ``"dark"``.
+        Theme of the figures, ``"light"`` or ``"dark"``.
 
     Returns
     -------
     Explorer
-        Show it as the last line of a cell; ``.regions`` holds what is drawn.
+        Show it as the last line of a cell; ``.regions`` holds the regions drawn.
 
     Raises
     ------
@@ -75,13 +73,13 @@ def explore(
 
     Notes
     -----
-    The spectrum of a pixel is `hyperpaint.radiometry.pixels`, bit for bit. That of a region is the median of
-    its pixels, without those that signatures leave out, with 5 to 95 % of them shaded. The band around the
-    curve that was clicked last is its standard uncertainty, k = 1, where the line knows its noise; see
+    The spectrum of a pixel is `hyperpaint.radiometry.pixels`, bit for bit. The spectrum of a region is the
+    median of its pixels, without excluded ones, with 5 to 95 % of them shaded. The band around the curve
+    clicked last is its standard uncertainty, k = 1, where the noise of the line is known; see
     `hyperpaint.radiometry.mean_uncertainty`.
 
-    A notebook loads the widget's scripts from the internet, as panel does by default; where there is none,
-    set ``PANEL_INLINE=True`` in the environment of the kernel, which puts them into the notebook.
+    A notebook loads the widget's scripts from the internet, as panel does by default; without internet, set
+    ``PANEL_INLINE=True`` in the environment of the kernel, which puts them into the notebook.
 
     Examples
     --------
@@ -103,7 +101,7 @@ def explore(
 
 
 def require_panel() -> None:
-    """Raise `MissingExtraError` where the extra is not installed."""
+    """Raise `MissingExtraError` where panel or bokeh is not installed."""
     for package in ("panel", "bokeh"):
         with needs_extra(package, "interactive", "an explorer"):
             __import__(package)
@@ -118,32 +116,32 @@ def serve_explorer(
     port: int = 0,
     announce: Callable[[str], None],
 ) -> None:
-    """Serve the explorer of a store's flight lines on this machine, until it is interrupted.
+    """Serve the explorer of a store's flight lines on this machine until interrupted.
 
-    The address holds a random word of this call; requests without it, for another host, or from a page of
-    another are refused, so that neither other users of the machine nor pages of others in the browser see it.
+    The address contains a random token. Requests without it, for another host, or from a page of another
+    origin are refused, so that other users of the machine and other pages in the browser have no access.
 
     Parameters
     ----------
     store
         A store with flight lines, or one line.
     group
-        The flight line that is shown first; by default the first. The others are a click away.
+        The flight line shown at first; by default the first one. The page links to the others.
     regions
-        GeoJSON of regions to begin with, if it is there, where what is drawn is saved; by default, and of
-        other lines, ``STORE-LINE-regions.geojson`` in the current folder. Regions of other flight lines in
-        it are kept; a file that was changed elsewhere meanwhile is not replaced.
+        GeoJSON file of this line's regions: read if it exists, and saved to. By default, and for other
+        lines, ``STORE-LINE-regions.geojson`` in the current folder. Regions of other flight lines in it are
+        kept; a file that another program changed meanwhile is not replaced.
     library
         A paint library to compare with; by default the starter library.
     port
-        0 takes any that is free.
+        Port of the server; 0 takes any free port.
     announce
         Called with the address once it is served.
 
     Raises
     ------
     FormatError, StoreError
-        The store, the regions or the library cannot be read; or there is no such flight line.
+        The store, the regions or the library cannot be read; or the store has no such flight line.
     MissingExtraError
         panel or bokeh is not installed.
     """
@@ -153,6 +151,7 @@ def serve_explorer(
         raise StoreError(
             f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
+            code="flightline-unknown",
         )
     require_panel()
     import panel
@@ -168,20 +167,20 @@ def serve_explorer(
 
     @functools.cache
     def state_of(name: str) -> Explored:
-        # of all pages of a line: what is drawn outlives a page that is loaded anew
-        begun = file_of(name) if file_of(name).exists() else None  # what is saved there takes its place
-        return Explored(open_store(store, lines[name]), begun, library=paints, flightline=name)
+        # shared by all pages of a line, so that regions survive reloading a page
+        saved = file_of(name) if file_of(name).exists() else None
+        return Explored(open_store(store, lines[name]), saved, library=paints, flightline=name)
 
     def page() -> Any:
-        asked = panel.state.session_args
-        name, theme = (asked.get(word, [b""])[0].decode("utf-8", "replace") for word in ("line", "colours"))
+        arguments = panel.state.session_args
+        name, theme = (arguments.get(key, [b""])[0].decode("utf-8", "replace") for key in ("line", "colours"))
         name, theme = name if name in lines else shown, theme if theme in INK else "light"
-        # widgets and figures take it where they are made
+        # widgets and figures read the theme when they are created
         panel.config.theme = "dark" if theme == "dark" else "default"
         explorer = Explorer(state_of(name), theme=theme, save_to=file_of(name))
         return panel.Column(_head(state_of(name), name, lines, theme), explorer.view, **WIDE)
 
-    state_of(shown)  # what cannot be read is said before there is a page
+    state_of(shown)  # reading errors come before the server starts
     interrupted = signal.getsignal(signal.SIGINT)
     token = secrets.token_urlsafe(32)
     server = panel.serve(
@@ -194,7 +193,7 @@ def serve_explorer(
         verbose=False,
         title=f"hyperpaint {shown}",
     )
-    signal.signal(signal.SIGINT, interrupted)  # panel took it, to end without a word
+    signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler
     _guard(server, token)
     server.start()
     announce(f"http://localhost:{server.port}/{token}/")
@@ -202,10 +201,10 @@ def serve_explorer(
 
 
 def _guard(server: Any, token: str) -> None:
-    """Let a server refuse every request, of a page, a file or a websocket, that is not of its own page.
+    """Refuse every request to the server that does not come from its own page.
 
-    The host is this machine's, which a page whose name was bound to this machine anew does not say; the path
-    begins with the token; a websocket has an origin, and where there is one it is this server.
+    The host must be this machine, which fails for a page with a rebound DNS name; the path must begin with
+    the token; a websocket must have an origin, and any origin must be this server.
     """
     from tornado.web import ErrorHandler
 
@@ -216,13 +215,13 @@ def _guard(server: Any, token: str) -> None:
 
     def find_guarded(request: Any, **options: Any) -> Any:
         first = request.path.split("/", 2)[1:2]
-        given = request.headers.get_list("Origin")
+        senders = request.headers.get_list("Origin")
         is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
         if (
             request.host.lower() in hosts
             and secrets.compare_digest("".join(first).encode(), token.encode())
-            and all(origin in origins for origin in given)
-            and (given or not is_websocket)
+            and all(origin in origins for origin in senders)
+            and (senders or not is_websocket)
         ):
             return find_handler(request, **options)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
@@ -231,7 +230,6 @@ def _guard(server: Any, token: str) -> None:
 
 
 def _lines_of(store: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the groups of a store that are flight lines, by their names."""
     groups = list_groups(store)
     lines = [group for group in groups if group.startswith("flightlines/")]
     lines += [group for group in groups if group not in lines and _is_line(open_store(store, group))]
@@ -245,17 +243,19 @@ def _is_line(group: xr.Dataset) -> bool:
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
-    """Return the head of a page: what is shown, the other lines, the other theme."""
+    """Return the heading of a page: the line shown, links to other lines, a link to the other theme."""
     import panel
 
     nm, (count, columns) = state.wavelength, state.shape
-    other = next(one for one in INK if one != theme)
+    other_theme = next(ink for ink in INK if ink != theme)
     links = [
-        f'<a style="color:inherit" href="?line={quote(one)}&colours={theme}">{html.escape(one)}</a>'
-        for one in lines
-        if one != name
+        f'<a style="color:inherit" href="?line={quote(line)}&colours={theme}">{html.escape(line)}</a>'
+        for line in lines
+        if line != name
     ]
-    links.append(f'<a style="color:inherit" href="?line={quote(name)}&colours={other}">{other}</a>')
+    links.append(
+        f'<a style="color:inherit" href="?line={quote(name)}&colours={other_theme}">{other_theme}</a>'
+    )
     size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm"
     text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"

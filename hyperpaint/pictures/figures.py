@@ -1,10 +1,12 @@
-"""What all pictures share: figures without a screen, texts that are only texts, and PNG."""
+"""Shared parts of all pictures: figures without a screen, escaped labels, legends, PNG."""
 
 from __future__ import annotations
 
 import base64
+import io
 import struct
 import textwrap
+import warnings
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import SchemaError, needs_extra
+from hyperpaint.io.files.publishing import check_place, published_files
 
-_LONGEST_LABEL = 60
+_MAX_LABEL_CHARS = 60
 
 
 def new_figure(purpose: str, **options: Any) -> Any:
-    """Return a matplotlib figure that no screen and no global state knows of, with options of `Figure`.
+    """Return a matplotlib figure independent of pyplot, with options of `Figure`.
 
     ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
     """
@@ -29,7 +32,7 @@ def new_figure(purpose: str, **options: Any) -> Any:
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    """Return the axes given, or those of a new figure of pyplot, which a notebook shows by itself."""
+    """Return the given axes, or new axes of pyplot, which a notebook shows by itself."""
     if axes is not None:
         return axes
     with needs_extra("matplotlib", "viz", purpose):
@@ -38,9 +41,9 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
 
 
 def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    """Return the colour of text on axes, mixed with what lies below: seen in light and in dark themes.
+    """Return the text colour of axes mixed with their background; it shows in light and in dark themes.
 
-    ``strength``: 1 for text itself, 0 for the ground.
+    ``strength``: 1 for text itself, 0 for the background.
     """
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
@@ -51,12 +54,12 @@ def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
     return red, green, blue
 
 
-_LETTERS = 15.0  # of small text in an inch
-_BELOW = 0.5  # what ticks and the label of an axis take [inch]
+_CHARS_PER_INCH = 15.0  # of small text
+_AXIS_HEIGHT_INCH = 0.5  # of ticks and the label of an axis
 
 
-def panel_width(axes: Any) -> float:
-    """Return the width of the part of the figure that is kept for axes and their labels [inch]."""
+def axes_width(axes: Any) -> float:
+    """Return the width of the part of a figure reserved for axes and their labels [inch]."""
     width, spec = float(axes.figure.get_size_inches()[0]), axes.get_subplotspec()
     if spec is None:
         return width
@@ -65,9 +68,9 @@ def panel_width(axes: Any) -> float:
 
 
 def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = None, **options: Any) -> None:
-    """Name the curves below their axes, off the curves, and those of ``others``, in as many columns as fit.
+    """Place a legend below axes, with the curves of ``others`` too, in as many columns as fit.
 
-    Long names are broken: what is wider than the axes would squeeze them. ``entries``: more handles by name.
+    Long names are wrapped, or they would squeeze the axes. ``entries``: more handles by name.
     """
     from matplotlib.transforms import ScaledTranslation
 
@@ -78,32 +81,37 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
     if not named:
         return
     figure = axes.figure
-    room = panel_width(axes) - 1.0
-    texts = [textwrap.fill(label, max(12, int(_LETTERS * (room - 0.4)))) for label in named]
+    room = axes_width(axes) - 1.0
+    texts = [textwrap.fill(label, max(12, int(_CHARS_PER_INCH * (room - 0.4)))) for label in named]
     longest = max(len(line) for text in texts for line in text.splitlines())
-    columns = max(1, min(len(texts), int(room / (longest / _LETTERS + 0.6))))
+    columns = max(1, min(len(texts), int(room / (longest / _CHARS_PER_INCH + 0.6))))
     settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
     # below the label of the axis
-    place = axes.transAxes + ScaledTranslation(0.0, -_BELOW, figure.dpi_scale_trans)
+    place = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
     axes.legend(
-        named.values(), texts, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=place,
-        borderaxespad=0.0, **settings,
-    )  # fmt: skip
+        named.values(),
+        texts,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=place,
+        borderaxespad=0.0,
+        **settings,
+    )
 
 
-def columns_for(width: float, panel: float, most: int) -> int:
-    """Return how many panels of a width [inch] stand side by side.
+def columns_for(width: float, plot: float, most: int) -> int:
+    """Return the number of plots that fit side by side; ``width`` and ``plot`` in inches.
 
     Examples
     --------
     >>> columns_for(13.0, 4.0, 4), columns_for(3.6, 4.0, 4)
     (3, 1)
     """
-    return max(1, min(most, int(width // panel)))
+    return max(1, min(most, int(width // plot)))
 
 
-def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
-    r"""Return a text as matplotlib draws it letter by letter: no formula, nothing hidden, no control sign.
+def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
+    r"""Return a text that matplotlib draws literally: no formula, no control character, cut to ``longest``.
 
     Examples
     --------
@@ -118,12 +126,10 @@ def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
-    """Write a figure to a file, where one is named; one that is there is replaced by a whole one.
+    """Write a figure to ``path``, if any; an existing file is replaced atomically.
 
     Raises `SchemaError`: matplotlib writes no such picture; `StoreError`: the file cannot be written.
     """
-    from hyperpaint.io.files.publishing import published_files
-
     if path is None:
         return
     path = Path(path)
@@ -133,11 +139,11 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
         try:
             figure.savefig(target, dpi=dpi)
         except ValueError as error:
-            raise SchemaError(f"{path}: {error}") from error
+            raise SchemaError(f"{path}: {error}", code="picture-unwritable") from error
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a place for a picture before anything is drawn; all reasons are listed.
+    """Check a path before drawing: folder and file type; all problems are listed.
 
     Examples
     --------
@@ -146,8 +152,6 @@ def check_picture(path: Path) -> None:
     hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
       expected a name that ends in one of ..., .svg, ...
     """
-    from hyperpaint.io.files.publishing import check_place
-
     kinds = new_figure("a picture").canvas.get_supported_filetypes()
     suffixes = [f".{kind}" for kind in sorted(kinds)]
     check_place(
@@ -157,19 +161,16 @@ def check_picture(path: Path) -> None:
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:
     """Return a figure as PNG."""
-    import io
-    import warnings
-
-    held = io.BytesIO()
+    buffer = io.BytesIO()
     with warnings.catch_warnings():
-        # names may be written in any script; what the font lacks becomes a box
+        # names may be written in any script; missing glyphs become boxes
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(held, format="png", dpi=dpi)
-    return held.getvalue()
+        figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
 
 
 def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
-    r"""Return a picture (line, column, 3) as PNG, without any package.
+    r"""Return a picture (line, column, 3) as PNG.
 
     Examples
     --------
@@ -193,5 +194,5 @@ def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
 
 
 def data_uri(png: bytes) -> str:
-    """Return a PNG as a URL that holds the picture itself."""
+    """Return a PNG as a data URL."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

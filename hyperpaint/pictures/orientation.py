@@ -1,4 +1,4 @@
-"""Which way pictures are shown: never mirrored, pixels as long as they are on the ground.
+"""Orientation of pictures: never mirrored, pixels with the aspect ratio they have on the ground.
 
 A flight line stands upright, flown upwards, with its columns as they lie on the ground; a map has north up.
 On pages, where a line would be too tall, it lies: flown to the right.
@@ -7,27 +7,25 @@ On pages, where a line would be too tall, it lies: flown to the right.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 
 from .figures import label_for
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the pixels of a picture lie on its axes."""
+    """Position of a picture's pixels on its axes."""
 
     extent: tuple[float, float, float, float]  # first and last column's edges, first and last line's edges
-    is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is turned round
+    is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is reversed
     goes_down: bool  # whether the vertical axis grows downwards
-    aspect: float  # length of a pixel along the vertical axis over that along the horizontal one
+    aspect: float  # length of a pixel along the vertical axis over its length along the horizontal axis
     labels: tuple[str, str]  # of the horizontal and of the vertical axis
 
     @property
@@ -39,68 +37,59 @@ class Orientation:
         return across, (high, low) if self.goes_down else (low, high)
 
     def height_of(self, width: float) -> float:
-        """Return how high a picture of a width is."""
+        """Return the height of a picture of a given width."""
         left, right, low, high = self.extent
         return width * self.aspect * abs((high - low) / (right - left))
 
 
 def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
-    """Return y and x by the roles that they were given, where coordinates tell that it is a map."""
+    """Return "y" and "x" by role, if coordinates show that a dataset is a map; else nothing."""
     pairs = {ALONG_TRACK: "y", CROSS_TRACK: "x"}
     is_map = all(name in cube.coords and cube[name].dims == (role,) for role, name in pairs.items())
     return pairs if is_map else {}
 
 
 def orientation_of(dataset: xr.Dataset) -> Orientation:
-    """Return how a flight line, or a map, is to be shown.
+    """Return the orientation of a flight line or a map.
 
-    Columns are turned round where ``east`` and ``north`` of the pixels, or else ``look_across``, or else the
-    declared column order, say that they run to the left of the flight. Pixels are as long as the ground
-    between their centres where that is known, else square.
+    Columns are reversed where ``east`` and ``north`` of the pixels, or else ``look_across``, or else the
+    declared column order, show that they run to the left of the flight. Pixels have the aspect ratio of their
+    spacing on the ground where that is known, else they are square.
     """
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if map_dims(dataset) and lines > 1 and columns > 1:
-        return _of_map(dataset)
+        x, y = (np.asarray(dataset[name].values, np.float64) for name in ("x", "y"))
+        half_x, half_y = (0.5 * float(values[-1] - values[0]) / (values.size - 1) for values in (x, y))
+        extent = (float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y)
+        attrs = [dataset[name].attrs for name in ("x", "y")]
+        # the grid along a flight counts down from its corner
+        own_grid = any("along the flight" in f"{a.get('crs')} {a.get('long_name')}" for a in attrs)
+        names = ("to the right in the grid", "down in the grid") if own_grid else ("east", "north, up")
+        units = [f" [{label_for(a['units'])}]" if a.get("units") else "" for a in attrs]
+        labels = names[0] + units[0], names[1] + units[1]
+        return Orientation(extent, half_x < 0, own_grid, 1.0, labels)
     # whole numbers are centres of pixels; a crop keeps those of its line
     along, across = numbers_of(dataset, ALONG_TRACK), numbers_of(dataset, CROSS_TRACK)
     extent = (across[0] - 0.5, across[-1] + 0.5, along[0] - 0.5, along[-1] + 0.5)
-    labels = ("cross_track [column]{}", "along_track [line], flown upwards")
+    labels = "cross_track [column]", "along_track [line], flown upwards"
     steps = _ground_steps(dataset)
     if steps is not None:
         forward, right = steps
         mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
         aspect = float(np.hypot(*forward) / np.hypot(*right))
-        return Orientation(extent, bool(mirrored), False, aspect, (labels[0].format(""), labels[1]))
-    order = _order_of_angles(dataset) or dataset.attrs.get("convention_column_order")
-    assumed = "" if order in ("left_to_right", "right_to_left") else ", taken to run to the right"
-    return Orientation(extent, order == "right_to_left", False, 1.0, (labels[0].format(assumed), labels[1]))
-
-
-def _order_of_angles(dataset: xr.Dataset) -> str | None:
-    """Return the order of the columns by the angles that the line has of them, as `locate` takes them."""
-    if "look_across" not in dataset.variables or dataset["look_across"].dims != (CROSS_TRACK,):
-        return None
-    slope = _mean_step(dataset["look_across"].values)
-    return "left_to_right" if slope > 0.0 else "right_to_left" if slope < 0.0 else None
-
-
-def _of_map(dataset: xr.Dataset) -> Orientation:
-    x, y = (np.asarray(dataset[name].values, np.float64) for name in ("x", "y"))
-    half_x, half_y = (0.5 * float(values[-1] - values[0]) / (values.size - 1) for values in (x, y))
-    extent = (float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y)
-    named = [dataset[name].attrs for name in ("x", "y")]
-    units = [str(attrs.get("units", "")) for attrs in named]
-    own_grid = any("along the flight" in f"{a.get('crs')} {a.get('long_name')}" for a in named)
-    # the grid along a flight counts down from its corner
-    names = ("to the right in the grid", "down in the grid") if own_grid else ("east", "north, up")
-    labels = [
-        f"{name} [{label_for(unit)}]" if unit else name for name, unit in zip(names, units, strict=True)
-    ]
-    return Orientation(extent, half_x < 0, own_grid, 1.0, (labels[0], labels[1]))
+        return Orientation(extent, bool(mirrored), False, aspect, labels)
+    # the column order that the look angles imply, as `locate` uses them, else the declared one
+    slope = 0.0
+    if "look_across" in dataset.variables and dataset["look_across"].dims == (CROSS_TRACK,):
+        slope = _mean_step(dataset["look_across"].values)
+    order = "left_to_right" if slope > 0.0 else "right_to_left" if slope < 0.0 else ""
+    order = order or dataset.attrs.get("convention_column_order", "")
+    assumed = "" if order in ("left_to_right", "right_to_left") else ", assumed to run to the right"
+    return Orientation(extent, order == "right_to_left", False, 1.0, (labels[0] + assumed, labels[1]))
 
 
 def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
-    """Return (east, north) from line to line and from column to column [m]; None where it is not known."""
+    """Return (east, north) of one step along and one step across the track [m]; None where unknown."""
     if not all(
         name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
         for name in ("east", "north")
@@ -122,7 +111,7 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
 
 
 def _mean_step(values: Array) -> float:
-    """Return the mean difference of neighbours, between the first and the last value that is known."""
+    """Return the mean difference of neighbours between the first and the last finite value."""
     places = np.flatnonzero(np.isfinite(values))
     if places.size < 2:
         return float("nan")
@@ -130,20 +119,24 @@ def _mean_step(values: Array) -> float:
 
 
 def laid_down(picture: Array, orientation: Orientation) -> Array:
-    """Return a picture (line, column, ...) of a flight line as (row, line, ...), flown to the right."""
+    """Return a picture (line, column, ...) as (row, line, ...) with the flight to the right."""
     # flown to the right, the columns to the right of the flight are the lower ones
     return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))
 
 
 def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:
-    """Show a picture (line, column, ...) on axes in pixels of the line, or metres of the map."""
+    """Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map."""
     shown = axes.imshow(
-        picture, origin="lower", extent=orientation.extent, aspect=orientation.aspect,
-        interpolation="nearest", **options,
-    )  # fmt: skip
+        picture,
+        origin="lower",
+        extent=orientation.extent,
+        aspect=orientation.aspect,
+        interpolation="nearest",
+        **options,
+    )
     across, upwards = orientation.limits
     axes.set(xlim=across, ylim=upwards, xlabel=orientation.labels[0], ylabel=orientation.labels[1])
     axes.ticklabel_format(useOffset=False, style="plain")
     axes.tick_params(labelsize="small")
-    axes.locator_params(axis="x", nbins=4)  # easting takes six digits
+    axes.locator_params(axis="x", nbins=4)  # easting has six digits
     return shown

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
@@ -19,13 +20,7 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
 from .orientation import map_dims, orientation_of, show_picture
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-OVERVIEW_SHAPE = (1000, 640)
-"""Most lines and columns of the stored picture."""
-
-
+OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
 STRETCH = (2.0, 98.0)
 
 
@@ -34,32 +29,32 @@ def rgb(
 ) -> xr.DataArray:
     """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB.
 
-    Of a line without irradiance radiance is shown, of a raw cube its counts: for a look at them, since they
-    have the colour of the light and of the camera too. ``long_name`` of the picture says so.
+    A line without irradiance shows radiance, a raw cube its counts: a preview only, since these have the
+    colour of the light and of the camera too. ``long_name`` of the picture names the quantity.
 
     Lazy; computing it reads every band between 380 and 780 nm.
 
     Parameters
     ----------
     dataset
-        A flight line with ``reflectance``, or with what it follows from, or a raw cube, and ``wavelength``
-        (band).
+        A flight line with ``reflectance``, or with the variables to compute it, or a raw cube, and
+        ``wavelength`` (band).
     stretch
-        Percentiles of brightness that become black and white, found in at most 64 lines; (0, 100) shows the
-        reflectance itself, white being 1; radiance and counts from their lowest to their highest.
+        Percentiles of brightness shown black and white, found in at most 64 lines; (0, 100) shows
+        reflectance from 0 to 1, radiance and counts from their lowest to their highest value.
     lines
-        Lines of the picture at the most; all by default. Where the stored overview holds as many and the
-        stretch is its own, it is read in place of the cube; the attribute ``level`` says what was taken. A
-        dataset without a cube shows its overview.
+        Maximum picture height [lines]; longer flight lines are subsampled; all lines by default. Where the
+        stored overview has enough lines and the stretch is the default, it is read instead of the cube; the
+        attribute ``level`` names the source. A dataset without a cube shows its overview.
 
     Returns
     -------
     (along_track, cross_track, rgb), float32
-        sRGB from 0 to 1, with the coordinates of the pixels; of a map (y, x, rgb), with its ``spatial_ref``.
-        Saturated pixels are white: where some bands have no value, or none has and ``quality`` says why.
-        Other pixels without any value are black. The array is named ``true_colour``, the
-        colours of dim ``rgb`` are ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y",
-        bands="rgb")``, ``picture.transpose("rgb", "y", "x").rio.to_raster(...)``.
+        sRGB from 0 to 1, with the coordinates of the pixels; for a map (y, x, rgb), with its ``spatial_ref``.
+        Saturated pixels are white: some bands have no value, or none has and ``quality`` is saturated. Other
+        pixels without any value are black. The array is named ``true_colour``; dim ``rgb`` has the labels
+        ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y", bands="rgb")``,
+        ``picture.transpose("rgb", "y", "x").rio.to_raster(...)``.
 
     Raises
     ------
@@ -74,11 +69,11 @@ def rgb(
     >>> picture.sizes["along_track"], picture["rgb"].values.tolist(), float(picture.max()) <= 1.0
     (32, ['red', 'green', 'blue'], True)
     """
-    import xarray as xr
-
     dataset = schema.rename_to_roles(dataset)
     if lines is not None and lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 line of the picture or more")
+        raise SchemaError(
+            f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
+        )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
@@ -91,11 +86,7 @@ def rgb(
     dataset, shown_name = with_shown_cube(dataset)
     cube = dataset[shown_name]
     wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
-    visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
-    if visible.size < 3:
-        raise SchemaError(
-            f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
-        )
+    visible = visible_bands(wavelength)
     shift = None
     if "wavelength_shift" in dataset.variables:
         stored = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
@@ -139,10 +130,22 @@ def rgb(
         "long_name": f"{of(shown_name, 'Colours of values')} (sRGB)",
         "stretch": f"{stretch[0]:g} to {stretch[1]:g} %",
     }
-    for kept in (cube.attrs, cube.encoding):
-        if "grid_mapping" in kept:
-            picture.attrs["grid_mapping"] = kept["grid_mapping"]
+    for entries in (cube.attrs, cube.encoding):
+        if "grid_mapping" in entries:
+            picture.attrs["grid_mapping"] = entries["grid_mapping"]
     return picture
+
+
+def visible_bands(wavelength: Array) -> Array:
+    """Return the numbers of the visible bands; SchemaError for fewer than three."""
+    visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
+    if visible.size < 3:
+        raise SchemaError(
+            f"{visible.size} bands between 380 and 780 nm",
+            expected="three or more for a true-colour picture",
+            code="band-missing",
+        )
+    return visible
 
 
 def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
@@ -150,9 +153,7 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
     names = set(dataset.variables)
     if "reflectance" in names:
         return dataset, "reflectance"
-    if (
-        "values" in names and not {"counts", "radiance"} & names
-    ):  # a cube whose header does not say what it is
+    if "values" in names and not {"counts", "radiance"} & names:  # the header does not name the quantity
         return dataset, "values"
     if "irradiance" in names or not {"counts", "radiance"} & names:
         return reflectance(dataset), "reflectance"
@@ -162,20 +163,18 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
-    """Return every ``step``-th line of the stored overview, or what it has next to that, as `rgb` shows it.
+    """Return the stored overview, thinned to about every ``step``-th line, as `rgb` returns pictures.
 
-    None where there is none, where it is of a whole of which this is a part, or where it lacks lines that are
-    wanted; with ``step`` None all that it has. ``at_most``: rather fewer lines than more.
+    None without an overview, for a part of a line, whose overview shows the whole, or if the overview has
+    fewer lines than wanted. With ``step`` None all its lines. ``at_most``: rather fewer lines than more.
     """
-    import xarray as xr
-
     row = schema.VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
     stored = dataset["overview"].transpose(*row.dims)
     every = [stored.attrs.get(name) for name in ("line_step", "column_step")]
     steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in every]
-    # a part of a line still carries the picture of the whole
+    # a part of a line still has the picture of the whole
     sizes = [dataset.sizes.get(dim, 0) for dim in (schema.ALONG_TRACK, schema.CROSS_TRACK)]
     held = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
     if min(steps) < 1 or any(a != b for a, b in zip(held, stored.shape, strict=False)):
@@ -209,7 +208,7 @@ def _level_text(source: str, lines: int, columns: int) -> str:
 
 
 def linear_srgb(values: Array, *, weights: Array) -> Array:
-    """Return linear sRGB of (..., band, column); a missing band of a seen pixel is over-bright."""
+    """Return linear sRGB of spectra (..., band, column); a missing band of a lit pixel is over-bright."""
     *lines, bands, columns = values.shape
     out = np.empty((math.prod(lines), columns, 3), np.float32)
     cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
@@ -218,9 +217,7 @@ def linear_srgb(values: Array, *, weights: Array) -> Array:
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
-    """Return what becomes black and white, lazily, from a part of the lines, of pixels that have values."""
-    import xarray as xr
-
+    """Return the brightness of black and white (lazy) from at most some 64 lines."""
     some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
     if some.chunks is not None:
         some = some.chunk(-1)
@@ -244,9 +241,9 @@ def _percentiles(picture: Array, *, stretch: tuple[float, float]) -> Array:
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
-    """Return a small true-colour picture of a flight line, as it is stored beside it.
+    """Return a small true-colour picture of a flight line to be stored beside it.
 
-    Lazy, from the same slabs that are written: no cube is read twice. (overview_y, overview_x, rgb) uint8, of
+    Lazy, from the slabs that are written, so that no cube is read twice. (overview_y, overview_x, rgb) uint8,
     at most `OVERVIEW_SHAPE`; None without three visible bands.
     """
     along, across = schema.ALONG_TRACK, schema.CROSS_TRACK
@@ -269,20 +266,20 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
 def quicklook(
     dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000, width: float = 11.0
 ) -> Any:
-    """Draw a flight line: true colour, quality, irradiance over time.
+    """Draw a flight line: true colour, flags, irradiance over time, spread of reflectance.
 
     Eager: computes a picture of at most ``lines`` lines.
 
     Parameters
     ----------
     dataset
-        A flight line with its reflectance, or with what it follows from; or a raw cube, as `rgb` shows it.
+        A flight line with reflectance, or with the variables to compute it; or a raw cube, see `rgb`.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     lines
-        Lines shown at the most; of a longer line every n-th is read.
+        Maximum picture height [lines]; longer flight lines are subsampled.
     width
-        Of the figure [inch]; below 8 the panels stand one above the other.
+        Width of the figure [inch]; below 8 the plots stand one above the other.
 
     Returns
     -------
@@ -293,7 +290,8 @@ def quicklook(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        There is no reflectance, or nothing that it follows from; or matplotlib writes no such picture.
+        There is no reflectance and no variables to compute it; or matplotlib cannot write this type of
+        picture.
 
     Examples
     --------
@@ -317,31 +315,36 @@ def quicklook(
     names = ("flags", "light", "spectra")
     mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
     heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
-    panels = figure.subplot_mosaic(mosaic, height_ratios=heights)
-    show_picture(panels["picture"], rgb(dataset).values, orientation)
+    plots = figure.subplot_mosaic(mosaic, height_ratios=heights)
+    show_picture(plots["picture"], rgb(dataset).values, orientation)
     every = f", every {step}th line" if step > 1 else ""
     name = label_for(dataset.attrs.get("name", "flight line"))
-    panels["picture"].set_title(f"{name}: {'true colour' if shown == 'reflectance' else shown}{every}")
+    plots["picture"].set_title(f"{name}: {'true colour' if shown == 'reflectance' else shown}{every}")
     if has_flags:
-        _draw_flags(panels["flags"], flags_of(dataset))
+        _draw_flags(plots["flags"], flags_of(dataset))
     else:
-        panels["flags"].set_axis_off()
-    draw_irradiance(panels["light"], dataset)
-    draw_spread(panels["spectra"], dataset, shown)
+        plots["flags"].set_axis_off()
+    draw_irradiance(plots["light"], dataset)
+    draw_spread(plots["spectra"], dataset, shown)
     save_figure(figure, path)
     return figure
 
 
 def flags_of(dataset: xr.Dataset) -> Array:
-    """Return the flags of all pixels (along_track, cross_track), as integers."""
+    """Return the flags of all pixels (along_track, cross_track) as integers."""
     quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
-        raise SchemaError(f"quality is {quality.dtype}, expected uint16: one bit a flag")
+        raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
     return np.asarray(quality.values)
 
 
+def flag_label(flag: schema.Quality) -> str:
+    """Return the name of a flag with spaces."""
+    return str(flag.name).lower().replace("_", " ")
+
+
 def percent(share: float) -> str:
-    """Return a share for reading; what is there never reads as nothing, and what is not all never as all.
+    """Return a share as text; a share above 0 never reads 0 %, a share below 1 never reads 100 %.
 
     Examples
     --------
@@ -356,7 +359,6 @@ def percent(share: float) -> str:
 
 
 def _draw_flags(axes: Any, quality: Array) -> None:
-    """Draw the share of pixels under every flag that occurs."""
     shares = schema.flag_shares(quality)
     names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
     bars = axes.barh(names, [100 * part for part in shares.values()] or [0.0], height=0.6, color="#b5543c")
@@ -366,7 +368,7 @@ def _draw_flags(axes: Any, quality: Array) -> None:
 
 
 def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw irradiance over time at three wavelengths, and when the line was flown; nothing where unknown."""
+    """Draw irradiance over time at three wavelengths, and the time of the line, if known."""
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
@@ -374,7 +376,8 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     moments = series.coords.get(schema.IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
         raise SchemaError(
-            "a picture of irradiance needs its times: the coordinate irradiance_time, one moment at least"
+            "a picture of irradiance needs the coordinate irradiance_time, with one moment or more",
+            code="variable-missing",
         )
     series = series.compute()
     start = series[schema.IRRADIANCE_TIME].values[0]
@@ -397,7 +400,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
 
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
-    """Draw how a cube, of reflectance by default, is spread over the lines shown, band by band."""
+    """Draw the quantiles of a cube over the pixels, band by band."""
     some = dataset[name].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
@@ -415,7 +418,7 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
 
 
 def known_quantiles(values: Array, levels: Sequence[float]) -> Array:
-    """Return quantiles of samples (sample, band) over those that are known, (level, band); NaN without any.
+    """Return quantiles of finite samples (sample, band) as (level, band); NaN in bands without any.
 
     Examples
     --------
@@ -423,6 +426,6 @@ def known_quantiles(values: Array, levels: Sequence[float]) -> Array:
     array([[ 2., nan]])
     """
     parts = np.full((len(levels), values.shape[1]), np.nan)
-    seen = np.isfinite(values).any(axis=0)
-    parts[:, seen] = np.nanquantile(values[:, seen], levels, axis=0)
+    is_known = np.isfinite(values).any(axis=0)
+    parts[:, is_known] = np.nanquantile(values[:, is_known], levels, axis=0)
     return parts

@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
+from hyperpaint.calibration.views import fitted_lines
 
-from .figures import check_picture, columns_for, ink_of, legend_below, new_figure, panel_width, save_figure
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure
 
 Values = dict[str, Any]
 
-# of Okabe and Ito's palette, which colour-blind readers can tell apart
+# of Okabe and Ito's palette for colour-blind readers
 _BLUE, _VERMILION = "#3399DD", "#D55E00"
 _UNTRUSTED = "#E69F00"
 
-_NARROW = 4.4  # [inch]
-_LINES_SHOWN = 5
+_NARROW_INCH = 4.4  # colour bars of narrower axes stand below them
+_LAMP_LINES_SHOWN = 5
 _PARTS = ("random", "systematic")
-_COLUMNS_SHOWN = 200  # curves of one panel at the most
+_MAX_CURVES = 200  # columns drawn in one axes
 
 _DIMS: dict[str, tuple[str, ...]] = {
     "wavelength": (BAND,),
@@ -52,24 +51,24 @@ def calibration_report(
     column: int | None = None,
     width: float = 15.0,
 ) -> Any:
-    """Draw what a lab sweep came to, to be judged at a glance.
+    """Draw the result of a lab sweep on one page.
 
-    Fits of some lines, residuals of the wavelength map, smile, width of the bands, responsivity, and how sure
-    the gain is. Bands without a gain are shaded.
+    Fits of some lamp lines, residuals of the wavelength map, smile, width of the bands, responsivity, and
+    uncertainty of the gain. Bands without a gain are shaded.
 
     Parameters
     ----------
     calibration
-        Of `hyperpaint.calibrate`.
+        Result of `hyperpaint.calibrate`.
     sweep
-        That it was made from, for the counts of the lines: five steps are read. Without it their fits are
-        drawn alone.
+        The lab sweep of the calibration, for the counts of the lamp lines: five steps are read. Without it
+        only the fits are drawn.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     column
-        Whose lines are shown and whose curve stands out; by default the centre of those that were lit.
+        Column of the lamp lines shown and of the highlighted curve; by default the centre of the lit columns.
     width
-        Of the figure [inch]; 4.5 of it are a panel's, the others stand below.
+        Width of the figure [inch]; each of the six plots takes 4.5.
 
     Returns
     -------
@@ -80,8 +79,8 @@ def calibration_report(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        The calibration does not come from a sweep, the sweep is not whole or another's, or there is no such
-        column, or matplotlib writes no such picture.
+        The calibration does not come from a sweep, the sweep is a part or belongs to another camera, there is
+        no such column, or matplotlib cannot write this type of picture.
 
     Examples
     --------
@@ -97,14 +96,22 @@ def calibration_report(
         check_picture(Path(path))
     values = _values(calibration, sweep, column)
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
-    title = textwrap.fill(_title(calibration, values), max(30, int(11 * width)))
+    trusted, good = values["line_trusted"], values["good"]
+    facts = [
+        str(calibration.attrs.get("sweep", "lab sweep")),
+        f"{int(trusted.any(axis=1).sum())} of {len(trusted)} steps used",
+        f"{int(good.sum())} of {good.size} bands have a gain",
+        f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(values['fwhm']):.2f} nm",
+        f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
+    ]
+    title = textwrap.fill("   ·   ".join(facts), max(30, int(11 * width)))
     figure.suptitle(title, fontsize="medium")
-    heights = (1.3,) + (1.0,) * (rows - 1)  # the first panel is two
+    heights = (1.3,) + (1.0,) * (rows - 1)  # the first cell holds two axes
     cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
     grid = [cells[divmod(number, columns)] for number in range(6)]
     fits = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
     lines = figure.add_subplot(fits[0])
-    _draw_lines(lines, figure.add_subplot(fits[1], sharex=lines), calibration, sweep, values)
+    _draw_lamp_lines(lines, figure.add_subplot(fits[1], sharex=lines), calibration, sweep, values)
     _draw_residuals(figure.add_subplot(grid[1]), values)
     _draw_smile(figure.add_subplot(grid[2]), values)
     _draw_widths(figure.add_subplot(grid[3]), values)
@@ -117,15 +124,19 @@ def calibration_report(
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
-    """Return what is drawn, as arrays in the units of the table, and the column that stands out."""
+    """Return the arrays to draw, in the units of the schema, and the column that stands out."""
     variables = schema.require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
         there = {dim: sweep.sizes.get(dim) for dim in sizes}
-        problems.add(f"the sweep has sizes {there}, its calibration {sizes}; expected those of one camera")
+        problems.add(
+            f"the sweep has sizes {there}, its calibration {sizes}",
+            expected="sizes of one camera",
+            code="grid-mismatch",
+        )
     if column is not None and not 0 <= column < sizes[CROSS_TRACK]:
-        problems.add(f"column={column}, expected 0 to {sizes[CROSS_TRACK] - 1}")
+        problems.add(f"column={column}", expected=f"0 to {sizes[CROSS_TRACK] - 1}", code="value-out-of-range")
     problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():
@@ -137,32 +148,17 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
     return values | {"column": column}
 
 
-def _title(calibration: xr.Dataset, values: Values) -> str:
-    trusted, good, fwhm = values["line_trusted"], values["good"], values["fwhm"]
-    parts = [
-        str(calibration.attrs.get("sweep", "lab sweep")),
-        f"{int(trusted.any(axis=1).sum())} of {len(trusted)} steps used",
-        f"{int(good.sum())} of {good.size} bands have a gain",
-        f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(fwhm):.2f} nm",
-        f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
-    ]
-    return "   ·   ".join(parts)
+# --- lamp lines --------------------------------------------------------------------------------------------
 
 
-# --- the lines ---------------------------------------------------------------------------------------------
-
-
-def _draw_lines(
+def _draw_lamp_lines(
     axes: Any, below: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
 ) -> None:
-    """Draw counts and fit of a few steps, and what is left of them."""
     from matplotlib import colormaps
 
-    from hyperpaint.calibration.views import fitted_lines
-
     usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
-    # not the outermost, some of whose light falls beside the array
-    parts = np.linspace(0, max(usable.size - 1, 0), _LINES_SHOWN + 2)[1:-1].round().astype(int)
+    # not the outermost, some of whose light falls outside the array
+    parts = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
     steps = sorted(set(usable[parts].tolist())) if usable.size else []
     drawn = fitted_lines(calibration, sweep, steps, values["column"])
     colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(drawn), 1)))
@@ -170,18 +166,18 @@ def _draw_lines(
         axes.plot(line.curve_distance, line.curve, color=colour, lw=1.2, label=f"{line.wavelength:g} nm")
         axes.plot(line.distance, line.counts, "o", color=colour, ms=4)
         below.plot(line.distance, 100 * line.residual, "o-", color=colour, ms=2.5, lw=0.6)
-    axes.set(title=f"lines and their fits, column {values['column']}", ylabel="counts above dark [count]")
+    axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
     axes.tick_params(labelbottom=False)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     below.axhline(0, color="0.6", lw=0.8, zorder=0)
-    below.set(xlabel="distance from the line [nm]", ylabel="counts - fit\n[% of height]")
+    below.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
     largest = max((float(np.abs(100 * line.residual).max(initial=0.0)) for line in drawn), default=0.0)
     legend_below(below, axes)
     below.set_ylim(*(np.array([-1.15, 1.15]) * max(largest, 0.1)))
 
 
 def _edges(centres: Array) -> Array:
-    """Return the edges of cells about centres."""
+    """Return the edges of cells around their centres."""
     if centres.size < 2:
         return np.asarray([centres[0] - 0.5, centres[0] + 0.5])
     inner = 0.5 * (centres[1:] + centres[:-1])
@@ -189,52 +185,48 @@ def _edges(centres: Array) -> Array:
 
 
 def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
-    """Draw values over wavelength and columns; what is not known stays grey."""
+    """Draw values over wavelength and columns; unknown values stay grey."""
     columns = np.arange(values.shape[1] + 1) - 0.5
     picture = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
     )
     axes.set_facecolor(ink_of(axes, 0.15))
-    # beside narrow axes it would squeeze all that stand above and below
-    place = {"location": "bottom", "pad": 0.03} if panel_width(axes) < _NARROW else {"pad": 0.02}
+    # beside narrow axes a colour bar would squeeze the axes above and below
+    place = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_INCH else {"pad": 0.02}
     axes.figure.colorbar(picture, ax=axes, label=label, **place)
     axes.set(xlabel="wavelength [nm]", ylabel="cross_track [column]")
     return picture
 
 
 def _draw_residuals(axes: Any, values: Values) -> None:
-    """Draw where the wavelength map puts the lines, against the monochromator, line by line."""
+    """Draw wavelength by the map minus wavelength of the monochromator, for every lamp line."""
     residual = values["line_centre"] - values["step_wavelength"][:, None]
     residual = np.where(values["line_trusted"], residual, np.nan)
     finite = residual[np.isfinite(residual)]
     limit = max(float(np.percentile(np.abs(finite), 98)), 1e-6) if finite.size else 1.0
-    spread = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no line is used"
-    _draw_map(
-        axes, values["step_wavelength"], residual, "map - monochromator [nm]",
-        cmap="PuOr", vmin=-limit, vmax=limit,
-    )  # fmt: skip
+    spread = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no lamp line is used"
+    colours = {"cmap": "PuOr", "vmin": -limit, "vmax": limit}
+    _draw_map(axes, values["step_wavelength"], residual, "map - monochromator [nm]", **colours)
     axes.set_title(f"wavelength residual, {spread}")
 
 
-# --- the elements ------------------------------------------------------------------------------------------
+# --- detector elements -------------------------------------------------------------------------------------
 
 
 def _draw_smile(axes: Any, values: Values) -> None:
-    """Draw the wavelength shift of every element."""
     shift = values["wavelength_shift"]
     _draw_map(axes, values["wavelength"], shift, "wavelength shift [nm]", cmap="viridis")
     if min(shift.shape) > 1 and np.ptp(shift) > 0:
         levels = np.linspace(shift.min(), shift.max(), 6)[1:-1]
+        columns = np.arange(shift.shape[1])
         curves = axes.contour(
-            values["wavelength"], np.arange(shift.shape[1]), shift.T, levels=levels, colors="white",
-            linewidths=0.8,
-        )  # fmt: skip
+            values["wavelength"], columns, shift.T, levels=levels, colors="white", linewidths=0.8
+        )
         axes.clabel(curves, fmt="%.2g", fontsize="small")
     axes.set_title("smile")
 
 
 def _shade_untrusted(axes: Any, values: Values) -> None:
-    """Shade the wavelengths whose bands have no gain."""
     edges = _edges(values["wavelength"])
     lost = np.concatenate([[False], ~values["good"], [False]])
     begins, ends = np.flatnonzero(lost[1:] & ~lost[:-1]), np.flatnonzero(~lost[1:] & lost[:-1])
@@ -246,40 +238,35 @@ def _shade_untrusted(axes: Any, values: Values) -> None:
 
 
 def _draw_widths(axes: Any, values: Values) -> None:
-    """Draw the width of every line and the curve through them."""
     trusted, at = values["line_trusted"], values["step_wavelength"]
     widths = np.where(trusted, values["line_own_fwhm"], np.nan)
     used = trusted.any(axis=1)
     low, middle, high = (
         np.nanpercentile(widths[used], (5, 50, 95), axis=1) if used.any() else np.empty((3, 0))
     )
-    axes.errorbar(
-        at[used], middle, (middle - low, high - middle), fmt="o", ms=3, lw=0.8, color=_BLUE,
-        label="lines: median, 5 to 95 % of the columns",
-    )  # fmt: skip
+    label = "lamp lines: median, 5 to 95 % of the columns"
+    spread = (middle - low, high - middle)
+    axes.errorbar(at[used], middle, spread, fmt="o", ms=3, lw=0.8, color=_BLUE, label=label)
     axes.plot(values["wavelength"], values["fwhm"], color=_VERMILION, lw=1.8, zorder=3, label="calibration")
-    if used.sum() > 4:  # lines cut off at the edges of the array would set the scale for all others
+    if used.sum() > 4:  # lamp lines cut off at the edges of the array would set the scale for all others
         inner = slice(2, -2)
         margin = 0.4 * float(high[inner].max() - low[inner].min()) + 1e-3
         axes.set_ylim(low[inner].min() - margin, high[inner].max() + margin)
     _shade_untrusted(axes, values)
-    axes.set(title="width of the bands, monochromator taken out", ylabel="FWHM [nm]")
+    axes.set(title="width of the bands, monochromator removed", ylabel="FWHM [nm]")
     legend_below(axes)
 
 
 def _draw_responsivity(axes: Any, values: Values) -> None:
-    """Draw the responsivity of all columns, one of them in bold."""
     from matplotlib.collections import LineCollection
 
     wavelength, responsivity = values["wavelength"], values["responsivity"]
-    step = -(-responsivity.shape[1] // _COLUMNS_SHOWN)
+    step = -(-responsivity.shape[1] // _MAX_CURVES)
     curves = [np.column_stack([wavelength, curve]) for curve in responsivity[:, ::step].T]
     every = "all columns" if step == 1 else f"every {step}th column"
     axes.add_collection(LineCollection(curves, colors=[ink_of(axes, 0.3)], linewidths=0.5, label=every))
-    axes.plot(
-        wavelength, responsivity[:, values["column"]], color=_BLUE, lw=1.8,
-        label=f"column {values['column']}",
-    )  # fmt: skip
+    chosen = values["column"]
+    axes.plot(wavelength, responsivity[:, chosen], color=_BLUE, lw=1.8, label=f"column {chosen}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
     axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
@@ -288,15 +275,14 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
 
 
 def _draw_uncertainty(axes: Any, values: Values) -> None:
-    """Draw how sure the gain is: what averages out and what does not."""
+    from matplotlib.ticker import LogFormatter
+
     wavelength = values["wavelength"]
     random, common = (_over_columns(100 * values[f"radiance_gain_u_{part}"]) for part in _PARTS)
     axes.semilogy(wavelength, np.hypot(random, common), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(wavelength, common, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics")
-    axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lines")
+    axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lamp lines")
     _shade_untrusted(axes, values)
-    from matplotlib.ticker import LogFormatter
-
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # else labels lie on each other
     low, high = axes.get_ylim()
@@ -306,7 +292,6 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
 
 def _over_columns(values: Array) -> Array:
-    """Return the median of the columns, NaN where none is known."""
     has_value = np.isfinite(values).any(axis=1)
     middle = np.full(len(values), np.nan)
     middle[has_value] = np.nanmedian(values[has_value], axis=1)
@@ -314,26 +299,26 @@ def _over_columns(values: Array) -> Array:
 
 
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
-    """Draw gain and width over wavelength, and smile over columns, as a calibration states them."""
+    """Draw gain and band width over wavelength, and smile over columns."""
     names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
     values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
-    panels = figure.subplots(1, 3)
+    plots = figure.subplots(1, 3)
     low, middle, high = (np.full(len(gain), np.nan) for _ in range(3))
-    seen = np.isfinite(gain).any(axis=1)
-    low[seen], middle[seen], high[seen] = np.nanpercentile(gain[seen], (5, 50, 95), axis=1)
-    panels[0].fill_between(nm, low, high, color=_BLUE, alpha=0.25, lw=0)
-    panels[0].semilogy(nm, middle, color=_BLUE, lw=1.6)
-    panels[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
-    panels[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
+    is_known = np.isfinite(gain).any(axis=1)
+    low[is_known], middle[is_known], high[is_known] = np.nanpercentile(gain[is_known], (5, 50, 95), axis=1)
+    plots[0].fill_between(nm, low, high, color=_BLUE, alpha=0.25, lw=0)
+    plots[0].semilogy(nm, middle, color=_BLUE, lw=1.6)
+    plots[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
+    plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:
-        panels[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
-    panels[1].set(ylabel="FWHM [nm]")
-    panels[1].set_title("width of the bands", fontsize="medium")
+        plots[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
+    plots[1].set(ylabel="FWHM [nm]")
+    plots[1].set_title("width of the bands", fontsize="medium")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
     rows = np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)]
-    panels[2].plot(rows.T, lw=1.3)
-    panels[2].set(xlabel="column", ylabel="shift of wavelength [nm]")
-    panels[2].set_title("smile", fontsize="medium")
-    for axes in panels[:2]:
+    plots[2].plot(rows.T, lw=1.3)
+    plots[2].set(xlabel="column", ylabel="wavelength shift [nm]")
+    plots[2].set_title("smile", fontsize="medium")
+    for axes in plots[:2]:
         axes.set_xlabel("wavelength [nm]")

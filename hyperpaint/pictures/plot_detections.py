@@ -1,20 +1,18 @@
-"""How often paints are detected against how often falsely: receiver operating characteristics."""
+"""Receiver operating characteristics of paint detection."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
 
 from .figures import ink_of, legend_below, new_figure, save_figure
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
@@ -26,33 +24,33 @@ def detection_curve(
     *,
     width: float = 6.0,
 ) -> Any:
-    """Draw the share of a paint's pixels that score above a threshold against that of all other pixels (ROC).
+    """Draw the share of a paint's pixels above a threshold against the share of all other pixels (ROC).
 
     Eager.
 
     Parameters
     ----------
     detections
-        From `hyperpaint.paints.detect`, or several by their names, such as those of the methods.
+        Result of `hyperpaint.paints.detect`, or several by name, such as one per method.
     truth
-        Which pixels show a paint that was looked for, (along_track, cross_track) bool.
+        Pixels that show one of the paints, (along_track, cross_track) bool.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     width
-        Of the figure [inch].
+        Width of the figure [inch].
 
     Returns
     -------
     matplotlib.figure.Figure
-        A curve for each, along which one amount is added to all thresholds. A dot is what is detected, after
-        unknown paints were rejected; the upright line is the rate that was asked for.
+        One curve per result, along which the same amount is added to all thresholds. A dot marks the
+        detections after rejection of unknown paints; the vertical line is the requested false alarm rate.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        These are no detections, or truth has another shape, or no pixel of either kind.
+        The input holds no detections, or truth has another shape, or is the same everywhere.
 
     Examples
     --------
@@ -78,26 +76,33 @@ def detection_curve(
         rate = each.attrs.get("false_alarm_rate")
         if rate is not None:
             axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
-    axes.set(xlabel="false alarms, share of other pixels [1]", ylabel="detections, share of its pixels [1]",
-             xscale="log", ylim=(0.0, 1.02))  # fmt: skip
+    axes.set(xscale="log", ylim=(0.0, 1.02))
+    axes.set_xlabel("false alarm rate, share of other pixels [1]")
+    axes.set_ylabel("detection rate, share of the paint's pixels [1]")
     legend_below(axes)
     save_figure(figure, path)
     return figure
 
 
 def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
-    """Return shares of false alarms and of hits along all thresholds, and those of what is detected."""
+    """Return false alarm and detection rates along all thresholds, and the rates of the detections made."""
     names = ("detection_score", "best_paint", "score_threshold", "detected")
     arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
     score, paint, threshold, detected = (arrays[name].values for name in names)
     if is_target.shape != score.shape:
-        raise SchemaError(f"truth has shape {is_target.shape}", expected=f"{score.shape}, as the detections")
+        raise SchemaError(
+            f"truth has shape {is_target.shape}",
+            expected=f"{score.shape}, as the detections",
+            code="grid-mismatch",
+        )
     scored = paint >= 0
     above = (score - threshold[paint])[scored]
     true = is_target[scored]
     if not true.any() or true.all():
         raise SchemaError(
-            f"truth is {bool(true.any())} everywhere", expected="pixels with a paint, and others"
+            f"truth is {bool(true.any())} everywhere",
+            expected="pixels with a paint, and others",
+            code="truth-uniform",
         )
     order = np.argsort(-above, kind="stable")
     hits, alarms = np.cumsum(true[order]) / true.sum(), np.cumsum(~true[order]) / (~true).sum()

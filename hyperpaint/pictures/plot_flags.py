@@ -1,12 +1,13 @@
-"""Flags, continuous layers, and light that a coloured neighbour throws, on the picture of a flight line."""
+"""Flags, continuous layers, and the light of a coloured neighbour, drawn over a flight line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
@@ -19,19 +20,16 @@ from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import (
     axes_or_new,
+    axes_width,
     columns_for,
     ink_of,
     label_for,
     legend_below,
     new_figure,
-    panel_width,
     save_figure,
 )
 from .orientation import Orientation, orientation_of, show_picture
-from .plot import flags_of, percent, rgb, stored_picture
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .plot import flag_label, flags_of, percent, rgb, stored_picture
 
 FLAG_COLOURS: Mapping[Quality, str] = {
     Quality.SATURATED: "#ff3300",
@@ -67,38 +65,37 @@ def flag_overlay(
 ) -> Any:
     """Draw flags, or a continuous layer, over the true-colour picture of a flight line.
 
-    Eager. Of a longer line a pixel of the picture stands for several: it has a flag where one of them has,
-    and the largest value of a layer. Where a pixel has several flags, the rarest is shown. Shares are those
-    of all pixels.
+    Eager. Of a longer line a pixel of the picture combines several: it has each of their flags, and the
+    largest value of a layer. Of several flags on a pixel the rarest is shown. Shares count all pixels.
 
     Parameters
     ----------
     dataset
-        A flight line with ``quality``, or with what it follows from.
+        A flight line with ``quality``, or with the variables to compute it.
     flags
-        Which flags: `Quality`, or names such as ``"glint"``; by default all that occur, or none where a layer
-        is drawn.
+        Flags to draw: `Quality`, or names such as ``"glint"``; by default all that occur, or none where a
+        layer is drawn.
     layer
         Name of a variable (along_track, cross_track), such as a fraction of glint.
     lines
-        Lines of the picture at the most.
+        Maximum picture height [lines].
     opacity
-        From 0, nothing but the picture, to 1.
+        From 0, the picture alone, to 1.
     axes
         matplotlib axes to draw on; new ones by default.
 
     Returns
     -------
     matplotlib.axes.Axes
-        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; of a map its own x
-        and y, north up. Nothing is mirrored, and pixels are as long as on the ground where that is known.
+        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; for a map its x and
+        y, north up. Nothing is mirrored, and pixels have their aspect ratio on the ground where known.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        There is no such flag or layer, or neither quality nor what it follows from.
+        There is no such flag or layer, or neither quality nor the variables to compute it.
 
     Examples
     --------
@@ -109,9 +106,22 @@ def flag_overlay(
     'cross_track [column]'
     """
     dataset = schema.rename_to_roles(dataset)
-    wanted = _flags_named(flags)
-    if layer is not None:
-        _check_layer(dataset, layer)
+    wanted: tuple[Quality, ...] = ()  # all flags
+    if isinstance(flags, Quality):
+        wanted = tuple(flag for flag in Quality if flag & flags)
+    elif flags is not None:
+        wanted = tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
+    planes = [
+        str(name)
+        for name, array in dataset.variables.items()
+        if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
+    ]
+    if layer is not None and layer not in planes:
+        raise SchemaError(
+            f"no layer {layer!r} on (along_track, cross_track)",
+            expected=", ".join(planes) or "a line with layers",
+            code="variable-missing",
+        )
     if "quality" not in dataset.variables and (layer is None or wanted):
         dataset = reflectance(dataset)
     schema.require(dataset, ["quality"] if layer is None else [], "a picture of flags")
@@ -120,7 +130,7 @@ def flag_overlay(
     height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0
     axes = axes_or_new(axes, "a picture of flags", figsize=(6.8, height))
     show_picture(axes, background(dataset, step), orientation)
-    axes.set(title=_title(dataset))
+    axes.set(title=label_for(dataset.attrs.get("name", "flight line")))
     if layer is not None:
         _draw_layer(axes, dataset, orientation, layer, step, opacity)
     if layer is None or wanted:
@@ -129,46 +139,32 @@ def flag_overlay(
 
 
 def background(dataset: xr.Dataset, step: int) -> Array:
-    """Return a picture of every ``step``-th line, (line, column, rgb), 0 to 1: the stored one if it fits."""
+    """Return a picture of every ``step``-th line (line, column, rgb), 0 to 1; stored if it fits."""
     stored = stored_picture(dataset, step)
     if stored is not None:
         return np.asarray(stored.values)
     return np.asarray(rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)})).values)
 
 
-def draw_outlines(axes: Any, regions: Iterable[Region]) -> None:
-    """Draw regions (sensor coordinates) with their names on axes of `flag_overlay`, x cross_track."""
+def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, named: bool = True) -> None:
+    """Outline regions (sensor coordinates) with their names on axes of `flag_overlay`."""
     from matplotlib.patheffects import withStroke
 
-    seen = [withStroke(linewidth=2.5, foreground="black")]
+    rim = [withStroke(linewidth=2.5, foreground="black")]
     for region in regions:
         for ring in (region.polygon, *region.holes):
             x, y = np.vstack([ring, ring[:1]]).T
-            axes.plot(x, y, color="white", lw=1.0, path_effects=seen)
-        across, along = region.polygon.mean(axis=0)
-        axes.text(
-            across, along, label_for(region.name), color="white", fontsize="x-small", ha="center",
-            va="center", clip_on=True, path_effects=seen,
-        )  # fmt: skip
+            axes.plot(x, y, color="white", lw=width, path_effects=rim)
+        if named:
+            across, along = region.polygon.mean(axis=0)
+            style = {"color": "white", "fontsize": "x-small", "ha": "center", "va": "center", "clip_on": True}
+            axes.text(across, along, label_for(region.name), path_effects=rim, **style)
 
 
-def _title(dataset: xr.Dataset) -> str:
-    return label_for(dataset.attrs.get("name", "flight line"))
-
-
-_NARROW = 5.0  # [inch], below which what explains a picture stands below it
+_NARROW_INCH = 5.0  # legends of narrower pictures stand below them
 
 
 # --- flags -------------------------------------------------------------------------------------------------
-
-
-def _flags_named(flags: Quality | str | Iterable[str] | None) -> tuple[Quality, ...]:
-    """Return single flags; none where all are meant."""
-    if flags is None:
-        return ()
-    if isinstance(flags, Quality):
-        return tuple(flag for flag in Quality if flag & flags)
-    return tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
 
 
 def _draw_flags(
@@ -179,7 +175,7 @@ def _draw_flags(
     step: int,
     opacity: float,
 ) -> None:
-    """Lay one colour a flag over the picture, the rarest on top, and name them with their shares."""
+    """Draw one colour per flag over the picture, the rarest on top, with a legend of shares."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
@@ -193,22 +189,19 @@ def _draw_flags(
     show_picture(axes, drawn, orientation)
     entries = {}
     for flag in shown:
-        name = str(flag.name).lower().replace("_", " ")
-        label = f"{name}  {percent(shares.get(flag, 0.0))}"
+        label = f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}"
         entries[label] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
     entries = entries or {"no flag set": Patch(facecolor="none")}
     title = "share of pixels"
-    if panel_width(axes) < _NARROW:
+    if axes_width(axes) < _NARROW_INCH:
         legend_below(axes, entries=entries, title=title, alignment="left")
     else:
-        axes.legend(
-            entries.values(), entries.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small",
-            frameon=False, title=title,
-        )  # fmt: skip
+        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **place)
 
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
-    """Return what ``combine`` makes of every ``step`` lines."""
+    """Return one line for every ``step`` lines, combined by the ufunc ``combine``."""
     if step == 1:
         return values
     return np.asarray(combine.reduceat(values, np.arange(0, len(values), step), axis=0))
@@ -217,22 +210,10 @@ def reduced_lines(values: Array, step: int, combine: Any) -> Array:
 # --- layers ------------------------------------------------------------------------------------------------
 
 
-def _check_layer(dataset: xr.Dataset, layer: str) -> None:
-    planes = [
-        str(name)
-        for name, array in dataset.variables.items()
-        if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
-    ]
-    if layer not in planes:
-        raise SchemaError(
-            f"no layer {layer!r} on (along_track, cross_track); there is {', '.join(planes) or 'none'}"
-        )
-
-
 def _draw_layer(
     axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
 ) -> None:
-    """Lay a layer over the picture: nothing at zero, opaque from a third of the range on."""
+    """Draw a layer over the picture: transparent at zero, opaque from a third of the range on."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -240,7 +221,7 @@ def _draw_layer(
     values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
-    both = -low > 0.05 * max(high, 0.0) and low < 0  # what is a little below zero is noise
+    both = -low > 0.05 * max(high, 0.0) and low < 0  # values slightly below zero are noise
     size = max(abs(low), abs(high)) if both else high
     size = size if size > 0 else 1.0
     colours = ScalarMappable(Normalize(-size if both else 0.0, size), "PuOr_r" if both else "inferno")
@@ -250,15 +231,15 @@ def _draw_layer(
     shown.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * part / size, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
     caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
-    place = {"location": "bottom", "pad": 0.02} if panel_width(axes) < _NARROW else {"pad": 0.01}
+    place = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
     axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **place)
 
 
 # --- light of neighbours -------------------------------------------------------------------------------
 
 
+# of bands by rising wavelength; for more bands those of matplotlib
 _COLOURS = ("#3399DD", "#009E73", "#D55E00", "#CC79A7")
-"""Of bands by rising wavelength, as long as there are no more; then those of matplotlib."""
 _NEAR, _FAR = "#D55E00", "#808080"
 _QUARTILES = (0.25, 0.75)
 
@@ -275,28 +256,28 @@ def adjacency_figure(
     width: int = 5,
     figure_width: float = 15.0,
 ) -> Any:
-    r"""Draw what a coloured neighbour adds to a surface: the picture, a transect, and spectra near and far.
+    r"""Draw the light that a coloured neighbour adds to a surface: picture, transect, spectra near and far.
 
     Eager: the blocks of lines are read that hold the pixels.
 
     Parameters
     ----------
     line
-        A flight line with ``reflectance`` and ``wavelength``; with ``adjacency``, as
-        `hyperpaint.surroundings.flag` makes it, that is drawn along the transect as well.
+        A flight line with ``reflectance`` and ``wavelength``; ``adjacency``, from
+        `hyperpaint.surroundings.flag`, is drawn along the transect as well.
     near, far
         Regions of one surface, beside the neighbour and away from it, see `hyperpaint.regions.regions_from`.
-        The transect leads from the middle of the first to that of the second.
+        The transect leads from the middle of the first to the middle of the second.
     path
-        Where the picture is written.
+        File for the picture; none by default.
     without
         The same place without the neighbour's colour, such as another render of it: drawn dashed.
     wavelengths
-        Of the bands along the transect [nm].
+        Wavelengths of the bands along the transect [nm].
     width
-        Pixels across the transect that are averaged.
+        Width of the transect, which is averaged [pixel].
     figure_width
-        Of the figure [inch]; below 10 the panels stand one above the other.
+        Width of the figure [inch]; below 10 the plots stand one above the other.
 
     Returns
     -------
@@ -307,8 +288,8 @@ def adjacency_figure(
     MissingExtraError
         matplotlib is not installed.
     SchemaError, UnitsError
-        There is no reflectance or wavelength; ``without`` is of another place; a region holds no pixel, or
-        both have one middle; ``width`` is not positive. All are listed.
+        There is no reflectance or wavelength; ``without`` has another size; a region holds no pixel, or both
+        have the same middle; ``width`` is not positive. All problems are listed.
 
     Notes
     -----
@@ -335,86 +316,101 @@ def adjacency_figure(
     places = pixels_of(pair, line)
     route, away = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
     nm = variables["wavelength"].values
+    order = np.argsort(nm, kind="stable")
     beside = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
-    panels = (
+    plots = (
         figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **beside)
         if is_wide
         else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
     )
-    _draw_picture(panels["picture"], line, pair, route[:, width // 2])
-    seen = {}
+    _draw_picture(plots["picture"], line, pair, route[:, width // 2])
+    transects = {}
     for name, each in lines.items():
         cube = schema.require(each, ["reflectance"], "a figure of adjacency")["reflectance"]
         style, named = ("--", False) if name else ("-", True)
         values = _gathered(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
-        seen[name] = _mean(values, axis=1)
-        _draw_bands(panels["along"], away, seen[name], nm, wavelengths, style, named)
+        transects[name] = _mean(values, axis=1)
+        _draw_bands(plots["along"], away, transects[name], nm, wavelengths, style, named)
         for region, place, colour in zip(pair, places, (_NEAR, _FAR), strict=True):
-            own = _gathered(cube, *place)
-            _draw_spectrum(panels["spectra"], nm, own, colour, style, region.name if named else None)
+            # the mean of the region's pixels; for a named curve also the middle half of them
+            spectra, axes = _gathered(cube, *place)[:, order], plots["spectra"]
+            mean = _mean(spectra, axis=0)
+            if named:
+                is_finite = np.isfinite(mean)
+                low, high = np.nanquantile(spectra[:, is_finite], _QUARTILES, axis=0)
+                axes.fill_between(nm[order][is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(nm[order], mean, style, color=colour, label=label_for(region.name) if named else None)
     if without is not None:
-        _draw_bands(panels["added"], away, seen[""] - seen["without"], nm, wavelengths, "-", False)
+        added = transects[""] - transects["without"]
+        _draw_bands(plots["added"], away, added, nm, wavelengths, "-", False)
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
         flagged = _mean(layer[route[..., 0], route[..., 1]], axis=1)
-        ink = ink_of(panels["added"])
-        panels["added"].plot(away, flagged, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]")
-    _finish(panels, without is not None)
+        ink = ink_of(plots["added"])
+        plots["added"].plot(away, flagged, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]")
+    _finish(plots, without is not None)
     save_figure(figure, path)
     return figure
 
 
-def _finish(panels: dict[str, Any], compared: bool) -> None:
-    """Name axes and curves."""
-    panels["along"].set(ylabel="reflectance factor [1]")
-    panels["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
-    panels["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
-    panels["along"].tick_params(labelbottom=False)
-    panels["along"].sharex(panels["added"])
+def _finish(plots: dict[str, Any], compared: bool) -> None:
+    plots["along"].set(ylabel="reflectance factor [1]")
+    plots["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
+    plots["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
+    plots["along"].tick_params(labelbottom=False)
+    plots["along"].sharex(plots["added"])
     for name in ("along", "added", "spectra"):
-        axes = panels[name]
+        axes = plots[name]
         axes.spines[["top", "right"]].set_visible(False)
         if compared and name != "added":
             axes.plot([], [], "--", color="0.4", label="without the neighbour's colour")
-    legend_below(panels["spectra"])
-    if panels["added"].lines:
-        legend_below(panels["added"], panels["along"])
+    legend_below(plots["spectra"])
+    if plots["added"].lines:
+        legend_below(plots["added"], plots["along"])
     else:
-        panels["added"].set_axis_off()
-        panels["along"].tick_params(labelbottom=True)
-        panels["along"].set(xlabel=panels["added"].get_xlabel())
-        legend_below(panels["along"])
+        plots["added"].set_axis_off()
+        plots["along"].tick_params(labelbottom=True)
+        plots["along"].set(xlabel=plots["added"].get_xlabel())
+        legend_below(plots["along"])
 
 
 def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
-    """Return both regions, of lines that fit."""
+    """Return both regions as one collection; SchemaError where regions or lines do not fit."""
     problems = Problems("adjacency cannot be drawn", SchemaError)
     first, *others = lines.values()
     shape = dict(first["reflectance"].sizes)
     for other in others:
         if "reflectance" not in other.variables or dict(other["reflectance"].sizes) != shape:
-            problems.add(f"without= has no reflectance of the line's shape {shape}")
+            problems.add(
+                "without= has no reflectance of the line's size",
+                expected=f"shape {shape}",
+                code="grid-mismatch",
+            )
     if width < 1:
-        problems.add(f"width={width}, expected 1 or more pixels")
-    pairs = [regions_from(given) for given in (near, far)]
-    for name, given in zip(("near", "far"), pairs, strict=True):
-        if len(given) != 1:
-            problems.add(f"{name}= holds {len(given)} regions, expected one")
+        problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
+    pairs = [regions_from(regions) for regions in (near, far)]
+    for name, regions in zip(("near", "far"), pairs, strict=True):
+        if len(regions) != 1:
+            problems.add(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
     problems.raise_if_any()
     pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
     for region, (along, _) in zip(pair, pixels_of(pair, first), strict=True):
         if not along.size:
-            problems.add(f"region {region.name!r} holds no pixel of the line")
+            problems.add(f"region {region.name!r} holds no pixel of the line", code="region-empty")
     problems.raise_if_any()
     return pair
 
 
 def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tuple[Array, Array]:
-    """Return pixels (step, across, 2) from one region's middle to the other's, and how far they are."""
+    """Return pixels (step, across, 2) from one region's middle to the other's, and distances."""
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
     if length < 1.0:
-        raise SchemaError("adjacency cannot be drawn: both regions have the same middle; choose them apart")
+        raise SchemaError(
+            "adjacency cannot be drawn: both regions have the same middle",
+            mend="choose them apart",
+            code="region-overlap",
+        )
     ahead = (stop - start) / length
     away = np.arange(int(length) + 1, dtype=np.float64)
     aside = np.arange(width) - (width - 1) / 2
@@ -429,7 +425,7 @@ def _gathered(cube: xr.DataArray, along: Array, across: Array) -> Array:
 
 
 def _mean(values: Array, axis: int) -> Array:
-    """Return the mean of what is known, NaN where nothing is."""
+    """Return the mean of finite values, NaN where there are none."""
     there = np.isfinite(values)
     count = there.sum(axis=axis)
     mean = np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
@@ -457,14 +453,3 @@ def _draw_bands(
     for band, colour in zip(bands, colours, strict=False):
         name = f"{nm[band]:.0f} nm" if named else None
         axes.plot(away, values[:, band], style, color=colour, linewidth=1.5 if named else 1.0, label=name)
-
-
-def _draw_spectrum(axes: Any, nm: Array, values: Array, colour: str, style: str, name: str | None) -> None:
-    """Draw the mean of pixels, and the middle half of them where they have a name."""
-    order = np.argsort(nm, kind="stable")
-    nm, mean = nm[order], _mean(values, axis=0)[order]
-    if name is not None:
-        is_finite = np.isfinite(mean)
-        low, high = np.nanquantile(values[:, order][:, is_finite], _QUARTILES, axis=0)
-        axes.fill_between(nm[is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
-    axes.plot(nm, mean, style, color=colour, label=None if name is None else label_for(name))

@@ -1,11 +1,12 @@
-"""What panels measure over what irradiance lets expect, band by band."""
+"""Ratio of measured to expected panel reflectance, band by band."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
@@ -15,34 +16,30 @@ from hyperpaint.radiometry.panels import CLOSURE
 from .figures import ink_of, legend_below, new_figure, save_figure
 from .plot_spectra import good_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-MOST_PANELS = 12
-"""Panels of one figure at the most, the first in time."""
+MAX_PANELS = 12  # of one figure, the first in time
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 _DASHES = ("-", "--")
 
 
 def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: float = 9.0) -> Any:
-    """Draw the factor of every panel with its combined uncertainty, and what was noticed of it.
+    """Draw the factor of every panel with its combined uncertainty and the findings on the panel.
 
-    Eager in what panels measure; reads no cube.
+    Eager in the panel factors; reads no cube.
 
     Parameters
     ----------
     closure
-        As of `hyperpaint.radiometry.panel_closure`, or a line that was scaled by panels.
+        Result of `hyperpaint.radiometry.panel_closure`, or a line scaled by panels.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     width
-        Of the figure [inch].
+        Width of the figure [inch].
 
     Returns
     -------
     matplotlib.figure.Figure
-        Of one axes. Shades are twice the combined standard uncertainty: a factor that closes has 1 in its
-        shade. Of more than 12 panels the first 12 are drawn.
+        One axes. Shades are twice the combined standard uncertainty: a factor that agrees has 1 in its shade.
+        Of more than 12 panels the first 12 are drawn.
 
     Raises
     ------
@@ -58,13 +55,14 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     >>> whole = hp.Panel(slice(None), slice(None), 0.4)
     >>> closure = hp.radiometry.panel_closure(worked_example(), whole)
     >>> figure = panel_figure(closure, "panels.png")                              # doctest: +SKIP
-    >>> len(panel_figure(closure).axes[0].lines)  # one panel, and where it closes
+    >>> len(panel_figure(closure).axes[0].lines)  # one panel, and the line at 1
     2
     """
     if not set(CLOSURE) <= set(closure.variables):
         raise SchemaError(
             "no panel was measured: 'panel_factor' is missing",
             mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
+            code="variable-missing",
         )
     figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
     draw_panels(figure.add_subplot(), closure)
@@ -73,7 +71,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
 
 
 def noticed_of(state: int) -> str:
-    """Return what the bits of ``panel_state`` say.
+    """Return the bits of ``panel_state`` in words.
 
     Examples
     --------
@@ -85,19 +83,19 @@ def noticed_of(state: int) -> str:
 
 
 def draw_panels(axes: Any, closure: xr.Dataset) -> None:
-    """Draw factors over wavelength on axes; bands that are not good stay blank."""
-    values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MOST_PANELS)}).compute()
+    """Draw the factors over wavelength on axes; bad bands stay blank."""
+    values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MAX_PANELS)}).compute()
     nm, is_good = closure["wavelength"].values, good_of(closure)
     order = np.argsort(nm, kind="stable")
     axes.axhline(1.0, color=ink_of(axes, 0.7), linewidth=0.8)
     for number in range(values.sizes[schema.PANEL]):
-        one = values.isel({schema.PANEL: number})
-        factor, u = (np.where(is_good, one[name].values, np.nan)[order] for name in CLOSURE[:2])
+        panel = values.isel({schema.PANEL: number})
+        factor, u = (np.where(is_good, panel[name].values, np.nan)[order] for name in CLOSURE[:2])
         colour = _COLOURS[number % len(_COLOURS)]
-        time = np.datetime_as_string(one["panel_time"].values, "s")
-        label = f"panel {number}, {time}: {noticed_of(int(one['panel_state']))}"
+        time = np.datetime_as_string(panel["panel_time"].values, "s")
+        label = f"panel {number}, {time}: {noticed_of(int(panel['panel_state']))}"
         dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
-    axes.set(xlabel="wavelength [nm]", ylabel="panel: measured over expected [1]")
+    axes.set(xlabel="wavelength [nm]", ylabel="panel: measured / expected reflectance [1]")
     legend_below(axes)

@@ -1,12 +1,13 @@
-"""Paints as chips beside the scenes that they were rendered in."""
+"""Paints as chips beside the scenes rendered with them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
@@ -20,14 +21,9 @@ from .orientation import orientation_of, show_picture
 from .plot import rgb
 from .plot_spectra import find_usable, good_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 MAX_CHIPS = 60
-"""Paints that are shown at the most."""
-
 _CHIP_PX = 16  # pixels along a chip's side, each a member of the population
-_CHIP, _RENDER = 0.85, 4.2  # widths [inch]
+_CHIP_INCH, _RENDER_INCH = 0.85, 4.2  # widths
 
 
 @takes_quantities()
@@ -39,26 +35,26 @@ def chips_and_renders(
     columns: int = 7,
     stretch: tuple[float, float] = (1.0, 99.0),
 ) -> Any:
-    """Draw the paints of a library as chips, above scenes that were rendered with them.
+    """Draw the paints of a library as chips above scenes rendered with them.
 
     Parameters
     ----------
     paints
         A paint library. The pixels of a chip are members of its population, where the library has one.
     renders
-        A render, as of `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
+        A render from `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
         the name of their light.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     columns
         Chips side by side.
     stretch
-        As of `hyperpaint.pictures.rgb`, for every render.
+        As for `hyperpaint.pictures.rgb`, for every render.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Of at most 60 chips.
+        At most 60 chips.
 
     Raises
     ------
@@ -66,7 +62,7 @@ def chips_and_renders(
         matplotlib is not installed.
     SchemaError
         It is no paint library, or has no paints; there is no render, or one without three visible bands; or
-        matplotlib writes no such picture.
+        matplotlib cannot write this type of picture.
 
     Examples
     --------
@@ -84,13 +80,14 @@ def chips_and_renders(
         lines = dict(renders)
     if wrong or not paints.sizes[SIGNATURE] or not lines:
         found = "; ".join(wrong) or f"found {paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
-        raise SchemaError(f"a collage needs a paint library and a render: {found}")
+        raise SchemaError(f"a collage needs a paint library and a render: {found}", code="empty-input")
     count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
     columns = max(1, min(columns, count))
     rows = -(-count // columns)
     orientations = {name: orientation_of(line) for name, line in lines.items()}
-    tallest = max(min(one.height_of(_RENDER), 2.5 * _RENDER) for one in orientations.values())
-    chip_height, width = 1.25 * _CHIP * rows, max(_RENDER * len(lines), (_CHIP + 0.2) * columns)
+    tallest = max(min(each.height_of(_RENDER_INCH), 2.5 * _RENDER_INCH) for each in orientations.values())
+    chip_height = 1.25 * _CHIP_INCH * rows
+    width = max(_RENDER_INCH * len(lines), (_CHIP_INCH + 0.2) * columns)
     figure = new_figure(
         "a collage of chips and renders", figsize=(width, chip_height + tallest + 0.6), layout="constrained"
     )
@@ -104,8 +101,8 @@ def chips_and_renders(
                 _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
             )
             axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
-    panels = below.subplots(1, len(lines), squeeze=False)[0]
-    for axes, (name, line) in zip(panels, lines.items(), strict=True):
+    plots = below.subplots(1, len(lines), squeeze=False)[0]
+    for axes, (name, line) in zip(plots, lines.items(), strict=True):
         show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
         axes.set_axis_off()
         axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
@@ -114,7 +111,7 @@ def chips_and_renders(
 
 
 def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
-    """Return the picture of a chip (row, column, rgb), 0 to 1: of members where there are some."""
+    """Return the picture of a chip (row, column, rgb), 0 to 1; its pixels are members of the population."""
     flat = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
     if "member_reflectance" not in paint.variables:
         return np.asarray(flat)

@@ -1,12 +1,13 @@
-"""Spectra of pixels, regions and paints, with their spread; a paint library at a glance."""
+"""Spectra of pixels, regions and paints with their spread; overview of a paint library."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
@@ -20,14 +21,10 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, save_figure
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 SPREADS = ("quantiles", "sd", "none")
-MOST_CURVES = 24
-"""Curves of one figure at the most."""
+MAX_CURVES = 24  # of one figure
 
-_ALIKE = 12.0  # CIEDE2000, below which colours of curves are told apart by their dashes
+_MIN_DIFFERENCE = 12.0  # CIEDE2000 between colours of curves, below which their dashes differ
 _DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 
 
@@ -41,29 +38,28 @@ def spectrum(
     exclude: Quality | int | None = None,
     axes: Any = None,
 ) -> Any:
-    """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library.
+    """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library.
 
-    Each curve has the colour of its paint in daylight, with a rim that shows on light and dark ground; those
-    of colours that are hard to tell apart differ in their dashes. Eager: of a flight line the blocks of lines
-    are read that hold the pixels.
+    Each curve has the colour of its paint in daylight, with a rim that shows on light and dark ground; curves
+    of similar colours differ in their dashes. Eager: of a flight line the blocks with the pixels are read.
 
     Parameters
     ----------
     dataset
-        A flight line with reflectance, or with what it follows from; or a paint library.
+        A flight line with reflectance, or with the variables to compute it; or a paint library.
     regions
-        Regions of the flight line, see `hyperpaint.read_regions`; drawn is the centre of their pixels, as
-        `hyperpaint.extract_signatures` finds it.
+        Regions of the flight line, see `hyperpaint.read_regions`; the centre of their pixels is drawn, as in
+        `hyperpaint.extract_signatures`.
     pixels
         (along_track, cross_track) of a pixel, or several such pairs. Each is drawn at the wavelengths of its
-        own column, with its standard uncertainty where that is known, and named with its flags.
+        column, with its standard uncertainty where known, and labelled with its flags.
     paints
         Names of paints of the library; by default all.
     spread
-        Of regions and paints: ``"quantiles"`` shades the middle half and 5 to 95 % of the pixels, ``"sd"``
+        For regions and paints: ``"quantiles"`` shades the middle half and 5 to 95 % of the pixels, ``"sd"``
         one standard deviation, ``"none"`` nothing.
     exclude
-        Flags of pixels of regions that are left out; by default as `hyperpaint.extract_signatures` does.
+        Flags of pixels of regions to exclude; by default as in `hyperpaint.extract_signatures`.
     axes
         matplotlib axes to draw on; new ones by default.
 
@@ -78,7 +74,8 @@ def spectrum(
     MissingExtraError
         matplotlib is not installed.
     SchemaError, UnitsError
-        The dataset has none of what is asked for, or there are more than 24 curves; all problems are listed.
+        The dataset lacks the regions, pixels or paints, or there are more than 24 curves; all problems are
+        listed.
 
     Examples
     --------
@@ -89,13 +86,42 @@ def spectrum(
     ['(3, 4)', '(20, 10)']
     """
     dataset = schema.rename_to_roles(dataset)
-    library = _is_library(dataset)
-    _check(library, regions, pixels, paints, spread)
+    # a flight line may have the dim of paints too: the paint of each pixel
+    is_library = "reflectance" in dataset and dataset["reflectance"].dims == (schema.SIGNATURE, BAND)
+    problems = Problems("spectra cannot be drawn", SchemaError)
+    if spread not in SPREADS:
+        problems.add(f"spread={spread!r:.40}", expected=f"one of {', '.join(SPREADS)}", code="choice-unknown")
+    if is_library and (regions is not None or pixels is not None):
+        problems.add(
+            "a paint library has neither regions nor pixels",
+            mend="name paints=, or give a flight line",
+            code="option-conflict",
+        )
+    if not is_library and paints is not None:
+        problems.add(
+            "paints= names paints of a library", mend="give regions= or pixels=", code="option-conflict"
+        )
+    if not is_library and (regions is None) == (pixels is None):
+        problems.add(
+            "a flight line needs either regions or pixels=(along_track, cross_track)", code="argument-missing"
+        )
+    places = np.zeros((0, 2), int)
+    if not is_library and pixels is not None:
+        places = checked_places(dataset, pixels, problems)
+    problems.raise_if_any()
     axes = axes_or_new(axes, "a picture of spectra", figsize=(8, 4.5))
     if pixels is not None:
-        _draw_pixels(axes, dataset, np.atleast_2d(np.asarray(pixels)))
+        if "reflectance" not in dataset.variables:
+            dataset = reflectance(dataset)
+        names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
+        cubes = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
+        planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
+        spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
+        u = np.sqrt(sum(spectra[name].astype(np.float64) ** 2 for name in names)) if names else None
+        cube = {"reflectance": spectra["reflectance"]}
+        draw_pixels([axes], dataset, cube, values.get("quality"), places, u)
     else:
-        if not library:
+        if not is_library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
         _draw_paints(axes, dataset, paints, spread)
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
@@ -105,7 +131,7 @@ def spectrum(
 
 
 def styles_of(colours: Array) -> list[dict[str, Any]]:
-    """Return how curves of these colours (curve, rgb) are drawn: with dashes that tell like ones apart.
+    """Return colour and dashes for curves of these colours (curve, rgb); similar colours get other dashes.
 
     A curve without a colour, NaN, takes one of matplotlib's.
     """
@@ -113,44 +139,19 @@ def styles_of(colours: Array) -> list[dict[str, Any]]:
     styles: list[dict[str, Any]] = []
     for number, colour in enumerate(colours):
         known = bool(np.isfinite(colour).all())
-        alike = int((ciede2000(lab[:number], lab[number]) < _ALIKE).sum()) if known else 0
+        alike = int((ciede2000(lab[:number], lab[number]) < _MIN_DIFFERENCE).sum()) if known else 0
         shown = tuple(np.asarray(colour, np.float64).tolist()) if known else f"C{number % 10}"
         styles.append({"color": shown, "ls": _DASHES[alike % len(_DASHES)]})
     return styles
 
 
 def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> Any:
-    """Draw a curve in a colour of its own, with a rim that shows on any ground; return that colour."""
+    """Draw a curve with a rim that shows on light and dark ground; return its colour."""
     from matplotlib.patheffects import Normal, withStroke
 
     rim = withStroke(linewidth=2.8, foreground=ink_of(axes, 0.45))
     axes.plot(x, y, lw=1.7, label=label, path_effects=[rim, Normal()], **style)
     return style["color"]
-
-
-def _is_library(dataset: xr.Dataset) -> bool:
-    # a flight line may hold which paint each pixel has
-    return "reflectance" in dataset.variables and dataset["reflectance"].dims == (schema.SIGNATURE, BAND)
-
-
-def _check(library: bool, regions: Any, pixels: Any, paints: Any, spread: str) -> None:
-    problems = Problems("spectra cannot be drawn", SchemaError)
-    if spread not in SPREADS:
-        problems.add(f"spread={spread!r:.40}, expected one of {', '.join(SPREADS)}")
-    if library and (regions is not None or pixels is not None):
-        problems.add("a paint library has neither regions nor pixels; name paints=, or give a flight line")
-    if not library:
-        if paints is not None:
-            problems.add("paints are those of a library; a flight line has regions= and pixels=")
-        if (regions is None) == (pixels is None):
-            problems.add("a flight line needs either regions or pixels=(along_track, cross_track)")
-    if pixels is not None:
-        places = np.asarray(pixels)
-        if places.ndim not in (1, 2) or places.shape[-1:] != (2,) or places.dtype.kind not in "iu":
-            problems.add(f"pixels={pixels!r:.60}, expected whole (along_track, cross_track), or several")
-        elif places.ndim == 2 and len(places) > MOST_CURVES:
-            problems.add(f"{len(places)} pixels, expected at most {MOST_CURVES}; outline them as a region")
-    problems.raise_if_any()
 
 
 # --- paints and regions ------------------------------------------------------------------------------------
@@ -161,30 +162,36 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     wanted = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
     if unknown := [name for name in wanted if name not in names]:
-        problems.add(f"no paint {', '.join(map(repr, unknown))}; there is {', '.join(names)}")
-    if len(wanted) > MOST_CURVES:
         problems.add(
-            f"{len(wanted)} curves, expected at most {MOST_CURVES}; name some, or see library_overview"
+            f"no paint {', '.join(map(repr, unknown))}", expected=", ".join(names), code="paint-unknown"
+        )
+    if len(wanted) > MAX_CURVES:
+        problems.add(
+            f"{len(wanted)} curves",
+            expected=f"at most {MAX_CURVES}",
+            mend="name some, or see library_overview",
+            code="curve-number",
         )
     problems.raise_if_any()
     places = [names.index(name) for name in wanted]
     styles = styles_of(paint_colours(library)[places])
     for name, place, style in zip(wanted, places, styles, strict=True):
-        own = library.isel({schema.SIGNATURE: place})
-        wavelength, is_good = _wavelength_of(own)
-        centre = np.where(is_good, own["reflectance"].values, np.nan)
-        count = f" (n = {int(own['n'])})" if "n" in own else ""
-        draw_band(axes, own, wavelength, is_good, spread, style["color"])
+        paint = library.isel({schema.SIGNATURE: place})
+        wavelength = schema.require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
+        is_good = good_of(paint)
+        centre = np.where(is_good, paint["reflectance"].values, np.nan)
+        count = f" (n = {int(paint['n'])})" if "n" in paint else ""
+        draw_band(axes, paint, wavelength, is_good, spread, style["color"])
         draw_curve(axes, wavelength, centre, style, label_for(name) + count)
 
 
 def draw_band(
     axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
 ) -> None:
-    """Shade how far the pixels of one paint of a library are spread; see `spectrum` for ``spread``.
+    """Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
 
-    ``wavelength`` and ``is_good`` (band,): of the bands, and which of them may be shown. What the library
-    does not hold is not drawn.
+    ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. Nothing is drawn if the
+    library has no such spread.
     """
     if spread == "quantiles" and "reflectance_quantiles" in paint:
         levels = paint[schema.QUANTILE].values
@@ -198,14 +205,8 @@ def draw_band(
         axes.fill_between(wavelength, centre - sd, centre + sd, where=is_good, color=colour, alpha=0.25, lw=0)
 
 
-def _wavelength_of(dataset: xr.Dataset) -> tuple[Array, Array]:
-    """Return wavelengths [nm], and which bands are to be used."""
-    wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
-    return wavelength, good_of(dataset)
-
-
 def good_of(dataset: xr.Dataset) -> Array:
-    """Return which bands are to be used (band,)."""
+    """Return the good bands (band,), all where the dataset does not say."""
     if "good" in dataset.variables:
         return np.asarray(dataset["good"].values, bool)
     return np.ones(dataset.sizes[BAND], bool)
@@ -214,47 +215,71 @@ def good_of(dataset: xr.Dataset) -> Array:
 # --- pixels ------------------------------------------------------------------------------------------------
 
 
-def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
-    problems = Problems("pixels cannot be drawn", SchemaError)
-    size = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
+def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Array:
+    """Return places (pixel, 2) along and across the track; problems are noted."""
+    places = np.atleast_2d(np.asarray(pixels))
+    if places.ndim != 2 or places.shape[-1] != 2 or places.dtype.kind not in "iu":
+        problems.add(
+            f"pixels={pixels!r:.60}",
+            expected="one whole (along_track, cross_track), or several",
+            code="type-wrong",
+        )
+        return places
+    if len(places) > MAX_CURVES:
+        problems.add(
+            f"{len(places)} pixels",
+            expected=f"at most {MAX_CURVES}",
+            mend="outline them as a region",
+            code="curve-number",
+        )
+    lines, columns = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
     for along, across in places.tolist():
-        if not (0 <= along < size[0] and 0 <= across < size[1]):
-            problems.add(f"pixel ({along}, {across}) is outside of {size[0]} lines of {size[1]} columns")
-    problems.raise_if_any()
-    if "reflectance" not in dataset.variables:
-        dataset = reflectance(dataset)
-    names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
-    cubes = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
-    planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
-    spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
-    wavelength, is_good = _wavelength_of(dataset)
-    shift = np.zeros((wavelength.size, size[1]))
+        if not (0 <= along < lines and 0 <= across < columns):
+            problems.add(
+                f"pixel ({along}, {across}) is outside of {lines} lines of {columns} columns",
+                code="pixel-outside",
+            )
+    return places
+
+
+def draw_pixels(
+    plots: Sequence[Any],
+    dataset: xr.Dataset,
+    cubes: Mapping[str, Array],
+    quality: Array | None,
+    places: Array,
+    u: Array | None = None,
+) -> None:
+    """Draw spectra of pixels in their own colours at the wavelengths of their columns, one cube an axes.
+
+    ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
+    uncertainty, shaded.
+    """
+    wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
+    is_good = good_of(dataset)
+    shift = np.zeros((wavelength.size, dataset.sizes[CROSS_TRACK]))
     if "wavelength_shift" in dataset.variables:
-        own = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
-        shift = np.broadcast_to(own.values, shift.shape)
-    shown = np.where(is_good, spectra["reflectance"], np.nan)
-    styles = styles_of(pixel_colours(shown, wavelength))
-    for number, (along, across) in enumerate(places.tolist()):
-        at = wavelength + shift[:, across]
-        label = pixel_label(along, across, int(values["quality"][number]) if planes else 0)
-        if names:
-            u = np.sqrt(sum(spectra[name][number].astype(np.float64) ** 2 for name in names))
-            below, above = shown[number] - u, shown[number] + u
-            axes.fill_between(at, below, above, color=styles[number]["color"], alpha=0.25, lw=0)
-        draw_curve(axes, at, shown[number], styles[number], label)
-
-
-def pixel_colours(reflectance: Array, wavelength: Array) -> Array:
-    """Return the colours of pixels (pixel, rgb) in daylight; NaN without three visible bands."""
+        stored = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
+        shift = np.broadcast_to(stored.values, shift.shape)
+    # colours in daylight; matplotlib's without three visible bands
     order = np.argsort(wavelength, kind="stable")
     try:
-        return srgb(reflectance[:, order], wavelength[order])
+        colours = srgb(np.where(is_good, cubes["reflectance"], np.nan)[:, order], wavelength[order])
     except SchemaError:
-        return np.full((len(reflectance), 3), np.nan)
+        colours = np.full((len(places), 3), np.nan)
+    styles = styles_of(colours)
+    for axes, cube in zip(plots, cubes.values(), strict=True):
+        for number, (along, across) in enumerate(places.tolist()):
+            nm, shown = wavelength + shift[:, across], np.where(is_good, cube[number], np.nan)
+            label = pixel_label(along, across, 0 if quality is None else int(quality[number]))
+            if u is not None:
+                below, above = shown - u[number], shown + u[number]
+                axes.fill_between(nm, below, above, color=styles[number]["color"], alpha=0.25, lw=0)
+            draw_curve(axes, nm, shown, styles[number], label)
 
 
 def pixel_label(along: int, across: int, bits: int) -> str:
-    """Return a pixel's place, and its flags.
+    """Return the place of a pixel and its flags as text.
 
     Examples
     --------
@@ -268,26 +293,25 @@ def pixel_label(along: int, across: int, bits: int) -> str:
 # --- paint libraries -----------------------------------------------------------------------------------
 
 
-MOST_PAINTS = 48
-"""Paints of one figure at the most."""
+MAX_PAINTS = 48  # of one figure
 
-_PANEL = (2.9, 2.1)  # [inch]
+_AXES_INCH = (2.9, 2.1)
+# kinds of dtypes accepted for a dtype of the schema
 _KINDS = {"float32": "fiu", "float64": "fiu", "int64": "iu", "uint16": "iu", "bool": "b"}
-"""Kinds of dtypes that serve for one of the table."""
 
 
 @takes_quantities()
 def library_overview(
     paints: xr.Dataset, path: str | Path | None = None, *, columns: int = 4, spread: str = "quantiles"
 ) -> Any:
-    """Draw every paint of a library: a swatch of its colour, its spectrum and how far its pixels are spread.
+    """Draw every paint of a library: a swatch of its colour, its spectrum, and the spread of its pixels.
 
     Parameters
     ----------
     paints
-        A paint library, as of `hyperpaint.extract_signatures`.
+        A paint library, as from `hyperpaint.extract_signatures`.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     columns
         Paints side by side.
     spread
@@ -296,16 +320,16 @@ def library_overview(
     Returns
     -------
     matplotlib.figure.Figure
-        Of at most 48 paints; its title says how many more there are. All axes have the same scale. Spectra
-        are in the paints' own colours.
+        At most 48 paints; the title counts the others. All axes have the same scale. Spectra have the colours
+        of their paints.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        It is no paint library, what it holds has other dims, units or dtypes than a library's, or matplotlib
-        writes no such picture.
+        It is no paint library, variables have other dims, units or dtypes than in a library, or matplotlib
+        cannot write this type of picture.
 
     Examples
     --------
@@ -317,16 +341,16 @@ def library_overview(
     paints, wrong = find_usable(paints)
     problems = Problems("a paint library cannot be drawn", SchemaError)
     for problem in wrong:
-        problems.add(problem)
+        problems.add(problem, code="variable-unusable")
     problems.raise_if_any()
     variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
     count = paints.sizes[schema.SIGNATURE]
     if not count:
-        raise SchemaError("an overview needs paints, the library has none")
-    shown = min(count, MOST_PAINTS)
+        raise SchemaError("the library has no paint to draw", code="library-empty")
+    shown = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown))
     rows = -(-shown // columns)
-    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
+    size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.4)
     figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     wavelength, good = variables["wavelength"].values, good_of(paints)
@@ -353,14 +377,14 @@ def library_overview(
 
 
 def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Return a library without what is not as the table says, and what is wrong with that.
+    """Return a library without variables that break the schema, and the problems of these.
 
     Reads dims, dtypes and attributes only, never values.
     """
     table = schema.LIBRARY_VARIABLES
     names = [name for name in table if name in paints.variables]
     kinds = {name: _KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
-    # only numbers can be brought to other units
+    # only numbers can be converted to other units
     alike = [name for name in names if paints[name].dtype.kind in kinds[name]]
     problems = [
         f"{name!r} is {paints[name].dtype}, expected {table[name].dtype}"
@@ -383,19 +407,16 @@ def _draw_paint(
     title = label_for(paint[schema.SIGNATURE].item()) + count
     axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
     if np.isfinite(colour).all():
-        swatch = Rectangle(
-            (0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, clip_on=False, facecolor=colour.tolist(),
-            edgecolor="0.5", lw=0.5,
-        )  # fmt: skip
-        axes.add_patch(swatch)
+        style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
+        axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
     axes.tick_params(labelsize="small")
 
 
 def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
-    """Draw how sure the mean of each paint is, and its random part; of at most `MOST_CURVES` paints."""
+    """Draw the standard uncertainty of each paint's mean, and its random part."""
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
     held = [name for name in names if name in paints.variables]
-    few = paints.isel({schema.SIGNATURE: slice(MOST_CURVES)})
+    few = paints.isel({schema.SIGNATURE: slice(MAX_CURVES)})
     values = schema.require(few, [*held, "wavelength"], "uncertainties", schema.LIBRARY_VARIABLES)
     is_good, nm = good_of(few), values["wavelength"].values
     parts = [np.where(is_good, values[name].values, np.nan).astype(np.float64) for name in held]

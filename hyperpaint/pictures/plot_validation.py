@@ -1,4 +1,4 @@
-"""Signatures over their references, and what is between them."""
+"""Signatures over their references, and their differences."""
 
 from __future__ import annotations
 
@@ -7,58 +7,55 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
 
 from .figures import ink_of, label_for, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.validation import Validation
 
-MOST_PAIRS = 24
-"""Pairs of one figure at the most."""
+MAX_PAIRS = 24  # of one figure
 
-_PANEL = (3.6, 3.9)  # [inch]
+_AXES_INCH = (3.6, 3.9)
 _SIGNATURE = "#3399DD"
+# colours (of Okabe and Ito) and dashes of the references of one paint, one per instrument
 _REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00", (0, (6, 1, 1, 1))))
-"""Colours and dashes of the references of one paint, an instrument each: of Okabe and Ito."""
-_LEAST_SPAN = 0.005  # of the axis of differences
+_MIN_SPAN = 0.005  # half range of the axis of differences [1]
 
 
 def validation_figure(
     validation: Validation, path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
 ) -> Any:
-    """Draw every signature over its references, with their spread, and the differences below.
+    """Draw every signature over its references with their spread, and the differences below.
 
     References of several instruments are drawn over one another.
 
     Parameters
     ----------
     validation
-        As of `hyperpaint.validate`.
+        Result of `hyperpaint.validate`.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
+        File for the picture (PNG, PDF, ...); none by default.
     columns
         Paints side by side.
     limit
-        Half range of all axes of differences [1]; by default that of the largest, or the limit of RMSE, which
-        is shaded.
+        Half range of all axes of differences [1]; by default it holds the largest difference and the limit of
+        RMSE, which is shaded.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Of at most 24 paints, the worst first where there are more; its title says so. Shades are a standard
-        deviation of pixels or readings; of the difference, its standard uncertainty. Bands that were not
-        compared are left blank.
+        At most 24 paints; of more, the worst, as the title notes. Shades are a standard deviation of pixels
+        or readings; for the difference, its standard uncertainty. Bands not compared are blank.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        ``columns`` or ``limit`` is not positive, or matplotlib writes no such picture.
+        ``columns`` or ``limit`` is not positive, or matplotlib cannot write this type of picture.
 
     Examples
     --------
@@ -74,14 +71,20 @@ def validation_figure(
     2
     """
     if columns < 1 or (limit is not None and not limit > 0.0):
-        raise SchemaError(f"columns={columns}, limit={limit}: expected positive numbers")
+        raise SchemaError(
+            f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
+        )
     shown = _chosen(validation)
     columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)
-    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.7)
+    size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.7)
     figure = new_figure("a picture of a validation", figsize=size, layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.4, 1.0] * rows)
-    limit = limit or _half_range(validation, shown)
+    if limit is None:
+        drawn = [pair for pairs in shown for pair in pairs]
+        largest = [float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in drawn]
+        limits = float(np.nan_to_num(validation.statistics["rmse_limit"].values[drawn]).max())
+        limit = 1.15 * max(_MIN_SPAN, limits, *(each for each in largest if np.isfinite(each)))
     for place, pairs in enumerate(shown):
         row, column = divmod(place, columns)
         upper = figure.add_subplot(grid[2 * row, column])
@@ -102,7 +105,6 @@ def validation_figure(
 
 
 def _by_paint(validation: Validation) -> list[list[int]]:
-    """Return the pairs of every paint."""
     pairs: dict[str, list[int]] = {}
     for number, spectra in enumerate(validation.spectra):
         pairs.setdefault(str(spectra.attrs["signature"]), []).append(number)
@@ -110,19 +112,12 @@ def _by_paint(validation: Validation) -> list[list[int]]:
 
 
 def _chosen(validation: Validation) -> list[list[int]]:
-    """Return the paints that are drawn, the pairs of each: all, or those of the largest RMSE."""
+    """Return the pairs of each paint to draw: of all paints, or of those with the largest RMSE."""
     paints = _by_paint(validation)
-    if len(paints) <= MOST_PAIRS:
+    if len(paints) <= MAX_PAIRS:
         return paints
     rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
-    return sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MOST_PAIRS]
-
-
-def _half_range(validation: Validation, shown: list[list[int]]) -> float:
-    drawn = [pair for pairs in shown for pair in pairs]
-    largest = [float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in drawn]
-    limits = np.nan_to_num(validation.statistics["rmse_limit"].values[drawn]).max()
-    return 1.15 * max(_LEAST_SPAN, float(limits), *(each for each in largest if np.isfinite(each)))
+    return sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MAX_PAIRS]
 
 
 def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
@@ -130,7 +125,11 @@ def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
     _draw_side(axes, first, "signature", "signature", _SIGNATURE, "-")
     for number, pair in enumerate(pairs):
         spectra = validation.spectra[pair]
-        label = f"reference ({spectra.attrs['instrument']}): {_figures_of(validation, pair)}"
+        # over the part of the spectrum with most bands
+        part = _largest_part(validation, pair)
+        limit = f" of {float(part['rmse_limit']):.4f}" if np.isfinite(part["rmse_limit"]) else ""
+        agreement = f"RMSE {float(part['rmse']):.4f}{limit}, scale {float(part['scale']):.3f}"
+        label = f"reference ({spectra.attrs['instrument']}): {agreement}"
         _draw_side(axes, spectra, "reference", label, *_REFERENCES[number % len(_REFERENCES)])
     names = [
         str(first.attrs["signature"]),
@@ -149,17 +148,9 @@ def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: st
         axes.fill_between(at, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
 
 
-def _figures_of(validation: Validation, pair: int) -> str:
-    """Return RMSE, its limit and scale over the part with most bands."""
-    whole = _whole_part(validation, pair)
-    limit = float(whole["rmse_limit"])
-    most = f" of {limit:.4f}" if np.isfinite(limit) else ""
-    return f"RMSE {float(whole['rmse']):.4f}{most}, scale {float(whole['scale']):.3f}"
-
-
-def _whole_part(validation: Validation, pair: int) -> xr.Dataset:
-    one = validation.statistics.isel(pair=pair)
-    return one.isel(part=int(one["bands"].values.argmax()))
+def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
+    statistics = validation.statistics.isel(pair=pair)
+    return statistics.isel(part=int(statistics["bands"].values.argmax()))
 
 
 def _draw_differences(
@@ -170,7 +161,7 @@ def _draw_differences(
         spectra = validation.spectra[pair]
         colour, dashes = _REFERENCES[number % len(_REFERENCES)]
         at, values = _whole(spectra, spectra["difference"])
-        edge = float(_whole_part(validation, pair)["rmse_limit"])
+        edge = float(_largest_part(validation, pair)["rmse_limit"])
         if np.isfinite(edge) and not number:
             axes.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
         axes.plot(at, values, color=colour, ls=dashes, lw=1.2)
@@ -187,7 +178,7 @@ def _draw_differences(
 
 
 def _whole(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
-    """Return wavelengths in their order [nm], and values, NaN in bands that were not compared."""
+    """Return sorted wavelengths [nm], and values, NaN in bands not compared."""
     order = np.argsort(spectra["wavelength"].values, kind="stable")
     values = np.where(spectra["used"].values, array.values, np.nan)
     return spectra["wavelength"].values[order], values[order]

@@ -1,4 +1,4 @@
-"""Parts of a report that show how far figures can be trusted: steps, map, alignment, agreement."""
+"""Parts of a report that show the quality of results: chain, map, alignment, agreement with references."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, rename_to_roles
@@ -21,35 +22,34 @@ from hyperpaint.validation import validate
 from .pages import Part, page_part
 
 if TYPE_CHECKING:
-    import xarray as xr
     from markupsafe import Markup
 
     from hyperpaint.regions import Region
 
 _DPI = 100
-_MAP_CELLS = 800
-_MAP_BANDS = 24
+_MAX_MAP_CELLS = 800  # rows or columns
+_MAX_MAP_BANDS = 24
 _POSE = {"latitude", "longitude", "altitude", "roll", "pitch", "heading"}
 
-#: What a comparison of camera and record leaves in the attributes: see `hyperpaint.alignment.align`.
+# results of the comparison of camera and record in the attributes, see `hyperpaint.alignment.align`
 _COMPARED = {
     "state": "state",
-    "shift": "camera minus record, at 600 nm [nm]",
-    "shift_slope": "its change over 100 nm [nm]",
-    "width": "width over the declared [1]",
-    "departure": "departure from none [standard uncertainties]",
+    "shift": "wavelength shift, camera minus record, at 600 nm [nm]",
+    "shift_slope": "change of the shift over 100 nm [nm]",
+    "width": "band width over declared width [1]",
+    "departure": "departure from no shift [standard uncertainties]",
     "effect": "largest change of irradiance [1]",
-    "residual": "lines of the light that stay, after [1]",
-    "residual_declared": "as declared [1]",
-    "record_shift": "record against the sun's lines [nm]",
-    "camera_shift": "camera against the sun's lines [nm]",
+    "residual": "residual of solar lines, aligned [1]",
+    "residual_declared": "residual of solar lines, as declared [1]",
+    "record_shift": "shift of the record against solar lines [nm]",
+    "camera_shift": "shift of the camera against solar lines [nm]",
     "record_fwhm": "width of the record's bands [nm]",
-    "camera_width": "width of the camera's bands over the declared [1]",
+    "camera_width": "width of the camera's bands over declared width [1]",
 }
 
 
 def trust_parts(line: xr.Dataset, regions: Sequence[Region]) -> Iterator[Part]:
-    """Yield steps of the chain, the map and the alignment of a flight line, where it has what they need."""
+    """Yield the chain, the map and the alignment of a flight line, each where its inputs exist."""
     names = set(line.variables)
     if {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"} <= names:
         yield "counts to reflectance", partial(_triptych, line, regions)
@@ -75,20 +75,20 @@ def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
 
 
 def _map(line: xr.Dataset) -> Markup:
-    """Return the line on the ground, of some visible bands, in cells that a page has room for."""
+    """Return the line as a map of some visible bands, with cells as large as the page has room for."""
     nm = line["wavelength"].values
     visible = np.flatnonzero((nm > 400) & (nm < 700))
-    few = visible[np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAP_BANDS)).astype(int))]
-    kept = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
+    few = visible[np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))]
+    names = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
     coords = line.coords if BAND not in line.dims else line.isel({BAND: few}).coords
-    part = line.isel({BAND: few})[[*kept, *(n for n in _POSE if n in line.data_vars)]].assign_coords(coords)
+    part = line.isel({BAND: few})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(coords)
     try:
         orthomap = orthorectify(part, variables=["reflectance"])
         cells = max(orthomap.sizes["y"], orthomap.sizes["x"])
-        if cells > _MAP_CELLS:
-            gsd = float(abs(orthomap["x"][1] - orthomap["x"][0])) * cells / _MAP_CELLS
+        if cells > _MAX_MAP_CELLS:
+            gsd = float(abs(orthomap["x"][1] - orthomap["x"][0])) * cells / _MAX_MAP_CELLS
             orthomap = orthorectify(part, gsd, variables=["reflectance"])
-    except PaintError as error:  # no camera, no height: said, and no fault of the store
+    except PaintError as error:  # no camera or no height, which is no fault of the store
         return page_part("paragraph", text=f"There is no map: {error}", heading="Map")
     x, y = orthomap["x"].values, orthomap["y"].values
     caption = (
@@ -100,13 +100,13 @@ def _map(line: xr.Dataset) -> Markup:
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
-    """Return a figure of a page; one of a ``chart`` alone may be shown light on dark."""
+    """Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes."""
     src = data_uri(png_of(figure, dpi=_DPI))
     return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
 
 
 def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return a picture from 0 to 1 as bytes; what has no value is black."""
+    """Return a picture from 0 to 1 as bytes; pixels without a value are black."""
     values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
     return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
 
@@ -126,7 +126,7 @@ def _alignment(attrs: Mapping[Any, Any]) -> Markup:
 def validation_section(
     libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset]
 ) -> Iterator[Part]:
-    """Yield the agreement of each library with the spectra of field spectrometers in the store."""
+    """Yield the agreement of each library with the field spectra in the store."""
     for name, library in libraries.items():
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", PaintWarning)
@@ -137,12 +137,12 @@ def validation_section(
                 yield name, partial(page_part, "paragraph", text=text)
                 continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
-        yield "agreement", partial(_agreement_figure, agreement)
+        yield "agreement", partial(_agreement, agreement)
         yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
-        for each in dict.fromkeys(str(one.message) for one in caught):
-            yield "remark", partial(page_part, "paragraph", text=each)
+        for message in dict.fromkeys(str(warning.message) for warning in caught):
+            yield "remark", partial(page_part, "paragraph", text=message)
 
 
-def _agreement_figure(agreement: Any) -> Markup:
+def _agreement(agreement: Any) -> Markup:
     caption = "Signatures over their references, and the differences with their standard uncertainty."
     return figure_part(validation_figure(agreement), caption)

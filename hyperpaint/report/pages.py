@@ -1,4 +1,4 @@
-"""HTML of texts from anywhere: jinja2 escapes every text, nothing outside the page is named."""
+"""HTML of untrusted texts: jinja2 escapes every text, and the page refers to nothing outside itself."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Part: TypeAlias = "tuple[str, Callable[[], Markup]]"
-"""What a part shows, and what draws it."""
+Part: TypeAlias = "tuple[str, Callable[[], Markup]]"  # name of a part, and the function that draws it
 
-LONGEST_TEXT = 2000
-"""Characters of one text; what is longer is cut."""
+MAX_TEXT_CHARS = 2000
 
 _LAYOUT = frozenset("\n\t")
-#: They would turn the direction of what stands around them.
-_TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
+# characters that change the writing direction of the text around them
+_BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
 
 
 def page_part(name: str, **content: object) -> Markup:
-    """Return a part of a page, a macro of ``page.html.j2``; texts are cleaned and escaped.
+    """Return a part of a page, made by a macro of ``page.html.j2`` from cleaned and escaped texts.
 
     Examples
     --------
@@ -46,7 +44,7 @@ def _macros() -> Any:
 
 
 def plain_text(value: object) -> object:
-    """Return a text without control signs, cut where it is too long; markup that is ready stays as it is.
+    """Return a text without control characters, cut to `MAX_TEXT_CHARS`; finished markup stays unchanged.
 
     Examples
     --------
@@ -56,9 +54,8 @@ def plain_text(value: object) -> object:
     if hasattr(value, "__html__"):
         return value
     text = str(value)
-    shown = "".join(sign if _is_safe(sign) else "\ufffd" for sign in text[:LONGEST_TEXT])
-    return shown + ("..." if len(text) > LONGEST_TEXT else "")
-
-
-def _is_safe(sign: str) -> bool:
-    return sign in _LAYOUT or (sign.isprintable() and sign not in _TURNING)
+    shown = "".join(
+        char if char in _LAYOUT or (char.isprintable() and char not in _BIDIRECTIONAL) else "\ufffd"
+        for char in text[:MAX_TEXT_CHARS]
+    )
+    return shown + ("..." if len(text) > MAX_TEXT_CHARS else "")

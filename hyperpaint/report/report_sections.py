@@ -1,7 +1,7 @@
-"""The sections of a report: a flight line, a paint library, a calibration.
+"""Sections of a report: a flight line, a map, a paint library, a calibration.
 
-A section yields its parts undrawn, each with its name, so that one that fails does not keep the others from
-the page.
+A section yields the names of its parts with functions that draw them, so that one part can fail without the
+others.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
 from hyperpaint.pictures.orientation import laid_down, orientation_of
 from hyperpaint.pictures.paint_cards import paint_card
-from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flags_of, rgb
+from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_panels import draw_panels
@@ -35,28 +36,25 @@ from .pages import Part, page_part
 from .summaries import facts_of_bands, facts_of_line, facts_of_map
 
 if TYPE_CHECKING:
-    import xarray as xr
     from markupsafe import Markup
 
-MOST_ROWS = 500
-"""Paints of a table at the most."""
+MAX_ROWS = 500  # paints of a table
 
-LAYERS = ("glint_fraction", "blocked_direct", "adjacency")
-"""Continuous layers that are drawn where the store holds them."""
+LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers drawn if the store has them
 
 
 def line_section(
     line: xr.Dataset, lines: int, regions: Sequence[Region] = (), note: str = ""
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section; each is to be drawn before the next is asked for.
+    """Yield the parts of a flight line's section; draw each before asking for the next.
 
-    A picture has ``lines`` lines at the most; ``regions``, in sensor coordinates, are outlined on it, and
-    ``note`` is said of the flags.
+    A picture has at most ``lines`` lines; ``regions``, in sensor coordinates, are outlined on it; ``note`` is
+    a remark on the flags.
     """
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
     yield from _pictures(line, lines, regions)
     if note:
-        yield "where flags are from", lambda: page_part("paragraph", text=note)
+        yield "origin of flags", lambda: page_part("paragraph", text=note)
     if "irradiance" in line.variables:
         yield "irradiance", partial(_irradiance, line)
     if "panel_factor" in line.variables:
@@ -68,24 +66,25 @@ def line_section(
 
 
 def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
-    """Yield the cards of the paints that were measured on a flight line, ``most`` of them at the most.
+    """Yield the cards of the paints measured on a flight line, at most ``most`` of them.
 
     ``cards`` are pairs of a library and the name of one of its paints.
     """
     for number, (library, paint) in enumerate(cards[:most]):
-        yield f"card of {paint}", partial(_card, line, library, paint, "" if number else "Paint by paint")
+        heading = "" if number else "Paint by paint"
+        yield f"card of {paint}", partial(_card, line, library, paint, heading)
     if len(cards) > most:
-        text = f"and {len(cards) - most} paints more, without a card"
+        text = f"and {len(cards) - most} more paints, without a card"
         yield "more cards", lambda: page_part("paragraph", text=text)
 
 
 def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Markup:
-    caption = f"{paint}: its region, the pixels that were used, and its signature."
+    caption = f"{paint}: its region, the pixels used, and its signature."
     return figure_part(paint_card(line, library, paint), caption, heading)
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
-    """Yield the parts of a map's section; its picture, north or the flight up, has ``rows`` at the most."""
+    """Yield the parts of a map's section; its picture has at most ``rows`` rows."""
     step = max(1, -(-orthomap.sizes["y"] // rows))
     named = rename_to_roles(orthomap)
 
@@ -105,10 +104,9 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
 
 
 def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Part]:
-    """Yield true colour, flags on it, and their shares."""
     drawn: list[bool] = []
     yield "true colour", partial(_true_colour, line, lines, drawn)
-    # without a picture there is nothing to draw flags on; the reason is on the page already
+    # without a picture flags cannot be drawn on it; the reason is on the page already
     if "quality" in line.variables:
         heading = "Flags and regions" if regions else "Flags"
         if drawn:
@@ -119,10 +117,11 @@ def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterat
 
 
 def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
-    """Return the picture, and note in ``drawn`` that there is one."""
+    """Return the picture; an entry in ``drawn`` tells the caller that there is one."""
     if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
         raise SchemaError(
-            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns"
+            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
+            code="line-empty",
         )
     try:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
@@ -142,7 +141,7 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
     axes = _new_axes(7.5)  # lines are flown upwards
     draw_outlines(flag_overlay(line, lines=lines, axes=axes), regions)
-    return figure_part(axes.figure, "Pixels with a flag; of several flags the rarest is shown.", heading)
+    return figure_part(axes.figure, "Flagged pixels; of several flags the rarest is shown.", heading)
 
 
 def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
@@ -151,29 +150,29 @@ def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
 
 
 def _irradiance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.2, _CHART)
+    axes = _new_axes(3.2, _CHART_INCH)
     draw_irradiance(axes, line)
-    caption = "Downwelling irradiance around the line, and when the line was flown."
+    caption = "Downwelling irradiance around the line; the time of the line is shaded."
     return figure_part(axes.figure, caption, "Irradiance over time", kind="chart")
 
 
 def _panels(line: xr.Dataset) -> Markup:
-    axes = _new_axes(4.0, _CHART)
+    axes = _new_axes(4.0, _CHART_INCH)
     draw_panels(axes, line)
     caption = (
-        "What panels of known reflectance measure over what irradiance lets expect, with twice the combined "
-        "standard uncertainty: shades that miss 1 say that calibration, irradiance or panel are off."
+        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
+        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong."
     )
     return figure_part(axes.figure, caption, "Panels", kind="chart")
 
 
 def _reflectance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.6, _CHART)
+    axes = _new_axes(3.6, _CHART_INCH)
     few = max(1, line.sizes[ALONG_TRACK] // 50)
     some = line.isel({ALONG_TRACK: slice(None, None, few)})
     draw_spread(axes, some if "reflectance" in some else reflectance(some))
     every = "all lines" if few == 1 else f"one line in {few}"
-    caption = f"How reflectance is spread over the pixels of {every}, band by band."
+    caption = f"Spread of reflectance over the pixels of {every}, band by band."
     return figure_part(axes.figure, caption, "Reflectance", kind="chart")
 
 
@@ -182,22 +181,21 @@ def _table_of_flags(quality: Array, heading: str) -> Markup:
     if not shares:
         return page_part("paragraph", text="No flag is set on any pixel.", heading=heading)
     rows = [
-        (str(flag.name).lower().replace("_", " "), np.count_nonzero(quality & int(flag)), share)
-        for flag, share in shares.items()
+        (flag_label(flag), np.count_nonzero(quality & int(flag)), share) for flag, share in shares.items()
     ]
     unflagged = f"{100 * float((quality == 0).mean()):.2f} % of {quality.size} pixels have no flag."
     return page_part("flags", rows=rows, unflagged=unflagged, heading=heading)
 
 
 def library_section(library: xr.Dataset) -> Iterator[Part]:
-    """Yield the parts of a paint library's section; what is not a library's is named and left out."""
+    """Yield the parts of a paint library's section; variables that break the schema are left out."""
     usable, wrong = find_usable(library)
     yield (
         "facts",
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
     for problem in wrong:
-        yield "variables", partial(_refuse, problem)
+        yield "variables", partial(_raise, problem)
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:
@@ -205,17 +203,16 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     yield "paints", lambda: _table_of_paints(usable)
     if refused := library.attrs.get("refused"):
         pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
-        yield "refused", lambda: page_part("facts", pairs=pairs, heading="Looked at, and refused")
+        yield "refused", lambda: page_part("facts", pairs=pairs, heading="Refused regions")
     yield "provenance", lambda: _provenance({k: text for k, text in library.attrs.items() if k != "refused"})
 
 
-def _refuse(problem: str) -> Markup:
-    raise SchemaError(problem)
+def _raise(problem: str) -> Markup:
+    raise SchemaError(problem, code="variable-unusable")
 
 
 def _table_of_paints(library: xr.Dataset) -> Markup:
-    """Return a row for every paint: its colour, pixels, flags and what else the library says of it."""
-    shown = library.isel({SIGNATURE: slice(0, MOST_ROWS)})
+    shown = library.isel({SIGNATURE: slice(0, MAX_ROWS)})
     columns = [name for name in ("n", "n_eff", "n_excluded") if name in shown.variables]
     standard = {"time", "region", *schema.LIBRARY_VARIABLES}
     extra = [str(name) for name in shown.coords if shown[name].dims == (SIGNATURE,) and name not in standard][
@@ -227,7 +224,7 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
     )
     rows = [
         {
-            "rgb": _rgb_text(colour),
+            "rgb": ",".join(map(str, (255 * colour + 0.5).astype(int))) if np.isfinite(colour).all() else "",
             "name": values[SIGNATURE][k],
             "numbers": [f"{values[name][k]:.0f}" for name in columns],
             "flags": ", ".join(schema.flag_names(int(quality[k]))),
@@ -237,43 +234,38 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
     ]
     numbers = [name.replace("_", " ") for name in columns]
     more = library.sizes[SIGNATURE] - len(rows)
-    note = f"and {more} paints more" if more > 0 else ""
+    note = f"and {more} more paints" if more > 0 else ""
     return page_part("paints", rows=rows, numbers=numbers, extra=extra, note=note)
 
 
-def _rgb_text(colour: Floats32) -> str:
-    return ",".join(map(str, (255 * colour + 0.5).astype(int))) if np.isfinite(colour).all() else ""
-
-
 def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
-    """Yield the flight lines, names and regions of the paints of a library.
+    """Yield flight line, name and region of the paints of a library.
 
-    Those on a map are left out, and what is no region: a library may have been made by anyone.
+    Regions on a map, and invalid ones in libraries of other programs, are left out.
     """
     if not {"region", "flightline"} <= set(library.variables):
         return
     if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
         return
     columns = (library[name].values for name in ("flightline", SIGNATURE, "region"))
-    for flightline, paint, geojson in list(zip(*columns, strict=True))[:MOST_ROWS]:
+    for flightline, paint, geojson in list(zip(*columns, strict=True))[:MAX_ROWS]:
         with contextlib.suppress(PaintError, ValueError, RecursionError):
             yield str(flightline), str(paint), regions_from(json.loads(str(geojson)))[0]
 
 
 def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
-    """Yield the parts of the calibration's section; pictures where it comes from a lab sweep."""
+    """Yield the parts of the calibration's section; a report of the lab sweep where it comes from one."""
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_bands(calibration)))
-    # a calibration that was given as files has no lines of a sweep to show
+    # a calibration given as files has no lamp lines of a sweep to show
     if "line_centre" in calibration.variables:
-        caption = "Lines of the lab sweep and what they came to."
+        caption = "Lamp lines of the lab sweep and the calibration from them."
         yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)
     elif "radiance_gain" in calibration.variables:
         yield "gain and smile", partial(_gain, calibration)
     yield "provenance", lambda: _provenance(calibration.attrs)
 
 
-_CHART = 7.4
-"""Width of a chart [inch]: its text is still read on a telephone."""
+_CHART_INCH = 7.4  # width of a chart whose text can be read on a telephone
 
 
 def _new_axes(height: float, width: float = 10.0) -> Any:
@@ -283,17 +275,16 @@ def _new_axes(height: float, width: float = 10.0) -> Any:
 def _gain(calibration: xr.Dataset) -> Markup:
     figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
     draw_gain(figure, calibration)
-    caption = "Gain and width of every band, and how far wavelengths bend over the columns."
+    caption = "Gain and width of every band, and wavelength shift over the columns."
     return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
 
 
 def _uncertainty(library: xr.Dataset) -> Markup:
     axes = _new_axes(3.8)
     draw_uncertainties(axes, library)
-    caption = "Standard uncertainty of the mean reflectance; dashed what random errors have of it."
+    caption = "Standard uncertainty of the mean reflectance; dashed: its random part."
     return figure_part(axes.figure, caption, "Uncertainty")
 
 
 def _provenance(attrs: Mapping[Any, Any]) -> Markup:
-    """Return everything that a group says of itself, to be opened."""
     return page_part("provenance", pairs=[(str(name), text) for name, text in attrs.items()])

@@ -1,4 +1,4 @@
-"""What of a store can be shown: flight lines with the flags that are looked for, maps and paint libraries."""
+"""Groups of a store that a page can show: flight lines with flags, maps, paint libraries."""
 
 from __future__ import annotations
 
@@ -6,36 +6,38 @@ import contextlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE
+from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.manifest import store_state
+from hyperpaint.io.store.reader import place_of
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.surroundings.scratch import compute_into, scratch_array, survey_planned
 
 from .report_sections import LAYERS as DRAWN
 
-if TYPE_CHECKING:
-    import xarray as xr
+MAX_LINES = 64  # flight lines of one page: each takes some megabytes
 
-MOST_LINES = 64
-"""Flight lines of one page at the most: each takes some megabytes."""
-
-_SOUGHT = "Glint, shadow and light of neighbours"
+_SCENE_FLAGS = "Glint, shadow and light of neighbours"
 
 
 class ShownGroups(NamedTuple):
-    """Groups of a store, opened, by their names."""
+    """Opened groups of a store by name."""
 
     opened: dict[str, xr.Dataset]
     lines: dict[str, xr.Dataset]
     maps: dict[str, xr.Dataset]
     libraries: dict[str, xr.Dataset]
-    problems: list[str]  #: What could not be read
+    problems: list[str]  #: Unreadable groups, with the reason
 
 
 def groups_to_show(
@@ -43,9 +45,9 @@ def groups_to_show(
     flightlines: Sequence[str] | None,
     signatures: str | os.PathLike[str] | None,
 ) -> ShownGroups:
-    """Return what a store has to show, of its flight lines those wanted, and a library beside it.
+    """Return the chosen flight lines, all maps and libraries of a store, and a library beside it.
 
-    SchemaError where there are no such flight lines, or ``signatures`` is no library; StoreError where there
+    Raises `SchemaError`: there are no such flight lines, or ``signatures`` is no library; `StoreError`: there
     is nothing to show.
     """
     opened, problems = _opened(store)
@@ -58,27 +60,24 @@ def groups_to_show(
         libraries[Path(signatures).name] = _library(signatures)
     if not lines and not libraries and not maps:
         reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
-        raise StoreError(f"{store} has nothing to show, no flight line, map or signatures: {reason}")
+        raise StoreError(
+            f"{store} has no flight line, map or signatures to show: {reason}", code="store-empty"
+        )
     return ShownGroups(opened, lines, maps, libraries, problems)
 
 
 def _opened(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
-    """Return the groups that can be read, and why others cannot."""
-    from hyperpaint.io.store import list_groups, open_group, open_unverified
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.manifest import store_state
-
+    """Return the readable groups, and the reasons why others are unreadable."""
     groups = list_groups(store)
     opened = {}
-    problems = list(
-        store_state(Location.of(store), groups).problems
-    )  # what is finished is shown all the same
+    # finished groups of an unfinished store are shown
+    problems = list(store_state(place_of(store)[0] or Location.of(store), groups).problems)
     for group in groups:
         try:
             opened[group] = with_new_names(open_group(store, group))
         except StoreError as error:
             problems.append(f"/{group}: {error}")
-            with contextlib.suppress(StoreError):  # what can be read of it
+            with contextlib.suppress(StoreError):  # its readable parts
                 opened[group] = open_unverified(store, group)
     return opened, problems
 
@@ -96,48 +95,49 @@ def _chosen(
     lines: dict[str, xr.Dataset], wanted: Sequence[str] | None, store: str | os.PathLike[str]
 ) -> dict[str, xr.Dataset]:
     if wanted is None:
-        return dict(list(lines.items())[:MOST_LINES])
+        return dict(list(lines.items())[:MAX_LINES])
     matches = {
         name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in wanted
     }
     if unknown := [name for name, key in matches.items() if key is None]:
-        held = ", ".join(lines) or "none"
-        raise SchemaError(f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}")
+        raise SchemaError(
+            f"{store} has no flight line {', '.join(map(repr, unknown))}",
+            expected=", ".join(lines) or "none",
+            code="flightline-unknown",
+        )
     return {key: lines[key] for key in matches.values() if key is not None}
 
 
 def _library(path: str | os.PathLike[str]) -> xr.Dataset:
-    from hyperpaint.io.store import open_store
-
     library = with_new_names(open_store(path, ""))
     if not _is_library(library):
         raise SchemaError(
-            f"{path} is no paint library; expected reflectance (signature, band), as `hyperpaint "
-            "signatures` writes"
+            f"{path} is no paint library",
+            expected="reflectance (signature, band), as `hyperpaint signatures` writes",
+            code="library-missing",
         )
     return library
 
 
 def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> tuple[xr.Dataset, str]:
-    """Return a line with flags, looked for where it has none of the scene, and what is to be said of that."""
+    """Return a line with scene flags, detected where it has none, and a note on their origin for the page."""
     if not {"reflectance", "irradiance"} & set(line.variables):
         return line, ""
     try:
         if is_flagged(line):
             return line, ""
         line = _with_flags(line, sun_zenith, progress)
-    # a line that cannot be looked at is shown all the same; damage shows again where it is drawn
+    # a line is shown even if detection fails; damage appears again where it is drawn
     except Exception as error:
-        return line, f"{_SOUGHT} could not be looked for: {message_of(error)}"
-    return line, f"{_SOUGHT} were looked for here; the store has no such flags."
+        return line, f"{_SCENE_FLAGS} could not be detected: {message_of(error)}"
+    return line, f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
 
 
 def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
-    """Return a line with flags and layers in memory, found in one pass after a survey."""
-    seen = line if "reflectance" in line.variables else reflectance(line)
-    surveyed = part_of(progress, 0, 2)
+    """Return a line with flags and layers in memory, detected in one pass after a survey."""
+    calibrated = line if "reflectance" in line.variables else reflectance(line)
     with survey_planned(line, "the survey"):
-        flags = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
+        flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line
         names = ["quality", *DRAWN]
         lazy = [flags[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
         values = [scratch_array(each.shape, each.dtype) for each in lazy]
@@ -151,6 +151,6 @@ def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress |
 
 
 def message_of(error: Exception) -> str:
-    """Return what an error says, for the page; its kind where it is none of ours."""
+    """Return the message of an error for the page; errors of other packages with their class."""
     kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
     return f"{kind}{error!s:.1000}"

@@ -1,6 +1,6 @@
-"""A store as a folder that any web server serves: the page in the browser reads the Zarr store itself.
+"""A store as a folder for any web server: the page in the browser reads the Zarr store itself.
 
-Beside the page lies a copy of what it shows, cut into small tiles (the layout ``"web"``), itself a store that
+A copy of the data shown lies beside the page, in small chunks (the layout ``"web"``), as a store that
 `hyperpaint.open_store` opens; or the page refers to a store that is served elsewhere.
 """
 
@@ -13,20 +13,22 @@ import warnings
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
+from hyperpaint.io.store import to_store
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import encode_png
 from hyperpaint.pictures.orientation import laid_down, orientation_of
-from hyperpaint.pictures.plot import rgb
+from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_flags import FLAG_COLOURS
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
@@ -34,18 +36,15 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from .shown_groups import flagged, groups_to_show, message_of
 from .store_report import Written
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
 FORMAT = "hyperpaint site 1"
 _INDEX = "site.json"
 _WEB = resources.files("hyperpaint") / "report" / "web"
-_MOST_INDEX_BYTES = 16 * 2**20
+_MAX_INDEX_BYTES = 16 * 2**20
 _ORIGIN = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?")
 
-#: Of a line or map, what a page shows; of a library, what it does not.
+# variables of a line or map that a page shows, and variables of a library that it does not show
 _SHOWN = (
     "reflectance",
     "quality",
@@ -57,8 +56,14 @@ _SHOWN = (
     "spatial_ref",
     "time",
 )
-_LEFT_OUT = ("member_reflectance", "member_along_track", "member_cross_track", "reflectance_errors",
-             "error_correlation", "quality_share")  # fmt: skip
+_LEFT_OUT = (
+    "member_reflectance",
+    "member_along_track",
+    "member_cross_track",
+    "reflectance_errors",
+    "error_correlation",
+    "quality_share",
+)
 
 
 def write_site(
@@ -73,11 +78,11 @@ def write_site(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Written:
-    """Write a page that shows a store in a browser, with no program on the server.
+    """Write a page that shows a store in a browser, without a program on the server.
 
-    The page shows flight lines and maps in true colour and their flags; a click reads the spectrum of a pixel
-    out of the Zarr store, bit for bit what `hyperpaint.open_store` reads, some 100 kB; paints stand side by
-    side with it. The address says what is shown, and can be passed on.
+    The page shows flight lines and maps in true colour with their flags; a click reads the spectrum of a
+    pixel from the Zarr store, some 100 kB, bit for bit as `hyperpaint.open_store` reads it; paints are drawn
+    beside it. The address holds the view, and can be shared.
 
     Parameters
     ----------
@@ -85,21 +90,21 @@ def write_site(
         A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.
     out
         A folder, new or empty, or an earlier site. It holds the page, pictures and ``store.zarr``: the
-        reflectance that the store holds, or else what is computed of its counts, rounded as
-        `hyperpaint.process` rounds it; flags, wavelengths and paints.
+        reflectance of the store, or else computed from its counts and rounded as by `hyperpaint.process`;
+        flags, wavelengths and paints.
     flightlines
-        Names of those that are shown, such as ``["raw_0"]``; by default all, of more than 64 the first.
+        Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
     signatures
         A paint library beside the store, as ``hyperpaint signatures`` writes it.
     link
-        Copy nothing: the page reads the store at this address, absolute or seen from the page. There a click
-        reads what the store's own chunks hold, 8 to 20 MB in the layouts of `hyperpaint.process`; another
-        origin must allow it (CORS).
+        Copy nothing: the page reads the store at this address, absolute or relative to the page. A click then
+        reads whole chunks of that store, 8 to 20 MB in the layouts of `hyperpaint.process`; another origin
+        must allow it (CORS).
     lines
-        Lines of a picture at the most; of a longer one every n-th is shown, and all can be clicked.
+        Maximum picture height [lines]; longer flight lines are subsampled, but all lines can be clicked.
     flags
-        Look for glint, shadow and light of neighbours on lines without these flags, see
-        `hyperpaint.surroundings.flag`; the copy holds them then. A warning says where that cannot be done.
+        Detect glint, shadow and light of neighbours on lines without these flags, see
+        `hyperpaint.surroundings.flag`, for the copy. A warning names lines where that is not possible.
     overwrite
         Replace an earlier site.
     progress
@@ -108,15 +113,15 @@ def write_site(
     Returns
     -------
     Written
-        The folder, the flight lines and maps on the page, and the problems that were met.
+        The folder, the flight lines and maps on the page, and the problems met.
 
     Raises
     ------
     SchemaError
-        There are no such flight lines, ``lines`` is not positive, ``link`` is no address, or goes with
-        ``signatures``.
+        There are no such flight lines, ``lines`` is not positive, ``link`` is no address, or is given
+        together with ``signatures``.
     StoreError
-        There is no store, or nothing in it to show, or ``out`` holds something else. What was there stays.
+        There is no store, or it has nothing to show, or ``out`` holds other files, which are kept.
 
     Examples
     --------
@@ -130,13 +135,17 @@ def write_site(
     ('flightlines/raw_0',)
     """
     if lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 or more")
+        raise SchemaError(f"lines={lines}", expected="1 or more", code="value-out-of-range")
     if link is not None and signatures is not None:
-        raise SchemaError("link and signatures: a page that copies nothing shows what the store itself holds")
+        raise SchemaError(
+            "link and signatures: a page that copies nothing shows only the store's signatures",
+            mend="give one of them",
+            code="option-conflict",
+        )
     origin = "" if link is None else _origin_of(link)
     place = Path(out)
     if Path(store).resolve() in (place.resolve(), *place.resolve().parents):
-        raise StoreError(f"{out} is in the store itself; choose another path")
+        raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
     shown = groups_to_show(store, flightlines, signatures)
     site, lacking = _Site({}, [], [], {}, list(shown.problems)), set()
     notes: dict[str, str] = {}
@@ -148,26 +157,29 @@ def write_site(
                 notes[name] = "" if group is not shown.lines[name] else note
             copied = _copied(group, stored=link is not None)
             site.add(path, name, copied, _picture(copied, group, lines))
-        except Exception as error:  # what cannot be read is said, and does not keep the rest from the page
+        except Exception as error:  # an unreadable group is listed; the others are shown
             site.problems.append(f"/{name}: {message_of(error)}")
             lacking.add(name)
     for name, library in shown.libraries.items():
         site.add_library(name if name in shown.opened else "library", name, library)
     for name, note in notes.items():
         if note:
-            warnings.warn(f"/{name}: {note}", PaintWarning, stacklevel=2)
+            warnings.warn(PaintWarning(f"/{name}: {note}", code="group-not-shown"), stacklevel=2)
     if not site.groups:
-        raise StoreError(f"{store} has nothing that a page can show: {'; '.join(site.problems)}")
+        raise StoreError(
+            f"{store} has nothing that a page can show: {'; '.join(site.problems)}", code="store-empty"
+        )
     with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
         if link is None:
-            _write_copy(site.groups, build / "store.zarr", progress=progress)
+            tree = xr.DataTree.from_dict(site.groups)
+            to_store(tree, build / "store.zarr", layout="web", progress=progress)
         site.write(build, place.name, link or "store.zarr", origin)
     lines_and_maps = [tuple(n for n in names if n not in lacking) for names in (shown.lines, shown.maps)]
     return Written(place, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
 
 
 class _Site(NamedTuple):
-    """What a site holds: groups of its store by their paths, and what its index says of them."""
+    """Content of a site: groups of its store by path, pictures, and the entries of its index."""
 
     groups: dict[str, xr.Dataset]
     lines: list[dict[str, Any]]
@@ -176,18 +188,18 @@ class _Site(NamedTuple):
     problems: list[str]
 
     def add(self, path: str, name: str, group: xr.Dataset, shown: tuple[_Picture, dict[str, Any]]) -> None:
-        """Add a line or map, with its picture and where its pixels lie on that."""
+        """Add a line or map with its picture and the geometry of its pixels on the picture."""
         picture, places = shown
-        file = f"pictures/{len(self.pictures)}.png"  # no file is named by what a store says
+        file = f"pictures/{len(self.pictures)}.png"  # names in a store are not used for files
         self.groups[path], self.pictures[file] = group, picture
-        variables = sorted(map(str, group.variables))  # xarray gathers coordinates from sets
+        variables = sorted(map(str, group.variables))  # the order of coordinates is random in xarray
         last = name.rpartition("/")[2]
         label = name if any(entry["name"] == last for entry in self.lines) else last
         entry = {"name": label, "group": path, "picture": file, "variables": variables, **places}
         self.lines.append(entry)
 
     def add_library(self, path: str, name: str, library: xr.Dataset) -> None:
-        """Add a paint library, or say what is wrong with it."""
+        """Add a paint library; problems of its variables are noted."""
         usable, wrong = find_usable(library)
         self.problems.extend(f"/{name}: {text}" for text in wrong)
         self.groups[path] = usable.drop_vars(_LEFT_OUT, errors="ignore")
@@ -196,16 +208,17 @@ class _Site(NamedTuple):
         self.libraries.append({"name": name, "group": path, "variables": variables, "colours": colours})
 
     def write(self, folder: Path, name: str, store: str, origin: str) -> None:
-        """Write the page, its pictures and its index."""
         collects = [str(group.attrs["collect"]) for group in self.groups.values() if "collect" in group.attrs]
-        names = {flag: str(flag.name).lower().replace("_", " ") for flag in Quality}
         index = {
             "format": FORMAT,
             "title": collects[0] if collects else name,
             "store": store,
             "lines": self.lines,
             "libraries": self.libraries,
-            "flags": [{"mask": int(f), "name": n, "colour": FLAG_COLOURS[f]} for f, n in names.items()],
+            "flags": [
+                {"mask": int(flag), "name": flag_label(flag), "colour": FLAG_COLOURS[flag]}
+                for flag in Quality
+            ],
         }
         (folder / "pictures").mkdir()
         for file, picture in self.pictures.items():
@@ -216,33 +229,28 @@ class _Site(NamedTuple):
         (folder / _INDEX).write_text(json.dumps(index, allow_nan=False), encoding="utf-8")
 
 
-def _write_copy(groups: dict[str, xr.Dataset], path: Path, *, progress: bool) -> None:
-    import xarray as xr
-
-    from hyperpaint.io.store import to_store
-
-    to_store(xr.DataTree.from_dict(groups), path, layout="web", progress=progress)
-
-
 def _copied(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
-    """Return what a page shows of a line or map; ``stored``: of what the store holds, nothing computed."""
+    """Return the variables of a line or map that a page reads; with ``stored`` nothing is computed."""
     if "reflectance" not in group.variables:
         if stored:
             raise StoreError(
-                "it holds no reflectance for the page to read",
+                "the line holds no reflectance for the page to read",
                 mend="leave out link",
                 option="leave out --link",
+                code="variable-missing",
             )
         group = reflectance(group, keep_bits=KEPT_BITS)
     dims = group["reflectance"].dims
     if "wavelength" not in group.variables or len(dims) != 3:
-        raise SchemaError(f"reflectance {dims}: expected lines, columns and bands, and wavelengths")
-    kept = [name for name in group.variables if name in _SHOWN or name in dims]
-    return group.reset_coords()[kept].set_coords([n for n in kept if n not in ("reflectance", "quality")])
+        raise SchemaError(
+            f"reflectance {dims}", expected="lines, columns and bands, with wavelengths", code="dim-missing"
+        )
+    names = [name for name in group.variables if name in _SHOWN or name in dims]
+    return group.reset_coords()[names].set_coords([n for n in names if n not in ("reflectance", "quality")])
 
 
 def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Picture, dict[str, Any]]:
-    """Return the picture of a line or map as it lies on a page, and where its pixels lie in the cube."""
+    """Return the picture of a line or map as the page shows it, and the geometry of its pixels."""
     named = rename_to_roles(group)
     rows, columns = (named.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     is_line = CROSS_TRACK in group.dims
@@ -250,7 +258,7 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
     places["first"] = [int(numbers_of(named, dim)[0]) if is_line else 0 for dim in (ALONG_TRACK, CROSS_TRACK)]
     try:
         shown = np.asarray(rgb(named, lines=lines))
-    except SchemaError:  # fewer than three visible bands: there is something to click on all the same
+    except SchemaError:  # fewer than three visible bands: a grey picture to click on
         shown = np.full((min(rows, lines), columns, 3), 0.5, np.float32)
     places["steps"] = [-(-rows // shown.shape[0]), -(-columns // shown.shape[1])]
     picture = (np.nan_to_num(shown).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
@@ -262,25 +270,26 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
 
 
 def _origin_of(link: str) -> str:
-    """Return the origin that the page has to be allowed to read from; none for a place beside the page."""
+    """Return the origin that the page must be allowed to read from; empty for a path beside the page."""
     parts = urlsplit(link)
     if not parts.scheme and not parts.netloc and parts.path:
         return ""
     if parts.scheme not in ("http", "https") or not _ORIGIN.fullmatch(parts.netloc):
         raise SchemaError(
-            f"link={link!r:.200}, expected an address such as https://bucket.example.org/lot.zarr, or a path "
-            "as seen from the page, such as ../lot.zarr"
+            f"link={link!r:.200}",
+            expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
+            code="link-invalid",
         )
     return f"{parts.scheme}://{parts.netloc}"
 
 
 def _foreign(folder: Path) -> str:
     try:
-        index = json.loads(read_limited(folder / _INDEX, _MOST_INDEX_BYTES, "a site"))
+        index = json.loads(read_limited(folder / _INDEX, _MAX_INDEX_BYTES, "a site"))
     except (FormatError, OSError, ValueError, RecursionError):
         index = None
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         return "other files"
-    own = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
-    strange = sorted(path.name for path in folder.iterdir() if path.name not in own)
-    return f"{strange[0]}, which no site has" if strange else ""
+    expected = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
+    foreign = sorted(path.name for path in folder.iterdir() if path.name not in expected)
+    return f"{foreign[0]}, which no site has" if foreign else ""

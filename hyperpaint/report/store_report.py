@@ -1,11 +1,12 @@
-"""A store on one page: pictures, flags, light, signatures and provenance of every flight line.
+"""One page about a store: pictures, flags, light, signatures and provenance of every flight line.
 
-The page is one file that opens anywhere: pictures are inside it, nothing outside is named, no script runs.
-Whatever a store says of itself is escaped.
+The page is one file that opens anywhere: it contains its pictures, refers to nothing outside, and runs no
+script. All texts of a store are escaped.
 """
 
 from __future__ import annotations
 
+import datetime
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,11 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.files.publishing import check_place, publish_file
+from hyperpaint.io.store.groups import version_of_program
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.surroundings.scratch import release
 
@@ -31,11 +34,10 @@ from .report_sections import (
     line_section,
     map_section,
     regions_of,
-)  # fmt: skip
+)
 from .shown_groups import flagged, groups_to_show, message_of
 
 if TYPE_CHECKING:
-    import xarray as xr
     from markupsafe import Markup
 
     from hyperpaint.regions import Region
@@ -43,12 +45,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Written:
-    """What a report came to."""
+    """Result of `write_report` and `write_site`."""
 
     path: Path  #: The page.
-    flightlines: tuple[str, ...]  #: Groups that it shows.
-    maps: tuple[str, ...]  #: Groups of maps that it shows.
-    problems: tuple[str, ...]  #: What of the store could not be read, as the page says it too.
+    flightlines: tuple[str, ...]  #: Groups of flight lines on the page.
+    maps: tuple[str, ...]  #: Groups of maps on the page.
+    problems: tuple[str, ...]  #: Unreadable parts of the store, which the page lists too.
 
 
 def write_report(
@@ -64,13 +66,13 @@ def write_report(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Written:
-    """Write what a store holds as one HTML page that needs nothing else.
+    """Write the content of a store as one self-contained HTML page.
 
     For every flight line and map: true colour, flags on it and their shares, irradiance over time, panels,
-    how reflectance is spread, the steps from counts to reflectance, where it lies on the ground, alignment of
-    camera and record, provenance; then paint signatures with their uncertainty, their agreement with the
-    references in the store, and the calibration, where there are any. What cannot be read is named on the
-    page, and does not keep the rest from it.
+    spread of reflectance, the steps from counts to reflectance, a map, alignment of camera and record,
+    provenance; then paint signatures with their uncertainty, their agreement with the references in the
+    store, and the calibration, where there are any. Unreadable parts are named on the page; the rest is
+    shown.
 
     Parameters
     ----------
@@ -79,31 +81,31 @@ def write_report(
     out
         The page, a file.
     flightlines
-        Names of those that are shown, such as ``["raw_0"]``; by default all, of more than 64 the first.
+        Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
     signatures
-        A paint library beside the store, as ``hyperpaint signatures`` writes it; what the store itself holds
-        is shown anyway.
+        A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store are
+        always shown.
     lines
-        Lines of a picture at the most; of a longer flight line every n-th is read. Flags are read whole, two
+        Maximum picture height [lines]; longer flight lines are subsampled. Flags are read completely, two
         bytes a pixel.
     flags
-        Look for glint, shadow and light of neighbours on lines without these flags, see
-        `hyperpaint.surroundings.flag`, and show what is found; of a line where that cannot be done, the page
-        says why. Nothing is stored.
+        Detect glint, shadow and light of neighbours on lines without these flags, see
+        `hyperpaint.surroundings.flag`; where that is not possible, the page gives the reason. Nothing is
+        stored.
     cards
-        Paints of a flight line, at the most, that are shown one by one: place, pixels used and left out,
+        Maximum number of paints of a flight line shown one by one: region, pixels used and excluded,
         signature (`hyperpaint.pictures.paint_card`). Each takes half a second and 60 kB.
     sun_zenith
-        For the flags [degree]; by default from time and position of each line.
+        Sun zenith angle for the flags [degree]; by default from time and position of each line.
     overwrite
         Replace a file that is there.
     progress
-        Called with steps done and to do.
+        Called with the number of steps done and their total.
 
     Returns
     -------
     Written
-        Path of the page, the flight lines on it, and the problems that were met.
+        Path of the page, the flight lines on it, and the problems met.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def write_report(
     SchemaError
         ``lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
     StoreError
-        There is no store, or nothing in it to show; or the page is there already, or cannot be written.
+        There is no store, or it has nothing to show; or the page exists already, or cannot be written.
 
     Examples
     --------
@@ -129,9 +131,9 @@ def write_report(
     place = Path(out)
     check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     if lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 or more")
+        raise SchemaError(f"lines={lines}", expected="1 or more", code="value-out-of-range")
     if cards < 0:
-        raise SchemaError(f"cards={cards}, expected 0 or more")
+        raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
     groups = groups_to_show(store, flightlines, signatures)
     shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     measured = _measured(shown, libraries, problems)
@@ -157,7 +159,6 @@ def write_report(
         sections.append((name, _drawn(name, draw, problems)))
     head = _head(store, groups.opened, problems)
     page = page_part("page", title=Path(store).resolve().name, head=head, sections=sections)
-    # no half page ever stands under its name
     publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
@@ -173,26 +174,22 @@ def _flagged_section(
     sun_zenith: float | None,
     progress: Progress | None,
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section, flags looked for first where the line has none."""
+    """Yield the parts of a flight line's section, after detecting flags where the line has none."""
     line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    for part in line_section(line, lines, [one.region for one in measured], note):
+    for part in line_section(line, lines, [paint.region for paint in measured], note):
         yield part
-        for name in (
-            "quality",
-            *LAYERS,
-        ):  # those that were looked for lie in files; a picture reads them whole
+        # detected flags lie in memory-mapped files, which a picture reads completely
+        for name in ("quality", *LAYERS):
             values = line.variables[name]._data if name in line.variables else None
             if isinstance(values, np.ndarray):
                 release(values)
-    yield from card_parts(line, [(one.library, one.paint) for one in measured], cards)
+    yield from card_parts(line, [(paint.library, paint.paint) for paint in measured], cards)
 
 
 # --- paints on their lines ---------------------------------------------------------------------------------
 
 
 class _Measured(NamedTuple):
-    """A paint on the flight line that it was measured on."""
-
     library: xr.Dataset
     paint: str
     region: Region
@@ -201,7 +198,7 @@ class _Measured(NamedTuple):
 def _measured(
     lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
 ) -> dict[str, list[_Measured]]:
-    """Return the paints of the libraries that were measured on every flight line."""
+    """Return, for every flight line, the paints of the libraries measured on it."""
     paints: list[tuple[str, _Measured]] = []
     for name, library in libraries.items():
         try:
@@ -218,26 +215,21 @@ def _measured(
 
 
 def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
-    """Return the parts of a section; what cannot be drawn is named instead, and added to the problems."""
+    """Return the parts of a section; a part that cannot be drawn is replaced by its problem."""
     drawn: list[Markup] = []
-    for what, draw in parts:
+    for part, draw in parts:
         try:
             drawn.append(draw())
-        # a damaged chunk shows when it is read; and what a store of another hand holds, when it is drawn
+        # a damaged chunk fails when it is read, data of other programs may fail when they are drawn
         except Exception as error:
             message = message_of(error)
-            problems.append(f"/{name}, {what}: {message}")
-            text = f"This could not be shown: {what}: {message}"
+            problems.append(f"/{name}, {part}: {message}")
+            text = f"This could not be shown: {part}: {message}"
             drawn.append(page_part("paragraph", text=text, kind="problem"))
     return drawn
 
 
 def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems: list[str]) -> Markup:
-    """Return what stands above all sections: what the store is, and what is wrong with it."""
-    import datetime
-
-    from hyperpaint.io.store.groups import version_of_program
-
     now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(group.attrs["collect"]) for group in opened.values() if "collect" in group.attrs]
     facts = {

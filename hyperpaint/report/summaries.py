@@ -1,12 +1,13 @@
-"""What a dataset holds, at a glance: as facts, as text in a terminal, as HTML in a notebook."""
+"""Summary of a dataset: as facts, as text for a terminal, as HTML for a notebook."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
@@ -17,15 +18,11 @@ from hyperpaint.pictures.orientation import laid_down, orientation_of
 
 from .pages import page_part
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-Facts = Iterator[tuple[str, str]]
-"""Names and texts."""
+Facts = Iterator[tuple[str, str]]  # names and texts
 
 
 def facts_of_line(line: xr.Dataset) -> Facts:
-    """Yield what stands for a flight line, opened or stored."""
+    """Yield the facts of a flight line, opened or stored."""
     for name in ("counts", "radiance", "reflectance"):
         if name in line:
             yield name, form_of(line[name])
@@ -43,7 +40,7 @@ def facts_of_line(line: xr.Dataset) -> Facts:
 
 
 def facts_of_map(dataset: xr.Dataset) -> Facts:
-    """Yield what stands for a map (y, x): its cells, where they lie, what they hold."""
+    """Yield the facts of a map (y, x): cells, extent, cubes, other variables."""
     grid = grid_of(dataset)
     yield "map", f"{dataset.sizes['y']} x {dataset.sizes['x']} cells"
     if grid is not None:
@@ -59,7 +56,7 @@ def facts_of_map(dataset: xr.Dataset) -> Facts:
 
 
 def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
-    """Yield where the cells (row, col) of a grid lie."""
+    """Yield cell size, bounds and CRS of a grid (row, col)."""
     a, b, c, d, e, f = grid.transform
     rows, cols = shape
     x, y = ([p + q * j + r * i for i in (0, rows) for j in (0, cols)] for p, q, r in ((a, b, c), (d, e, f)))
@@ -67,11 +64,11 @@ def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
     up = "north up" if c == e == 0.0 and f < 0.0 < b else f"up is {heading:.1f} degrees from north"
     yield "cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {up}"
     yield "bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"
-    yield "crs", "not known" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]
+    yield "crs", "unknown" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]
 
 
 def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
-    """Yield what stands for a series of irradiance."""
+    """Yield the facts of a series of irradiance."""
     yield "irradiance", form_of(dataset["irradiance"])
     yield "wavelength", range_of(dataset[IRRADIANCE_WAVELENGTH].values, "nm")
     yield "times", times_of(dataset[IRRADIANCE_TIME].values)
@@ -85,7 +82,7 @@ def form_of(array: xr.DataArray) -> str:
 
 
 def facts_of_bands(dataset: xr.Dataset) -> Facts:
-    """Yield the wavelengths of the bands, and how many are bad."""
+    """Yield the wavelengths of the bands, and the number of bad ones."""
     if "wavelength" not in dataset.coords:
         yield "wavelength", "unknown" if BAND in dataset.dims else ""
         return
@@ -98,12 +95,12 @@ def facts_of_bands(dataset: xr.Dataset) -> Facts:
 
 
 def counted(number: int, thing: str) -> str:
-    """Return a number of things, in the singular or plural."""
+    """Return a number with its noun, in the singular or plural."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def range_of(values: Any, units: str, digits: int = 3) -> str:
-    """Return the lowest and the highest of numbers."""
+    """Return the smallest and the largest of numbers, with their unit."""
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     if not finite.size:
@@ -115,7 +112,7 @@ def range_of(values: Any, units: str, digits: int = 3) -> str:
 def times_of(times: Any) -> str:
     """Return the first and the last of times."""
     if times.dtype.kind != "M":
-        return f"no times, but {times.dtype}"
+        return f"no times ({times.dtype})"
     dated = times[~np.isnat(times)]
     if not dated.size:
         return "times unknown"
@@ -125,18 +122,16 @@ def times_of(times: Any) -> str:
 
 
 def with_times(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset that was opened with ``decode_times=False`` with its times.
+    """Return a dataset opened with ``decode_times=False`` with decoded times.
 
-    Those of our stores are 64-bit counts already. xarray's own decoding, left to times of others, imports
-    dask and pint to ask whether the numbers are theirs, which takes longer than all else of a summary.
+    Times in our stores are 64-bit counts already. xarray's decoding, used for times of other programs,
+    imports dask and pint, which takes longer than the rest of a summary.
     """
-    import xarray as xr
-
-    coded = {name: one for name, one in dataset.variables.items() if " since " in str(one.attrs.get("units"))}
-    if any(one.attrs["units"] != _STORED_TIMES or one.dtype != np.int64 for one in coded.values()):
+    coded = {name: var for name, var in dataset.variables.items() if " since " in str(var.attrs.get("units"))}
+    if any(var.attrs["units"] != _STORED_TIMES or var.dtype != np.int64 for var in coded.values()):
         return xr.decode_cf(dataset, mask_and_scale=False)
     times = {
-        name: xr.Variable(one.dims, one.values.view("M8[ns]"), fastpath=True) for name, one in coded.items()
+        name: xr.Variable(var.dims, var.values.view("M8[ns]"), fastpath=True) for name, var in coded.items()
     }
     coords = xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
     variables = {name: times[name] for name in times if name in dataset.data_vars}
@@ -144,7 +139,7 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def size_of(count: int) -> str:
-    """Return a number of bytes for reading."""
+    """Return a number of bytes as text."""
     size = float(count)
     for unit in ("bytes", "kB", "MB"):
         if size < 1000:
@@ -154,18 +149,18 @@ def size_of(count: int) -> str:
 
 
 _STORED_TIMES = "nanoseconds since 1970-01-01"
-_MOST_READ_BYTES = 8 * 2**20
-_MOST_NAMES = 40
+_MAX_READ_BYTES = 8 * 2**20
+_MAX_NAMES = 40
 
-# of the page it is shown on, so that it is at home in the light and in the dark
+# colours are inherited from the page, in light and in dark themes
 _STYLE = "font:13px/1.45 system-ui,sans-serif;max-width:72em"
 _CELL = "text-align:left;vertical-align:top;padding:1px 10px 1px 0;white-space:pre-line"
 
 
 def summary_text(dataset: xr.Dataset) -> str:
-    """Return what a dataset holds, one fact a line.
+    """Return a summary of a dataset as text, one fact a line.
 
-    Nothing is computed; small variables of a store, such as its wavelengths, are read.
+    Nothing is computed; only small variables of a store, such as its wavelengths, are read.
 
     Examples
     --------
@@ -185,34 +180,33 @@ def summary_text(dataset: xr.Dataset) -> str:
 
 
 def summary_html(dataset: xr.Dataset) -> str:
-    """Return what a dataset holds, as HTML for a notebook, with its stored picture.
+    """Return a summary of a dataset as HTML for a notebook, with its stored picture.
 
-    Nothing is computed; small variables of a store, such as its wavelengths and its overview, are read. Texts
-    of the dataset are escaped.
+    Nothing is computed; only small variables of a store, such as its wavelengths and its overview, are read.
+    Texts of the dataset are escaped.
     """
     title, facts = _summary(dataset)
-    src = _attempt(lambda: _picture_of(dataset), "")  # none of a part without lines or columns
+    src = _attempt(lambda: _picture_of(dataset), "")  # empty for a part without lines or columns
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
     return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
 
 
 def _picture_of(dataset: xr.Dataset) -> str:
-    """Return the stored picture as a URL that holds it; empty where there is none."""
     picture = stored_overview(dataset)
     if picture is None:
         return ""
     step = max(1, -(-picture.shape[0] // 480))
-    # the declared order of columns: places on the ground would be computed
+    # by the declared order of columns, since ground positions would have to be computed
     orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
     shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
     return data_uri(encode_png(np.ascontiguousarray(shown)))
 
 
 def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
-    """Return colour, name and number of pixels of the first paints of a library, where it is at hand."""
+    """Return colour, name and number of pixels of the first paints of a library that is cheap to read."""
     if _kind(dataset)[0] != "paint library":
         return []
-    library = dataset.isel({schema.SIGNATURE: slice(_MOST_NAMES)})
+    library = dataset.isel({schema.SIGNATURE: slice(_MAX_NAMES)})
     if not _is_at_hand(dataset["reflectance"]):
         return []
     colours = [srgb_hex(colour) for colour in paint_colours(library)]
@@ -221,13 +215,13 @@ def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
 
 
 def _is_at_hand(array: xr.DataArray) -> bool:
-    """Tell whether reading an array computes nothing, and reads little."""
-    # what came out of a store knows the chunks it had there
-    return (array.chunks is None or "chunks" in array.encoding) and array.nbytes <= _MOST_READ_BYTES
+    """Return whether an array can be read without computing, and is small."""
+    # arrays from a store have its chunks in their encoding
+    return (array.chunks is None or "chunks" in array.encoding) and array.nbytes <= _MAX_READ_BYTES
 
 
 def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
-    """Return the picture stored beside a flight line, (line, column, 3); None where it would be computed."""
+    """Return the picture stored beside a flight line (line, column, 3); None where it would be computed."""
     if "overview" not in dataset.variables:
         return None
     stored = dataset["overview"]
@@ -239,7 +233,7 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
 
 
 def _printable(text: str) -> str:
-    """Return a text that a terminal takes for nothing but text."""
+    """Return a text with control characters replaced, safe for a terminal."""
     return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in text)
 
 
@@ -247,7 +241,7 @@ def _printable(text: str) -> str:
 
 
 def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
-    """Return a title and facts. A summary never raises: a dataset may be anything, and its store be gone."""
+    """Return title and facts; unreadable parts are left out, so that a summary never raises."""
     dataset = _attempt(lambda: schema.rename_to_roles(dataset), dataset)
     kind, source = _kind(dataset)
     name = dataset.attrs.get("name") or dataset.attrs.get("title") or ""
@@ -262,7 +256,7 @@ def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
 def _attempt(function: Any, otherwise: Any) -> Any:
     try:
         return function()
-    except Exception:  # what cannot be read is left out
+    except Exception:  # unreadable parts are left out
         return otherwise
 
 
@@ -275,7 +269,7 @@ def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
 
 
 def _forms(dataset: xr.Dataset) -> Facts:
-    for name in list(dataset.data_vars)[:_MOST_NAMES]:
+    for name in list(dataset.data_vars)[:_MAX_NAMES]:
         yield str(name), form_of(dataset[name])
 
 
@@ -284,12 +278,11 @@ def _line(line: xr.Dataset) -> Facts:
     yield "quality", _flags(line)
     shown = {"counts", "radiance", "reflectance", "irradiance", "exposure_time", "quality", "overview"}
     names = [str(name) for name in line.data_vars if name not in shown]
-    yield "also holds", ", ".join(sorted(names)[:_MOST_NAMES])
+    yield "also holds", ", ".join(sorted(names)[:_MAX_NAMES])
     yield "can do", ", ".join(_abilities(line))
 
 
 def _flags(line: xr.Dataset) -> str:
-    """Return the share of pixels under every flag, where the flags are in memory."""
     if "quality" not in line.variables:
         return ""
     quality = line["quality"]
@@ -303,7 +296,6 @@ def _flags(line: xr.Dataset) -> str:
 
 
 def _abilities(line: xr.Dataset) -> Iterator[str]:
-    """Yield what may be called, given the variables that are there."""
     names = set(line.variables)
     lit = "irradiance" in names
     if {"counts", "radiance_gain", "exposure_time"} <= names:
@@ -320,8 +312,8 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
 
 def _library(library: xr.Dataset) -> Facts:
     paints = [str(name) for name in library[schema.SIGNATURE].values]
-    more = f" and {len(paints) - _MOST_NAMES} more" if len(paints) > _MOST_NAMES else ""
-    yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MOST_NAMES])}{more}"
+    more = f" and {len(paints) - _MAX_NAMES} more" if len(paints) > _MAX_NAMES else ""
+    yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{more}"
     yield "reflectance", form_of(library["reflectance"])
     yield from facts_of_bands(library)
     for name, label in (("n", "pixels"), ("n_eff", "independent")):

@@ -1,4 +1,4 @@
-"""How far two spectra agree, in numbers, on common bands: the finer as the coarser one's channels see it."""
+"""Statistics of agreement of two spectra, and the resampling that brings both onto common bands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hyperpaint.light.responses import Responses, matching_operator
 from .measured_spectra import Measured
 from .validation_result import STATISTICS
 
-_LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
+_MIN_SHAPE_BANDS = 3  # of one band, angle and scale-free error are always 0
 
 
 def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
@@ -31,8 +31,8 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
               \theta = \angle(s, r), \quad k = \frac{s \cdot r}{r \cdot r}, \quad
               e = \sqrt{\overline{(s / k - r)^2}} .
 
-    k is the factor that brings the reference nearest to the signature, e what is left when the signature is
-    divided by it: relative to the RMS of the reference, :math:`\tan\theta`. The angle is
+    k is the factor that brings the reference nearest to the signature, e the difference that remains after
+    dividing the signature by it: relative to the RMS of the reference, :math:`\tan\theta`. The angle is
     :math:`2 \arctan(|\hat s - \hat r| / |\hat s + \hat r|)` of the unit vectors [1]_: the cosine cannot tell
     small angles apart.
 
@@ -57,7 +57,7 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
         angle = 2.0 * np.arctan2(_length(one - two), _length(one + two))
         scale = (signature * reference).sum(axis=-1, keepdims=True) / other**2
         left = signature / np.where(scale > 0.0, scale, np.nan) - reference
-    shaped = shape[-1] >= _LEAST_SHAPE
+    shaped = shape[-1] >= _MIN_SHAPE_BANDS
     there = shaped & ((length * other)[..., 0] > 0.0)
     return {
         "bias": difference.mean(axis=-1),
@@ -79,7 +79,7 @@ def uncertainty_of(
     r"""Return the standard uncertainty of every statistic of `statistics_of`.
 
     Takes ``signature``, ``reference`` (band,): reflectance [1]; ``signature_errors``, ``reference_errors``
-    (draw, band): what may be wrong with them, at random [1].
+    (draw, band): random draws of their errors [1].
 
     Notes
     -----
@@ -87,33 +87,30 @@ def uncertainty_of(
 
     .. math:: u_f = \sqrt{\overline{\big(f(s + \delta s, r + \delta r) - f(s, r)\big)^2}} .
 
-    About the value itself rather than the mean of the draws, since noise makes RMSE, MAE and angle larger,
-    and never smaller than nothing: of equal spectra they would otherwise seem too sure.
+    About the value itself rather than the mean of the draws: noise only increases RMSE, MAE and angle, which
+    cannot be negative, so that the spread about the mean would be too small for equal spectra.
     """
     exact = statistics_of(signature, reference)
     drawn = statistics_of(signature + signature_errors, reference + reference_errors)
     return {name: np.asarray(np.sqrt(((drawn[name] - exact[name]) ** 2).mean())) for name in STATISTICS}
 
 
-_SAME_WAVELENGTH = 1e-3  # nm
-_NOISE_GAIN = 3.0
-"""Above it, channels are so much wider than a band that what they show of it is mostly noise."""
-_SAME_WIDTH = 1.02
+_SAME_WAVELENGTH_NM = 1e-3
+_MAX_NOISE_GAIN = 3.0  # channels much wider than a band would multiply their noise by more
+_SAME_WIDTH_RATIO = 1.02
 
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """How one spectrum is brought onto bands."""
+    """Linear operator that brings one spectrum onto bands."""
 
-    # (band, channel) or None: On the channels of the spectrum; rows sum to 1. None where the channels are
-    # the bands.
+    # (band, channel): weights on the channels, rows sum to 1; None where the channels are the bands
     weights: Floats | None
-    # (band,), bool: Bands that are compared; the others are left out: not seen whole, or sharper than the
-    # channels can tell
+    # (band,), bool: bands compared; the others are not covered completely, or too narrow for the channels
     seen: npt.NDArray[np.bool_]
-    # (band,): Part of a band's response that the channels see [1]; 0 where channels are missing in its midst
+    # (band,): part of a band's response covered by the channels [1]; 0 where channels within are missing
     coverage: Floats
-    # misfit, noise_gain (band,): As of `hyperpaint.light.responses.Matching`
+    # misfit, noise_gain (band,): see `hyperpaint.light.responses.Matching`
     misfit: Floats
     noise_gain: Floats
 
@@ -123,7 +120,7 @@ class Operator:
         if self.weights is None:
             on_bands[..., self.seen] = values[..., self.seen]
             return on_bands
-        # what no band weighs may be missing
+        # channels without weight may be missing
         used = np.flatnonzero(self.weights[self.seen].any(axis=0))
         on_bands[..., self.seen] = values[..., used] @ self.weights[np.ix_(self.seen, used)].T
         return on_bands
@@ -132,26 +129,30 @@ class Operator:
 def bands_of(signature: Measured, references: list[Measured]) -> Measured:
     """Return the spectrum whose channels are the common bands: the coarser one.
 
-    The signature, unless every reference is coarser where both see.
+    The signature, unless every reference is coarser in the common range.
     """
     first, last = signature.wavelength[[0, -1]]
     widths = []
     for each in references:
         shared = (each.wavelength >= first) & (each.wavelength <= last)
         widths.append(np.median(each.fwhm[shared]) if shared.any() else 0.0)
-    if min(widths) > _SAME_WIDTH * np.median(signature.fwhm):
+    if min(widths) > _SAME_WIDTH_RATIO * np.median(signature.fwhm):
         return references[0]
     return signature
 
 
 def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
-    """Return how a spectrum is brought onto the bands of another.
+    """Return the operator that brings a spectrum onto the bands of another.
 
-    The same channels are left as they are. Missing samples count as not seen; those of the bands' own
-    spectrum do not matter here.
+    Equal channels need no weights. Missing samples count as not covered; gaps in the bands' own spectrum do
+    not matter here.
     """
     is_finite = np.isfinite(spectrum.values)
-    if _same_channels(bands, spectrum):
+    if (
+        bands.wavelength.shape == spectrum.wavelength.shape
+        and (np.abs(bands.wavelength - spectrum.wavelength) <= _SAME_WAVELENGTH_NM).all()
+        and np.allclose(bands.fwhm, spectrum.fwhm, rtol=_SAME_WIDTH_RATIO - 1.0)
+    ):
         zero = np.where(is_finite, 0.0, np.nan)
         return Operator(None, is_finite, is_finite.astype(np.float64), zero, zero + 1.0)
     size = bands.wavelength.size
@@ -165,27 +166,19 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     matching = matching_operator(
         Responses(spectrum.wavelength[used], spectrum.fwhm[used]), Responses(bands.wavelength, bands.fwhm)
     )
-    torn = _over_a_hole(bands, spectrum, used)
-    # comparing with NaN is false: of such a band nothing is known
-    seen = ~torn & (matching.noise_gain[0] <= _NOISE_GAIN)
-    weights[np.ix_(seen, used)] = matching.weights[0][seen]
-    return Operator(
-        weights, seen, np.where(torn, 0.0, matching.coverage[0]), matching.misfit[0], matching.noise_gain[0]
-    )
-
-
-def _same_channels(one: Measured, other: Measured) -> bool:
-    return one.wavelength.shape == other.wavelength.shape and bool(
-        (np.abs(one.wavelength - other.wavelength) <= _SAME_WAVELENGTH).all()
-        and np.allclose(one.fwhm, other.fwhm, rtol=_SAME_WIDTH - 1.0)
-    )
-
-
-def _over_a_hole(bands: Measured, spectrum: Measured, used: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Tell which bands lie over channels that are missing, wider than two widths of their neighbours."""
+    # bands over missing channels, wider than two widths of their neighbours
     at, width = spectrum.wavelength[used], spectrum.fwhm[used]
     open_ = np.diff(at) > 2.0 * np.maximum(width[1:], width[:-1])
-    over_hole = np.zeros(bands.wavelength.size, bool)
+    has_gap = np.zeros(size, bool)
     for left, right in zip(at[:-1][open_], at[1:][open_], strict=True):
-        over_hole |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
-    return over_hole
+        has_gap |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
+    # a band of NaN noise gain, which is unknown, is left out too
+    is_covered = ~has_gap & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
+    weights[np.ix_(is_covered, used)] = matching.weights[0][is_covered]
+    return Operator(
+        weights,
+        is_covered,
+        np.where(has_gap, 0.0, matching.coverage[0]),
+        matching.misfit[0],
+        matching.noise_gain[0],
+    )

@@ -1,4 +1,4 @@
-"""Readings of a coat's outside and of the body under it, told apart, brought to the body where possible."""
+"""Readings outside of a clear coat and of the body under it: distinguished, and converted where possible."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from hyperpaint.light.coat_transmission import (
 
 from .measured_spectra import Measured
 
+# zenith beyond which a degree of lean changes the direct light by more than 5 %, the usual tolerance
 _LOW_SUN_DEG = 70.0
-"""Sun beyond which a degree of lean changes the direct light by more than 5 %, the usual tolerance."""
 
 
 def coat_of(attrs: Any) -> dict[str, Any]:
-    """Return what attributes say of the coat: quantity, geometry of an instrument, index.
+    """Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
 
-    ``quantity`` in the words of `hyperpaint.base.mirrored_light`; else ``specular_component`` says it.
+    ``quantity`` in the words of `hyperpaint.base.mirrored_light`; else it follows from
+    ``specular_component``.
     """
-    said, component = attrs.get("quantity"), attrs.get("specular_component")
-    quantity = said if said in (BODY, OUTSIDE, THROUGH_COAT) else OUTSIDE if component == INCLUDED else ""
+    quantity = attrs.get("quantity")
+    if quantity not in (BODY, OUTSIDE, THROUGH_COAT):
+        quantity = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
     index = attrs.get("coat_index", COAT_INDEX)
     usable = isinstance(index, int | float) and 1.0 <= float(index) <= 3.0
     return {
@@ -39,41 +41,27 @@ def coat_of(attrs: Any) -> dict[str, Any]:
 
 
 def light_notes(sun_zenith: float, sky_is_contradictory: bool) -> list[str]:
-    """Return why the level of a signature may not be judged by, for a reader of the result."""
+    """Return reasons why the level of a signature is uncertain, for the reader of the result."""
     notes = []
     if sun_zenith > _LOW_SUN_DEG:
         change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
         notes.append(
             f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its light "
-            f"by {change:.0f} %, so that the shape can be judged, the level hardly"
+            f"by {change:.0f} %; judge the shape of the signature rather than its level"
         )
     if sky_is_contradictory:
         notes.append(
-            "the record of irradiance contradicted every sky when it was seen, its level is uncertain: "
-            "check clocks and the receiver's calibration, or give sun_zenith= to signatures"
+            "the irradiance record contradicted every sky at that time, so the level is uncertain: check "
+            "clocks and the receiver's calibration, or give sun_zenith= to signatures"
         )
     return notes
 
 
-def _into(geometry: str, index: float) -> float | None:
-    """Return the interface's reflectance for the light of an instrument that sees near the normal [1]."""
-    ways: dict[str, Floats] = {
-        "0/0": interface_reflectance(0.0, index),
-        "0/45": interface_reflectance(45.0, index),
-        "45/0": interface_reflectance(45.0, index),
-    }
-    if geometry in ways:
-        return float(ways[geometry])
-    if geometry in ("d/0", "0/d", "d/8", "8/d"):
-        return float(sky_reflectance([550.0], None, index=index)[0])
-    return None
-
-
 def as_body(reference: Measured, signature: Measured) -> Measured:
-    r"""Return a reading of a coat's outside as one of the body under it, where the signature is of the body.
+    r"""Return a reading outside of a coat as one of the body under it, where the signature is of the body.
 
-    Where the reference names its ``measurement_geometry``: "0/0", "0/45", "45/0", or an integrating sphere,
-    "d/8" and the like. As it is where it does not, or is of a body already.
+    Needs the reference's ``measurement_geometry``: "0/0", "0/45", "45/0", or an integrating sphere, "d/8" and
+    the like. Without it, or for a reading of the body, the reference is returned unchanged.
 
     Notes
     -----
@@ -84,18 +72,22 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     """
     if signature.quantity != BODY or reference.quantity != OUTSIDE:
         return reference
-    into = _into(reference.geometry, reference.coat_index)
-    if into is None:
+    # reflectance of the coat for the light of the instrument [1]
+    index, angles = reference.coat_index, {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
+    if reference.geometry in angles:
+        into = float(interface_reflectance(angles[reference.geometry], index))
+    elif reference.geometry in ("d/0", "0/d", "d/8", "8/d"):
+        into = float(sky_reflectance([550.0], None, index=index)[0])
+    else:
         return reference
-    normal = float(interface_reflectance(0.0, reference.coat_index))
+    normal = float(interface_reflectance(0.0, index))
     mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
     factor = (1.0 - normal) / (1.0 - into)
 
     def times(spread: Floats | None) -> Floats | None:
         return None if spread is None else spread * factor
 
-    # the index is not known better than this, nor what is subtracted: of black paint it is most of all
-    index = reference.coat_index
+    # uncertainty of the subtracted reflectance by the index; for black paint it is the largest part
     normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
     known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
     systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
@@ -118,14 +110,14 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
 
 
 def difference(signature: Measured, reference: Measured) -> str:
-    """Return that a signature and its reference are not of one quantity, and what mends it; or nothing."""
-    own, other = signature.quantity, reference.quantity
-    if not own or not other or own == other:
+    """Return why signature and reference are different quantities, and the remedy; else ""."""
+    quantity, reference_quantity = signature.quantity, reference.quantity
+    if not quantity or not reference_quantity or quantity == reference_quantity:
         return ""
     mend = {
         BODY: "give the reference the attributes measurement_geometry and specular_component, or make "
         "signatures with coat=False",
         OUTSIDE: "make signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
         THROUGH_COAT: "make signatures with coat=True, or call correct_coat",
-    }[own]
-    return f"the signature is a {own}, the reference a {other}: {mend}"
+    }[quantity]
+    return f"the signature is a {quantity}, the reference a {reference_quantity}: {mend}"

@@ -1,4 +1,4 @@
-"""Which references a signature is compared with, by name, and both on common bands with what may be wrong."""
+"""Pairs of signatures and references by name, and both on common bands with draws of their errors."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
@@ -20,15 +21,12 @@ from .coat_readings import as_body, difference
 from .measured_spectra import Measured
 from .validation_result import MEANINGS
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_MOST_NAMED = 12
+_MAX_LISTED_NAMES = 12
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A signature, and its reference spectra of one instrument."""
+    """A signature and its reference spectra of one instrument."""
 
     signature: Measured
     references: tuple[Measured, ...]  # Repeated readings, of which the mean is compared
@@ -37,26 +35,26 @@ class Pair:
 
 @dataclass(frozen=True)
 class Pairing:
-    """What is compared with what."""
+    """All pairs, and the signatures and references without a counterpart."""
 
     pairs: tuple[Pair, ...]
-    # signatures, references: Names of those that have no counterpart, with the reason where there is one
+    # names without a counterpart, with the reason where there is one
     signatures: tuple[str, ...]
     references: tuple[str, ...]
-    missing: tuple[str, ...]  # Those of ``signatures`` that ask for a reference by name, which is not there
+    missing: tuple[str, ...]  # names in ``signatures`` whose wanted reference is absent
 
 
 def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
-    """Return which references belong to which signatures.
+    """Return the pairs of signatures and references.
 
     ``signatures``, ``references``: spectra with their names; ``pairs``: names of references by names of
     paints, one or several each. By default a signature's own property ``reference`` names them, and where it
     has none, its name.
 
-    Raises `SchemaError`: ``pairs`` names what is not there; a name is that of several paints, or of
-    references of several folders or datasets; or nothing can be paired. All of a kind are listed.
+    Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
+    datasets, share a name; or nothing can be paired. All problems of a kind are listed.
     """
-    wanted = _said(signatures, references, pairs) if pairs is not None else None
+    wanted = _named_pairs(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
     counts = Counter(each.name for each in signatures)
     matched: list[Pair] = []
@@ -66,20 +64,22 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     for signature in signatures:
         named = (signature.wanted or signature.name,)
         names = named if wanted is None else wanted.get(signature.name, ())
-        own = sorted({k for name in names for k in _called(name, references, problems)})
-        if not own:
+        matching = sorted({k for name in names for k in _called(name, references, problems)})
+        if not matching:
             asks = wanted is None and bool(signature.wanted)
             alone.append(signature.name + (f" (wants {signature.wanted!r})" if asks else ""))
             missed += alone[-1:] if asks else []
             continue
         if counts[signature.name] > 1 and (wanted is not None or not signature.wanted):
             problems.add(
-                f"there are {counts[signature.name]} paints {signature.name!r}; give each a name of its own"
+                f"there are {counts[signature.name]} paints {signature.name!r}",
+                mend="give each a unique name",
+                code="paint-duplicate",
             )
-        used.update(own)
-        instruments = dict.fromkeys(references[k].instrument for k in own)
+        used.update(matching)
+        instruments = dict.fromkeys(references[k].instrument for k in matching)
         for instrument in instruments:
-            group = tuple(references[k] for k in own if references[k].instrument == instrument)
+            group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
@@ -90,6 +90,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
             f"references {_listed(left)}",
             mend=mend.format("pairs={paint: reference}"),
             option=mend.format("--pairs"),
+            code="reference-unmatched",
         )
     return Pairing(tuple(matched), tuple(alone), left, tuple(missed))
 
@@ -97,7 +98,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
 def _called(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
     """Return which references a name means: of each instrument those that own it, else a longer one.
 
-    Files of one name in different folders are not repeated readings of one paint: that is noted.
+    Files of one name in different folders are no repeated readings of one paint; that is a problem.
     """
     matches: dict[str, list[int]] = {}
     for rank in range(3):
@@ -106,14 +107,14 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
             if name in each.names.ranks[rank] and each.instrument not in matches:
                 hits.setdefault(each.instrument, []).append(k)
         matches |= hits
-    for instrument, own in matches.items():
-        places = {references[k].names.place for k in own}
+    for instrument, numbers in matches.items():
+        places = {references[k].names.place for k in numbers}
         if len(places) > 1:
             several = len({dataset for dataset, _ in places}) > 1
             held = _listed(
                 [
                     references[k].name + (f" (dataset {references[k].names.place[0]})" if several else "")
-                    for k in own
+                    for k in numbers
                 ]
             )
             mend = "name one, or all that are repeated readings, with {}, or leave files out"
@@ -121,16 +122,21 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
                 f"{name!r} may be any of {held} of {instrument}",
                 mend=mend.format("pairs={paint: reference}"),
                 option=mend.format("--pairs"),
+                code="reference-ambiguous",
             )
-    return [k for own in matches.values() for k in own]
+    return [k for numbers in matches.values() for k in numbers]
 
 
-def _said(
+def _named_pairs(
     signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
 ) -> dict[str, tuple[str, ...]]:
-    """Return the pairs that the caller named."""
+    """Return the pairs named by the caller, checked."""
     if not isinstance(pairs, Mapping):
-        raise SchemaError(f"pairs is {type(pairs).__name__}, expected names of references by names of paints")
+        raise SchemaError(
+            f"pairs is {type(pairs).__name__}",
+            expected="a mapping from names of paints to names of references",
+            code="type-wrong",
+        )
     problems = Problems("pairs= cannot be followed", SchemaError)
     paints = {each.name for each in signatures}
     names_there = frozenset[str]().union(*(each.names.every for each in references))
@@ -138,30 +144,35 @@ def _said(
     for paint, names in pairs.items():
         several = (names,) if isinstance(names, str) else tuple(names)
         if paint not in paints:
-            problems.add(f"there is no paint {paint!r}; there is {_listed(sorted(paints))}")
+            problems.add(
+                f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
+            )
         for name in several:
             if name not in names_there:
                 held = _listed([each.name for each in references])
-                problems.add(f"there is no reference {name!r} for {paint!r}; there is {held}")
+                problems.add(
+                    f"there is no reference {name!r} for {paint!r}", expected=held, code="reference-unknown"
+                )
         wanted[str(paint)] = several
     problems.raise_if_any()
     return wanted
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(map(repr, names[:_MOST_NAMED]))
-    return (shown or "none") + (f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else "")
+    shown = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
+    rest = len(names) - _MAX_LISTED_NAMES
+    return f"{shown} and {rest} more" if rest > 0 else shown
 
 
 def between_references(pairs: Sequence[Pair]) -> list[Pair]:
-    """Return pairs of the references of one paint, of two instruments each."""
+    """Return pairs of references of one paint, measured by two instruments."""
     of_paint: dict[int, list[Pair]] = {}
     for pair in pairs:
         of_paint.setdefault(id(pair.signature), []).append(pair)
     return [
-        Pair(_mean_of(one), other.references, between=True)
-        for own in of_paint.values()
-        for one, other in itertools.combinations(own, 2)
+        Pair(_mean_of(first), second.references, between=True)
+        for same_paint in of_paint.values()
+        for first, second in itertools.combinations(same_paint, 2)
     ]
 
 
@@ -176,13 +187,17 @@ def _mean_of(pair: Pair) -> Measured:
     sd = values.std(axis=0, ddof=1)
     systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
     return replace(
-        named, values=values.mean(axis=0), sd=sd, count=len(values), u_random=None,
-        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic), covariance=None,
-    )  # fmt: skip
+        named,
+        values=values.mean(axis=0),
+        sd=sd,
+        count=len(values),
+        u_random=None,
+        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic),
+        covariance=None,
+    )
 
 
-DRAWS = 1000
-"""Draws of the uncertainty: it is known to 2 % itself."""
+DRAWS = 1000  # their standard deviation is known to 2 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +209,8 @@ class Compared:
     # signature, reference (band,): Reflectance [1]; NaN where not known
     signature: Floats
     reference: Floats
-    onto: tuple[Operator, ...]  # How references, and last the signature, were brought there
-    # Draws of both (draw, band); None where nothing is known of either's
+    onto: tuple[Operator, ...]  # operators of the references, and last of the signature
+    # draws of the errors of both (draw, band); None where both are unknown
     errors: tuple[Floats, Floats] | None
 
     @property
@@ -206,8 +221,8 @@ class Compared:
     @property
     def instrument(self) -> str:
         """Instrument of the references."""
-        own = self.pair.references[0].instrument
-        return f"{self.pair.signature.instrument} against {own}" if self.pair.between else own
+        make = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {make}" if self.pair.between else make
 
     @property
     def used(self) -> npt.NDArray[np.bool_]:
@@ -216,29 +231,29 @@ class Compared:
 
     @property
     def coverage(self) -> Floats:
-        """Part of each band's response that all sides see (band,)."""
+        """Part of each band's response covered by the channels of all spectra (band,)."""
         return np.asarray(np.min([each.coverage for each in self.onto], axis=0))
 
     @property
     def ranges(self) -> str:
-        """What each side sees, as a text."""
+        """Wavelength ranges of all spectra, as text."""
         return ", ".join(
             f"{each.name} {each.wavelength[0]:g} to {each.wavelength[-1]:g} nm"
             for each in (self.pair.signature, *self.pair.references)
         )
 
     def part(self, edges: tuple[float, float]) -> npt.NDArray[np.bool_]:
-        """Tell which bands are in a part of the spectrum."""
+        """Return the bands in a part of the spectrum (band,)."""
         return (self.bands.wavelength >= edges[0]) & (self.bands.wavelength < edges[1])
 
     @property
     def overlap(self) -> str:
-        """What was done where the references' detectors overlap."""
+        """Treatment of overlapping detectors in the references."""
         return _common([each.overlap for each in self.pair.references])
 
     @property
     def matched(self) -> bool:
-        """Whether values of any reference were changed to make detectors meet."""
+        """Whether values of any reference were changed to join detectors."""
         return any(each.matched for each in self.pair.references)
 
     @property
@@ -246,21 +261,22 @@ class Compared:
         """Whether the references include the mirror image of the sky."""
         return _common([each.mirror for each in self.pair.references])
 
-    def warnings(self) -> list[str]:
-        """Return what a user can act on."""
-        name, own, other = self.pair.signature.name, self.pair.signature.mirror, self.mirror
+    def warnings(self) -> list[tuple[str, str]]:
+        """Return code and text of each condition that the user can act on."""
+        name, mirror, reference_mirror = self.pair.signature.name, self.pair.signature.mirror, self.mirror
         texts = dict.fromkeys(difference(self.pair.signature, each) for each in self.pair.references)
-        if apart := [f"{name}: {text}" for text in texts if text]:
+        if apart := [("coats-differ", f"{name}: {text}") for text in texts if text]:
             return apart
-        if own == other or not {own, other} <= {"included", "excluded", "mixed"}:
+        if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
             return []
-        return [
-            f"{name}: the mirror image of the sky is {own} in the signature, {other} in the reference; a "
-            "clear coat's adds 0.04 of the share of skylight; see remove_mirrored_sky"
-        ]
+        text = (
+            f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in the "
+            "reference; a clear coat mirrors 0.04 times the share of skylight; see remove_mirrored_sky"
+        )
+        return [("mirrored-sky-differs", text)]
 
     def notes(self) -> tuple[str, ...]:
-        """Return what a reader of the result should know."""
+        """Return remarks for the reader of the result."""
         notes = [note for each in self.pair.references for note in each.notes]
         notes += [f"signature: {note}" for note in self.pair.signature.notes]
         if self.matched:
@@ -269,63 +285,51 @@ class Compared:
             )
         if self.bands is not self.pair.signature:
             notes.append("the signature was brought onto the reference's bands")
-        notes += self._left_out()
-        notes += self._scales()
+        # bands left out, with the reason
+        narrow = np.any([~each.seen & np.isfinite(each.noise_gain) for each in self.onto], axis=0)
+        reasons = {
+            "not covered completely, or without a value": ~self.used & ~narrow,
+            "narrower than the other side can resolve": ~self.used & narrow,
+        }
+        notes += [
+            f"left out of {self.used.size} bands: {int(which.sum())} {reason}"
+            for reason, which in reasons.items()
+            if which.any()
+        ]
+        is_absolute = self.pair.signature.absolute
+        if any(each.absolute != is_absolute for each in self.pair.references):
+            sides = ("reference", "signature") if is_absolute else ("signature", "reference")
+            notes.append(
+                f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
+                f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
+            )
         return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
 
-    def _scales(self) -> list[str]:
-        """Return that one side is relative to a panel, the other is not."""
-        own = self.pair.signature.absolute
-        sides = "reference", "signature"
-        if all(each.absolute == own for each in self.pair.references):
-            return []
-        relative, absolute = sides if own else sides[::-1]
-        advice = "; pass panel=" if own else ""
-        return [
-            f"the {relative} is relative to a white panel, the {absolute} is absolute: the panel's own "
-            f"reflectance is in the difference{advice}"
-        ]
-
     def _uncertainty(self) -> list[str]:
-        """Return what is not known of the uncertainties."""
-        own, others = self.pair.signature, self.pair.references
+        """Return remarks on unknown parts of the uncertainties."""
+        signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
-            "signature": own.has_uncertainty,
-            "reference": len(others) > 1 or others[0].has_uncertainty,
+            "signature": signature.has_uncertainty,
+            "reference": len(references) > 1 or references[0].has_uncertainty,
         }
         unknown = [side for side, has in has_uncertainty.items() if not has]
         notes = []
         if unknown:
-            notes.append(f"uncertainty without that of the {' and the '.join(unknown)}, which is not known")
-        for side, spectra in (("signature", (own,)), ("reference", others)):
+            notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
+        for side, spectra in (("signature", (signature,)), ("reference", references)):
             notes += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
         return notes
 
     @property
     def scatter(self) -> float:
-        """How far repeated readings are apart: standard deviation, RMS over the bands compared [1]."""
+        """Standard deviation of repeated readings, RMS over the bands compared [1]."""
         spreads = self._spreads()
         if len(self.pair.references) < 2 or not self.used.any():
             return 0.0
         return float(np.sqrt((spreads["reference_sd"][self.used] ** 2).mean()))
 
-    def _left_out(self) -> list[str]:
-        """Return how many bands are left out, and why."""
-        dull = np.any([~each.seen & np.isfinite(each.noise_gain) for each in self.onto], axis=0)
-        reasons = {
-            "not seen whole, or without a value": ~self.used & ~dull,
-            "sharper than the other side can tell": ~self.used & dull,
-        }
-        return [
-            f"left out of {self.used.size} bands: {int(which.sum())} {reason}"
-            for reason, which in reasons.items()
-            if which.any()
-        ]
-
     def dataset(self) -> xr.Dataset:
         """Return both spectra on the common bands."""
-        import xarray as xr
-
         columns = {
             "signature": self.signature,
             "reference": self.reference,
@@ -351,21 +355,21 @@ class Compared:
         )
 
     def _spreads(self) -> dict[str, Floats]:
-        """Return the standard deviations of what signature and reference are means of (band,)."""
+        """Return standard deviations of the pixels or readings behind signature and reference (band,)."""
         spreads = {}
-        own, others = self.pair.signature.sd, self.pair.references
-        if own is not None:
-            spreads["signature_sd"] = self.onto[-1](own)
-        if len(others) > 1:
-            seen = [use(each.values) for use, each in zip(self.onto[:-1], others, strict=True)]
-            spreads["reference_sd"] = np.std(seen, axis=0, ddof=1)
-        elif others[0].sd is not None:
-            spreads["reference_sd"] = self.onto[0](others[0].sd)
+        signature_sd, references = self.pair.signature.sd, self.pair.references
+        if signature_sd is not None:
+            spreads["signature_sd"] = self.onto[-1](signature_sd)
+        if len(references) > 1:
+            readings = [use(each.values) for use, each in zip(self.onto[:-1], references, strict=True)]
+            spreads["reference_sd"] = np.std(readings, axis=0, ddof=1)
+        elif references[0].sd is not None:
+            spreads["reference_sd"] = self.onto[0](references[0].sd)
         return spreads
 
 
 def compare(pair: Pair, seed: int) -> Compared:
-    """Bring a pair onto common bands, and draw what may be wrong with it there.
+    """Bring a pair onto common bands, and draw its errors there.
 
     The draws are the same for every pair, in whatever order they come.
     """
@@ -373,25 +377,27 @@ def compare(pair: Pair, seed: int) -> Compared:
         pair = replace(pair, references=tuple(as_body(each, pair.signature) for each in pair.references))
     bands = bands_of(pair.signature, list(pair.references))
     onto = tuple(operator_onto(bands, each) for each in (*pair.references, pair.signature))
-    seen = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
+    readings = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
     rng = np.random.default_rng(seed)
-    has_uncertainty = pair.signature.has_uncertainty or len(seen) > 1 or pair.references[0].has_uncertainty
+    has_uncertainty = (
+        pair.signature.has_uncertainty or len(readings) > 1 or pair.references[0].has_uncertainty
+    )
     errors = None
     if has_uncertainty:
-        own = onto[-1](pair.signature.errors(rng, DRAWS))
-        errors = own, _errors_of_mean(pair.references, onto[:-1], seen, rng)
-    return Compared(pair, bands, onto[-1](pair.signature.values), seen.mean(axis=0), onto, errors)
+        signature_errors = onto[-1](pair.signature.errors(rng, DRAWS))
+        errors = signature_errors, _errors_of_mean(pair.references, onto[:-1], readings, rng)
+    return Compared(pair, bands, onto[-1](pair.signature.values), readings.mean(axis=0), onto, errors)
 
 
 def _errors_of_mean(
-    references: Sequence[Measured], onto: Sequence[Operator], seen: Floats, rng: np.random.Generator
+    references: Sequence[Measured], onto: Sequence[Operator], readings: Floats, rng: np.random.Generator
 ) -> Floats:
-    count = len(seen)
+    count = len(readings)
     if count == 1:
         return onto[0](references[0].errors(rng, DRAWS))
-    away = seen - seen.mean(axis=0)
+    away = readings - readings.mean(axis=0)
     errors = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
-    # what repetition does not show: readings of one instrument share what is wrong with it
+    # readings of one instrument share its systematic error, which repetition does not show
     common = [
         use(each.u_systematic)
         for use, each in zip(onto, references, strict=True)

@@ -1,13 +1,14 @@
-"""Spectra out of paint libraries and spectrometer datasets alike, on one axis of wavelengths."""
+"""Spectra from paint libraries and spectrometer datasets, on one axis of wavelengths."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
@@ -21,21 +22,17 @@ from hyperpaint.paints.band_ratios import covariance
 from .coat_readings import coat_of, light_notes
 from .measured_spectra import Measured, names_of_paint, names_of_spectrum
 
-if TYPE_CHECKING:
-    import xarray as xr
+_MAX_DETECTORS = 8
 
-_MOST_DETECTORS = 8
-
+# widths of the channels of three detectors, by the makers of FieldSpec 3/4 and HR-1024i [nm]
 _WIDTHS: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
-"""Widths of the channels of three detectors, as the makers of FieldSpec 3/4 and HR-1024i give them [nm]."""
 _NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista", "hr-1024", "hr-768")}
-_EDGES = (1000.0, 1900.0)
-"""Where the detectors end, of a file that does not separate them [nm]."""
+_EDGES_NM = (1000.0, 1900.0)  # between detectors, for a file that does not separate them
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Which channels are used, in the order of wavelength."""
+    """Channels in use, in the order of wavelength."""
 
     order: npt.NDArray[np.intp]  # (channel,): Positions in the file
     detector: npt.NDArray[np.intp]  # (channel,): Number of the detector that each is of
@@ -43,14 +40,15 @@ class Axis:
 
 
 def join_detectors(wavelength: Floats) -> Axis:
-    """Return which channels make one increasing axis of wavelengths.
+    """Return the channels that make one increasing axis of wavelengths.
 
-    Where wavelengths fall, another detector begins. Of two that overlap, each serves to the middle of the
-    overlap: no sample is averaged with one of the other detector, whose scale and resolution differ.
+    Where wavelengths fall, another detector begins. Of two overlapping detectors, each is used up to the
+    middle of the overlap: samples of different detectors are never averaged, since scale and resolution
+    differ.
 
     ``wavelength`` (channel,): in the order of the file [nm]; a file that descends as a whole is turned round.
 
-    Raises `SchemaError`: Wavelengths are not finite, or in an order that detectors do not have.
+    Raises `SchemaError`: Wavelengths are not finite, or in an order that no set of detectors has.
 
     Examples
     --------
@@ -59,16 +57,18 @@ def join_detectors(wavelength: Floats) -> Axis:
     ([0, 4, 5], (985.0,))
     """
     if not (wavelength.size and np.isfinite(wavelength).all()):
-        raise SchemaError("wavelengths must be finite, and at least one [nm]")
+        raise SchemaError("wavelengths must be finite, and at least one [nm]", code="not-finite")
     order = np.arange(wavelength.size)
     if (np.diff(wavelength) < 0).sum() > wavelength.size // 2:
         order = order[::-1]
     begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
     detectors = np.split(order, begins)
-    if len(detectors) > _MOST_DETECTORS:
+    if len(detectors) > _MAX_DETECTORS:
         raise SchemaError(
-            f"wavelengths fall {len(begins)} times, expected an axis that increases but for joins of "
-            "detectors; sort the spectrum"
+            f"wavelengths fall {len(begins)} times",
+            expected="an increasing axis, except where detectors join",
+            mend="sort the spectrum",
+            code="wavelengths-unordered",
         )
     channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
     for index, following in enumerate(detectors[1:], 1):
@@ -77,7 +77,9 @@ def join_detectors(wavelength: Floats) -> Axis:
         after = following[wavelength[following] > middle]
         if not (before.any() and after.size):
             raise SchemaError(
-                f"one detector's wavelengths lie within another's near {middle:g} nm; open them apart"
+                f"one detector's wavelengths lie within another's near {middle:g} nm",
+                mend="open them apart",
+                code="detectors-overlap",
             )
         channels = np.concatenate([channels[before], after])
         number = np.concatenate([number[before], np.full(after.size, index)])
@@ -86,20 +88,19 @@ def join_detectors(wavelength: Floats) -> Axis:
 
 
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
-    """Return how wide channels are, where the data do not say, and what that was taken from.
+    """Return usual widths of channels for data that do not state them, and the source of these widths.
 
     ``wavelength``, ``detector`` (channel,): increasing wavelengths [nm], and the detector that each is of;
     ``instrument``: its name, as the data give it.
 
-    Returns full widths at half maximum (channel,) [nm], and what they were taken from, for a reader of the
-    result.
+    Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
     """
     lowered = instrument.lower()
     for kind, names in _NAMES.items():
         if any(name in lowered for name in names):
-            told_apart = detector.max() > 0 and wavelength[0] < _EDGES[0]
-            part = detector if told_apart else np.searchsorted(_EDGES, wavelength, "right")
-            widths = np.array(_WIDTHS[kind])[np.minimum(part, len(_EDGES))]
+            has_detectors = detector.max() > 0 and wavelength[0] < _EDGES_NM[0]
+            part = detector if has_detectors else np.searchsorted(_EDGES_NM, wavelength, "right")
+            widths = np.array(_WIDTHS[kind])[np.minimum(part, len(_EDGES_NM))]
             return widths, f"widths of channels as usual for {kind.upper()}"
     if wavelength.size < 2:
         return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
@@ -110,19 +111,20 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
 UNKNOWN = "unknown"
 _MIRRORS = ("included", "excluded")
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
-_NARROWEST, _WIDEST = 0.05, 100.0
-"""Of widths of channels, [nm] and in distances of channels; what is beyond is a mistake of the data."""
+_MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0  # plausible widths of channels
 
 
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:
-    """Return the spectra of a paint library; what is not ``good`` is NaN.
+    """Return the spectra of a paint library; bad bands are NaN.
 
     Raises `SchemaError`: It is no paint library; all problems are listed. Raises `UnitsError`: Units cannot
     be read.
     """
     if not hasattr(signatures, "data_vars"):
         raise SchemaError(
-            f"signatures are {type(signatures).__name__}, expected a paint library (xarray.Dataset)"
+            f"signatures are {type(signatures).__name__}",
+            expected="a paint library (xarray.Dataset)",
+            code="type-wrong",
         )
     return list(_of_library(signatures, 0, None, "band"))
 
@@ -130,7 +132,7 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
 def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     """Return the spectra of spectrometer datasets and paint libraries.
 
-    ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], where the user says it.
+    ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], if given by the user.
 
     Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
     """
@@ -139,7 +141,10 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
         datasets = list(datasets.values())
     if not isinstance(datasets, Iterable) or isinstance(datasets, str):
         raise SchemaError(
-            f"references are {type(references).__name__}, expected a Dataset, or several; see open_svc"
+            f"references are {type(references).__name__}",
+            expected="a Dataset, or several",
+            mend="see open_svc",
+            code="type-wrong",
         )
     problems = Problems("references cannot be used", SchemaError)
     spectra: list[Measured] = []
@@ -147,15 +152,15 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
         try:
             spectra += _of_dataset(dataset, number, fwhm)
         except (SchemaError, UnitsError) as error:
-            problems.add(f"reference {number}: {error}")
+            problems.add_error(f"reference {number}", error)
     if not spectra and not problems:
-        problems.add("there is none; open some with open_svc, open_asd or open_library")
+        problems.add(
+            "there is no reference",
+            mend="open some with open_svc, open_asd or open_library",
+            code="empty-input",
+        )
     problems.raise_if_any()
-    return _told_apart(spectra)
-
-
-def _told_apart(spectra: Sequence[Measured]) -> list[Measured]:
-    """Return spectra whose instruments of one make are named by serial number, where there are several."""
+    # serial numbers distinguish several instruments of one make
     serials: dict[str, set[str]] = {}
     for each in spectra:
         serials.setdefault(each.instrument, set()).add(each.serial)
@@ -169,18 +174,24 @@ def _told_apart(spectra: Sequence[Measured]) -> list[Measured]:
 
 def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
     if not hasattr(dataset, "data_vars"):
-        raise SchemaError(f"{type(dataset).__name__}, expected a Dataset")
+        raise SchemaError(f"{type(dataset).__name__}", expected="a Dataset", code="type-wrong")
     if "reflectance" not in dataset.data_vars:
         held = ", ".join(map(str, dataset.data_vars)) or "nothing"
-        raise SchemaError(f"holds {held}, expected reflectance; open it with quantity='reflectance'")
+        raise SchemaError(
+            f"holds {held}",
+            expected="reflectance",
+            mend="open it with quantity='reflectance'",
+            code="variable-missing",
+        )
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
         return _of_library(dataset, number, fwhm, "library")
     if "wavelength" in dims and dims <= {"spectrum", "wavelength"}:
         return _of_spectrometer(dataset, number, fwhm)
     raise SchemaError(
-        f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))}), expected "
-        "(spectrum, wavelength) of a spectrometer or (signature, band) of a library"
+        f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))})",
+        expected="(spectrum, wavelength) of a spectrometer or (signature, band) of a library",
+        code="dim-missing",
     )
 
 
@@ -210,11 +221,13 @@ def _of_library(
     has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
     between = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
     for number, name in enumerate(arrays[SIGNATURE].values):
-        own = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
+        spreads = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
+        # independent pixels, if known: neighbours share errors
+        counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
         yield channels.spectrum(
             values[number],
-            own,
-            _count_of(arrays, number),
+            spreads,
+            next((count for count in counts if np.isfinite(count)), None),
             names=names_of_paint(str(name), dataset_number),
             wanted=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or otherwise,
@@ -229,7 +242,7 @@ def _of_library(
 
 
 def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
-    """Return the quantity of a paint whose coat was left in among others of which it was divided out."""
+    """Return the quantity of a paint with its coat, in a library whose other paints had it divided out."""
     if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
         return {}
     names = ("coat_transmission", "coat_transmission_u")
@@ -241,7 +254,7 @@ def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict
 
 
 def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
-    """Return what the light of a paint leaves to be judged."""
+    """Return remarks on the light a paint was measured in."""
     values = {
         name: dataset[name].isel({SIGNATURE: number}).values[()]
         for name in ("sun_zenith", "sky_state")
@@ -253,12 +266,6 @@ def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
     return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
 
 
-def _count_of(arrays: Mapping[str, Any], number: int) -> float | None:
-    """Return how many independent pixels a paint is of: neighbours share what is wrong with them."""
-    counts = (float(arrays[name].values[number]) for name in ("n_eff", "n") if name in arrays)
-    return next((count for count in counts if np.isfinite(count)), None)
-
-
 # --- spectrometers -----------------------------------------------------------------------------------------
 
 
@@ -266,7 +273,9 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     if "spectrum" not in dataset["reflectance"].dims:
         dataset = dataset.expand_dims("spectrum")
     if "wavelength" not in dataset.coords:
-        raise SchemaError("'wavelength' is missing, the coordinate of reflectance [nm]")
+        raise SchemaError(
+            "'wavelength' is missing, the coordinate of reflectance [nm]", code="variable-missing"
+        )
     order = ("spectrum", "wavelength")
     values = convert(dataset["reflectance"], "1").transpose(*order).values.astype(np.float64)
     wavelength = convert(dataset["wavelength"], "nm").values.astype(np.float64)
@@ -279,9 +288,13 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     if widths is not None and widths.dims != ("wavelength",):
         widths = None
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
-    channels = _Channels.of(
-        wavelength, widths, fwhm, str(attrs.get("instrument", "")), _detectors_of(dataset)
-    )
+    # number of every channel's detector, in the order of the file, if stated
+    detectors = None
+    if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
+        names = [str(name) for name in dataset["detector"].values]
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        detectors = np.array([numbers[name] for name in names], np.intp)
+    channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
         texts_of = {
@@ -298,7 +311,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
             wanted="",
             instrument=str(attrs.get("instrument") or texts_of["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
-            notes=(*channels.notes, *_errors_told(dataset, number)),
+            notes=(*channels.notes, *_instrument_errors(dataset, number)),
             **_overlap_of(texts_of["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
@@ -306,17 +319,8 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
         )
 
 
-def _detectors_of(dataset: xr.Dataset) -> npt.NDArray[np.intp] | None:
-    """Return the number of every channel's detector in the order of the file; None where it is not given."""
-    if "detector" not in dataset.variables or dataset["detector"].dims != ("wavelength",):
-        return None
-    names = [str(name) for name in dataset["detector"].values]
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    return np.array([numbers[name] for name in names], np.intp)
-
-
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
-    """Return the text that a coordinate has for one spectrum; empty where there is none."""
+    """Return the text of a coordinate for one spectrum; empty where there is none."""
     if key not in dataset.variables:
         return ""
     held = dataset[key]
@@ -333,8 +337,8 @@ def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
     return bool(held.values[number] if held.dims == ("spectrum",) else held.values.any())
 
 
-def _errors_told(dataset: xr.Dataset, number: int) -> list[str]:
-    """Return what the instrument said was wrong with the scans."""
+def _instrument_errors(dataset: xr.Dataset, number: int) -> list[str]:
+    """Return the error bits that the instrument recorded for its scans."""
     errors = []
     for scan in ("target", "reference"):
         key = f"error_{scan}"
@@ -351,7 +355,7 @@ def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
     return {"overlap": overlap, "matched": bool(matched) or overlap == "matched"}
 
 
-# --- channels that the spectra of a dataset share ----------------------------------------------------------
+# --- channels ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,32 +369,31 @@ class _Channels:
 
     @classmethod
     def of(
-        cls, wavelength: Any, held: Any, said: float | None, instrument: str, detector: Any = None
+        cls, wavelength: Any, held: Any, given: float | None, instrument: str, detector: Any = None
     ) -> _Channels:
-        """Return channels on one increasing axis; ``held`` are widths of the data, ``said`` the user's."""
+        """Return channels on one increasing axis; widths ``given`` by the user or ``held`` by the data."""
         wavelength = np.asarray(wavelength, np.float64)
         axis = join_detectors(wavelength)
-        at = wavelength[axis.order]
+        nm_sorted = wavelength[axis.order]
         joins = ", ".join(f"{nm:.4g}" for nm in axis.joins)
         notes = [f"detectors joined at {joins} nm"] if joins else []
-        if said is not None:
-            _check_widths(np.array([said]), at)
-            return cls(
-                axis.order, at, np.full(at.size, said), (*notes, f"widths of channels {said:g} nm, as said")
-            )
+        if given is not None:
+            _check_widths(np.array([given]), nm_sorted)
+            notes.append(f"widths of channels {given:g} nm, as given")
+            return cls(axis.order, nm_sorted, np.full(nm_sorted.size, given), tuple(notes))
         if held is not None:
-            own = convert(held, "nm").values.astype(np.float64)[axis.order]
-            if np.isfinite(own).all() and (own > 0).all():
-                _check_widths(own, at)
-                return cls(axis.order, at, own, tuple(notes))
+            fwhm_of_data = convert(held, "nm").values.astype(np.float64)[axis.order]
+            if np.isfinite(fwhm_of_data).all() and (fwhm_of_data > 0).all():
+                _check_widths(fwhm_of_data, nm_sorted)
+                return cls(axis.order, nm_sorted, fwhm_of_data, tuple(notes))
         own_detector = axis.detector if detector is None else detector[axis.order]
-        fwhm, source = channel_widths(at, own_detector, instrument)
-        return cls(axis.order, at, fwhm, (*notes, source))
+        fwhm, source = channel_widths(nm_sorted, own_detector, instrument)
+        return cls(axis.order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
         self, values: Floats, spreads: Mapping[str, Any], count: float | None, **about: Any
     ) -> Measured:
-        """Return one spectrum on these channels; a spread whose every value is missing is not known."""
+        """Return one spectrum on these channels; a spread of missing values only becomes None."""
         u_random, u_systematic, sd = (_known(spreads.get(name), self.order) for name in _SPREADS)
         return Measured(
             wavelength=self.wavelength,
@@ -405,18 +408,20 @@ class _Channels:
 
 
 def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
-    """Refuse widths of channels that no instrument has: one alone sets the step of all responses."""
+    """Refuse widths of channels that no instrument has; a single one sets the step of all responses."""
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
-    if not ((fwhm >= _NARROWEST) & (fwhm <= _WIDEST * spacing)).all():
+    if not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all():
         raise SchemaError(
-            f"'fwhm' reaches from {np.min(fwhm):g} to {np.max(fwhm):g} nm, expected {_NARROWEST:g} to "
-            f"{_WIDEST * spacing:g} nm, {_WIDEST:g} distances of channels; correct it, or pass "
-            "reference_fwhm="
+            f"'fwhm' reaches from {np.min(fwhm):g} to {np.max(fwhm):g} nm",
+            expected=f"{_MIN_WIDTH_NM:g} to {_MAX_WIDTH_SPACINGS * spacing:g} nm, {_MAX_WIDTH_SPACINGS:g} "
+            "distances of channels",
+            mend="correct it, or pass reference_fwhm=",
+            code="value-out-of-range",
         )
 
 
 def _known(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
     if spread is None:
         return None
-    own = np.asarray(spread, np.float64)[order]
-    return own if np.isfinite(own).any() else None
+    known_spread = np.asarray(spread, np.float64)[order]
+    return known_spread if np.isfinite(known_spread).any() else None

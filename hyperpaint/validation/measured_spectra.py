@@ -1,4 +1,4 @@
-"""Spectra as validation compares them: names, origin, values and uncertainties."""
+"""Spectra prepared for validation: names, origin, values and uncertainties."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True)
 class Names:
-    """How one spectrum is called."""
+    """Names of one spectrum."""
 
     shown: str  # As results name it
-    # What it may be called by: its own names; these without suffix; those without folder too, which spectra
-    # of other folders may share. Where one is meant, none of a later rank counts.
+    # names it may be paired by: full names; names without suffix; names without folder, which spectra of
+    # other folders may share. A match of one rank excludes matches of later ranks.
     ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
-    # Number of the dataset, and folder in it: only readings of one place are repeats of each other
+    # number of the dataset, and folder in it: only readings of one place are repeats of each other
     place: tuple[int, str]
 
     @property
@@ -34,16 +34,16 @@ class Names:
 
 
 def names_of_paint(name: str, dataset: int) -> Names:
-    """Return how a paint of a library is called: by its name."""
+    """Return the names of a paint of a library."""
     return Names(name, (frozenset({name}), frozenset(), frozenset()), (dataset, ""))
 
 
 def names_of_spectrum(spectrum: str, source: str, other: str, number: int, dataset: int) -> Names:
-    """Return how a spectrum of a field spectrometer is called.
+    """Return the names of a spectrum of a field spectrometer.
 
-    ``spectrum``, ``source``, ``other``: its name, which readers put the folder before where names repeat; its
-    file; another name. Any may be empty; ``number``, ``dataset``: of the spectrum in its dataset, and of the
-    dataset.
+    ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``other``: one
+    more name; any of these may be empty. ``number``: of the spectrum in its dataset; ``dataset``: number of
+    the dataset.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def names_of_spectrum(spectrum: str, source: str, other: str, number: int, datas
     full = frozenset(text for text in (spectrum, other, source and folder + source) if text)
     bare = frozenset(name for text in full for name in _without_suffix(text)) - full
     short = frozenset(alias for text in (spectrum, source, other) for alias in _aliases(text)) - full - bare
-    # readers number what folders do not tell apart: "red (1)" of red.sig; these are no repeats either
+    # readers number equal names in one folder: "red (1)" of red.sig; these are no repeats either
     numbered = base if source and base not in set(_aliases(source)) else ""
     shown = spectrum or source or other or f"spectrum {number}"
     return Names(shown, (full, bare, short), (dataset, folder + numbered))
@@ -87,12 +87,12 @@ def _without_suffix(name: str) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One spectrum of reflectance, and what is known of it."""
+    """One spectrum of reflectance with its origin and uncertainty."""
 
     names: Names  # What it can be paired by, and where it is from
     wanted: str  # Name of the reference that a signature asks for; empty where it does not
     instrument: str  # Its make
-    serial: str  # What else its data say of the instrument, mostly a serial number; may be empty
+    serial: str  # Serial number of the instrument, or a similar text; may be empty
     # wavelength, fwhm, values (channel,), float64: Increasing wavelengths [nm], widths of channels [nm],
     # reflectance [1], NaN where there is none
     wavelength: Floats
@@ -102,16 +102,15 @@ class Measured:
     # channel, and common to all
     u_random: Floats | None
     u_systematic: Floats | None
-    sd: Floats | None  # (channel,) or None: Standard deviation of what the spectrum is a mean of [1]
-    count: float  # Of how many readings or independent pixels it is; 1 where that is not known
-    # What was done with channels where detectors overlap, as the reader says it: preserved, removed or
-    # unknown
+    sd: Floats | None  # (channel,) or None: Standard deviation of the averaged readings or pixels [1]
+    count: float  # Number of averaged readings or independent pixels; 1 where unknown
+    # Treatment of overlapping detectors, as the reader states it: preserved, removed or unknown
     overlap: str
     matched: bool  # Whether values were changed there, to make detectors meet
     mirror: str  # Whether the mirror image of sky and surroundings is included, excluded, or unknown
     absolute: bool  # Whether reflectance is of a perfect diffuser, rather than of a panel
-    notes: tuple[str, ...]  # What else a reader of results should know
-    quantity: str = ""  # Of a body under a coat or of the coat's outside, see base.mirrored_light
+    notes: tuple[str, ...]  # Remarks for the reader of results
+    quantity: str = ""  # Body under a coat or outside of the coat, see base.mirrored_light
     geometry: str = ""  # Of the instrument, such as d/8
     coat_index: float = 1.5  # Refractive index of the coat
     # (channel, channel) or None: covariance of both uncertainties together [1], where it is known
@@ -124,11 +123,11 @@ class Measured:
 
     @property
     def has_uncertainty(self) -> bool:
-        """Whether anything is known of how uncertain it is."""
+        """Whether any part of the uncertainty is known."""
         return any(each is not None for each in (self.u_random, self.u_systematic, self.sd))
 
     def gaps(self) -> list[str]:
-        """Return what is not known of the uncertainty, for a reader of the result."""
+        """Return the unknown parts of the uncertainty, for the reader of the result."""
         if self.u_random is None and self.u_systematic is None:
             return []
         gaps, there = [], np.isfinite(self.values)
@@ -137,21 +136,21 @@ class Measured:
             ("systematic", self.u_systematic, "random"),
         ):
             if spread is None:
-                gaps.append(f"{other} part only, the {name} one is not known")
+                gaps.append(f"{other} part only, the {name} part is unknown")
             elif not np.isfinite(spread[there]).all():
                 count = int(np.isfinite(spread[there]).sum())
                 gaps.append(
-                    f"{name} part known in {count} of {int(there.sum())} channels; elsewhere none is told"
+                    f"{name} part known in {count} of {int(there.sum())} channels; no uncertainty elsewhere"
                 )
         return gaps
 
     def errors(self, rng: np.random.Generator, draws: int) -> Floats:
-        """Return what may be wrong with the values (draw, channel), at random.
+        """Return random draws of the errors of the values (draw, channel).
 
-        Of the covariance where that is known. Elsewhere random errors are independent, systematic ones common
-        to all channels. Where neither is known, the standard deviation of the mean is taken for systematic:
-        readings of a surface differ in level more than in shape. NaN where one of them is known of other
-        channels, but not there.
+        By the covariance where it is known; else random errors are independent and systematic errors common
+        to all channels. Where neither is known, the standard deviation of the mean counts as systematic:
+        readings of a surface differ in level more than in shape. NaN in channels without an uncertainty that
+        other channels have.
         """
         if self.covariance is not None:
             missing = np.isnan(np.diagonal(self.covariance))
@@ -172,7 +171,7 @@ class Measured:
 
 
 def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
-    """Return references multiplied by the reflectance of the panel that they are relative to.
+    """Return references multiplied by the reflectance of their white panel.
 
     ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
     DataArray, or a Dataset with ``reflectance``. Linear between its wavelengths; outside of them it is not
@@ -183,20 +182,34 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     """
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
     if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
-        raise SchemaError("panel= must be a DataArray of reflectance on wavelength; see read_certificate")
+        raise SchemaError(
+            f"panel= is {type(panel).__name__}",
+            expected="a DataArray of reflectance on wavelength",
+            mend="see read_certificate",
+            code="type-wrong",
+        )
     problems = Problems("references cannot be scaled by the panel", SchemaError)
     wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
     values = convert(array, "1", "panel").values.astype(np.float64)
     order = np.argsort(wavelength)
     wavelength, values = wavelength[order], values[order]
     if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
-        problems.add("panel= has wavelengths twice, or values that are not finite")
+        problems.add("panel= has wavelengths twice, or values that are not finite", code="not-finite")
     elif not ((values > 0.0) & (values <= 1.2)).all():
         limits = f"{values.min():g} to {values.max():g}"
-        problems.add(f"panel= reaches from {limits}, expected more than 0, at most 1.2; is it in percent?")
+        problems.add(
+            f"panel= reaches from {limits}",
+            expected="above 0, at most 1.2",
+            mend="divide percent by 100",
+            code="value-out-of-range",
+        )
     for each in spectra:
         if each.absolute:
-            problems.add(f"reference {each.name!r} is absolute already, or of a library; leave out panel=")
+            problems.add(
+                f"reference {each.name!r} is absolute already, or of a library",
+                mend="leave out panel=",
+                code="option-conflict",
+            )
     problems.raise_if_any()
     return [_scaled(each, wavelength, values) for each in spectra]
 

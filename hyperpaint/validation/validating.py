@@ -1,13 +1,14 @@
-"""Signatures of paints against references, band by band and part by part of the spectrum."""
+"""Validation of paint signatures against references, band by band and in parts of the spectrum."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
@@ -18,10 +19,7 @@ from .agreement import statistics_of, uncertainty_of
 from .comparing import Compared, between_references, compare, paired
 from .dataset_spectra import references_from, signatures_from
 from .measured_spectra import scaled_by_panel
-from .validation_result import DARKEST, FLOOR, MEANINGS, RELATIVE, STATISTICS, Validation
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
 
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
@@ -31,12 +29,11 @@ PARTS: Mapping[str, tuple[float, float]] = {
 """Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not."""
 
 TOLERANCE: Mapping[str, float] = {RELATIVE: 0.05, FLOOR: 0.005}
-"""RMSE that signatures and references are expected to agree to: a share of the paint's level and what is
-added [1]. It is the specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote
-and Kotchenova, J. Geophys. Res. 113, D23S90 (2008)."""
+"""Largest RMSE between signature and reference: a share of the paint's level plus a floor [1]. It is the
+specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote and Kotchenova,
+J. Geophys. Res. 113, D23S90 (2008)."""
 
-_LEAST_BANDS, _LEAST_SHARE = 3, 0.5
-"""Bands of a part, and share of all its bands, that are compared where it is judged."""
+_MIN_BANDS, _MIN_SHARE = 3, 0.5  # bands compared in a part that is judged, and their share of its bands
 
 
 @takes_quantities(reference_fwhm="nm", parts="nm")
@@ -52,7 +49,7 @@ def validate(
     require_all: bool = False,
     seed: int = 0,
 ) -> Validation:
-    r"""Compare paint signatures with what was measured of the same paints otherwise.
+    r"""Compare paint signatures with reference measurements of the same paints.
 
     Eager.
 
@@ -65,83 +62,83 @@ def validate(
         `hyperpaint.open_asd` and ``open_svc``, or a paint library (signature, band).
     pairs
         Names of references by names of paints, one or several each. By default the region property
-        ``reference`` names the reference of a paint, and where a paint has none, its own name does. Names of
-        files count with and without folder and suffix; a full name before a short one. Nothing is paired by
-        likeness. Several readings of one instrument are averaged where they are of one folder and dataset, or
-        ``pairs`` names them all.
+        ``reference`` names the reference of a paint; without it, the paint's own name does. Names of files
+        match with and without folder and suffix; full names come before short ones. Nothing is paired by
+        similarity. Several readings of one instrument are averaged if they come from one folder and dataset,
+        or ``pairs`` names them all.
     tolerance
         By default RMSE may be 0.005 + 5 % of the paint's level, the mean of the reference in a part: 0.0065
-        of a black of 0.03, 0.045 of a white of 0.8. It is what surface reflectance of MODIS and Landsat is
-        specified to [1]_. A number is the largest RMSE at any level [1]. A mapping has limits by name:
-        ``relative`` (a share of the level) and ``floor`` (what is added, 0.005 by default), and statistics:
+        for a black of 0.03, 0.045 for a white of 0.8: the specification of surface reflectance of MODIS and
+        Landsat [1]_. A number is the largest RMSE at any level [1]. A mapping has limits by name:
+        ``relative`` (a share of the level) and ``floor`` (added to it, 0.005 by default), and statistics:
         ``bias``, ``rmse``, ``mae``, ``spectral_angle`` [degree], ``scale`` (its distance from 1),
-        ``scale_free_error``. All are to be met in every part that has bands. Uncertainty does not widen them.
-        A part of less than 3 bands, or half of its bands, or whose limit is more than half of its level, is
-        not judged: it can fail, not pass. Where ``parts`` names it, or no part of a pair is judged, the pair
-        fails.
+        ``scale_free_error``. All limits hold in every part that has bands; uncertainty does not widen them. A
+        part with fewer than 3 bands, with less than half of its bands, or with a limit above half of its
+        level, is not judged: it can fail, but not pass. If ``parts`` names it, or no part of a pair is
+        judged, the pair fails.
     panel
         Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
         relative to it.
     parts
-        Parts of the spectrum by name: first wavelength, and the one it ends before [nm]. By default `PARTS`.
+        Parts of the spectrum by name: first wavelength, and end, exclusive [nm]. By default `PARTS`.
     reference_fwhm
-        Width of the references' channels [nm]. By default what the data say (``fwhm``), else what is usual
-        for the instrument, else twice the distance of channels; the result says which.
+        Width of the references' channels [nm]. By default ``fwhm`` of the data, else the usual width of the
+        instrument, else twice the distance of channels; the result names the source.
     require_all
         Whether every paint must have a reference; by default only those whose region names one.
     seed
-        Of the draws of the uncertainties.
+        Seed of the random draws for uncertainties.
 
     Returns
     -------
     Validation
-        Statistics of every pair and part with uncertainties, spectra on common bands, what was not paired,
-        and whether all is within tolerance. Where several instruments measured a paint, ``between`` holds
-        the same of their references against one another.
+        Statistics of every pair and part with uncertainties, spectra on common bands, unpaired names, and
+        whether all is within tolerance. Where several instruments measured a paint, ``between`` holds the
+        same for their references against one another.
 
     Raises
     ------
     SchemaError, UnitsError
-        What is given is no library, no reflectance or no certificate; a reference is absolute and a panel is
-        given; widths of channels are none; a pair has no band in common; ``pairs`` names what is not there,
-        a name is that of several paints, or of references of several folders or datasets; or nothing can be
-        paired. All of a kind are listed.
+        An input is no library, no reflectance or no certificate; a reference is absolute and a panel is
+        given; widths of channels are implausible; a pair has no band in common; ``pairs`` has unknown names;
+        several paints, or references of several folders or datasets, share a name; or nothing can be paired.
+        All problems of a kind are listed.
 
     Warns
     -----
     PaintWarning
-        One of a pair includes the mirror image of the sky, the other does not, or one is of the body under a
-        coat and the other of its outside (``quantity``); repeated readings, or those of
-        two instruments, are further apart than the tolerance; two paints agree with each other's references
-        and not with their own.
+        One of a pair includes the mirror image of the sky and the other does not, or one is of the body under
+        a coat and the other of its outside (``quantity``); repeated readings, or readings of two instruments,
+        differ by more than the tolerance; two paints agree with each other's references and not with their
+        own.
 
     Notes
     -----
     The finer spectrum is brought onto the bands of the coarser one, mostly the signature's: weights on its
     channels reproduce the response of each band, the channels' own width considered
-    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band that they see less than
-    99.9 % of is left out and counted, so that nothing is renormalised over what is missing; so is one that is
-    too sharp for them, whose noise they would multiply by more than 3. Where detectors overlap, and
-    wavelengths fall, each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(...,
-    overlap="trim", joins=)`` chooses otherwise. Reflectance is weighted by the response alone: that light
-    varies within a band matters where paint does, too, and hardly then.
+    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band covered by less than 99.9 %
+    is left out and counted, so that nothing is renormalised over missing channels; so is a band too narrow
+    for them, whose noise they would multiply by more than 3. Where detectors overlap, and wavelengths fall,
+    each is used up to the middle of the overlap, 987 nm for an SVC; ``open_svc(..., overlap="trim", joins=)``
+    chooses otherwise. Reflectance is weighted by the response alone: variation of the light within a band
+    matters only where the paint varies too, and little even then.
 
-    Like is compared with like: where the signature is of the body under a clear coat, and a reference says by
-    its attributes that it is a reading of the coat's outside (``quantity``, or ``specular_component``
-    "included") and how it was taken (``measurement_geometry`` such as "d/8", ``coat_index``), the reference
-    is brought to the body, see `hyperpaint.validation.coat_readings.as_body`; the result says so.
+    Equal quantities are compared: where the signature is of the body under a clear coat, and the attributes
+    of a reference declare a reading of the coat's outside (``quantity``, or ``specular_component``
+    "included") and its geometry (``measurement_geometry`` such as "d/8", ``coat_index``), the reference is
+    converted to the body, see `hyperpaint.validation.coat_readings.as_body`; the result notes it.
 
-    Statistics are plain means over bands, see `statistics_of`. Their uncertainty is that of propagated draws
-    (JCGM 101): random errors independent from channel to channel, systematic ones common to all. Of one
-    reference its standard deviation is taken for systematic; of n readings :math:`r_k` of one paint and one
+    Statistics are plain means over bands, see `statistics_of`. Their uncertainty comes from propagated draws
+    (JCGM 101): random errors independent from channel to channel, systematic errors common to all. For one
+    reference its standard deviation counts as systematic; of n readings :math:`r_k` of one paint and one
     instrument the mean is compared, and its errors are drawn as
 
     .. math:: \delta r = \sum_k g_k (r_k - \bar r) / \sqrt{n (n - 1)}, \qquad g_k \sim N(0, 1),
 
-    whose covariance over bands is that of the mean; to which the readings' own systematic uncertainty, common
-    to all, and their random one over :math:`\sqrt n` are added, so that few readings that agree by chance do
-    not seem sure. A component that is not known does not enter, and the result says so; one that is known in
-    other bands leaves uncertainties NaN.
+    whose covariance over bands is the covariance of the mean; the readings' own systematic uncertainty,
+    common to all, and their random uncertainty over :math:`\sqrt n` are added, so that a few readings that
+    agree by chance do not seem too certain. Unknown components are not included, and the result notes it; a
+    component known only in other bands makes uncertainties NaN.
 
     References
     ----------
@@ -168,7 +165,18 @@ def validate(
     limits = _limits(tolerance)
     named = parts is not None
     parts = PARTS if parts is None else parts
-    _check_parts(parts)
+    problems = Problems("parts= cannot be used", SchemaError)
+    if not isinstance(parts, Mapping) or not parts:
+        problems.add(
+            f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
+        )
+        problems.raise_if_any()
+    for name, edges in parts.items():
+        if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
+            problems.add(
+                f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
+            )
+    problems.raise_if_any()
     measured = references_from(references, reference_fwhm)
     if panel is not None:
         measured = scaled_by_panel(measured, panel)
@@ -180,20 +188,32 @@ def validate(
     for each in compared:
         if not each.used.any():
             problems.add(
-                f"{each.pair.signature.name!r}: no band of one is seen whole by the other ({each.ranges})"
+                f"{each.pair.signature.name!r}: paint and reference share no complete band ({each.ranges})",
+                code="range-disjoint",
             )
     problems.raise_if_any()
     scatters = [_scatter(each, limits) for each in compared]
-    mirrors = [text for each in compared for text in each.warnings()]
-    references_apart = _between(between, parts, limits, named=named)
-    scatter_texts = [
-        f"{each.pair.signature.name}: {text}"
+    noticed = [pair for each in compared for pair in each.warnings()]
+    noticed += [
+        ("reference-scatter", f"{each.pair.signature.name}: {text}")
         for each, texts in zip(compared, scatters, strict=True)
         for text in texts
     ]
-    disagreements = [] if references_apart is None else _disagreements(references_apart.statistics)
-    for text in dict.fromkeys((*mirrors, *scatter_texts, *_exchanged(compared), *disagreements)):
-        warnings.warn(text, PaintWarning, stacklevel=2)
+    noticed += [("references-exchanged", text) for text in _exchanged(compared)]
+    references_apart = None
+    if between:
+        references_apart = Validation(
+            statistics=_statistics(between, parts, limits, named=named),
+            spectra=tuple(each.dataset() for each in between),
+            notes=((),) * len(between),
+            unpaired_signatures=(),
+            unpaired_references=(),
+            missing=(),
+            tolerance=limits,
+        )
+        noticed += [("references-disagree", text) for text in _disagreements(references_apart.statistics)]
+    for code, text in dict.fromkeys(noticed):
+        warnings.warn(PaintWarning(text, code=code), stacklevel=2)
     return Validation(
         statistics=_statistics(compared, parts, limits, named=named),
         spectra=tuple(each.dataset() for each in compared),
@@ -206,26 +226,8 @@ def validate(
     )
 
 
-def _between(
-    compared: Sequence[Compared],
-    parts: Mapping[str, tuple[float, float]],
-    limits: Mapping[str, float],
-    *,
-    named: bool,
-) -> Validation | None:
-    """Return how far references of one paint agree; None where one instrument alone measured each."""
-    if not compared:
-        return None
-    return Validation(
-        statistics=_statistics(compared, parts, limits, named=named),
-        spectra=tuple(each.dataset() for each in compared),
-        notes=((),) * len(compared),
-        unpaired_signatures=(), unpaired_references=(), missing=(), tolerance=limits,
-    )  # fmt: skip
-
-
 def _disagreements(between: xr.Dataset) -> list[str]:
-    """Return which instruments disagree about a paint."""
+    """Return the paints whose references disagree, with the instruments."""
     outside = (between["judged"] & ~between["passes"]).values
     return [
         f"{one['signature'].item()}: {one['instrument'].item()} is beyond the tolerance in "
@@ -235,15 +237,14 @@ def _disagreements(between: xr.Dataset) -> list[str]:
     ]
 
 
-_EXCHANGED_SHARE, _EXCHANGED_LEAST = 0.6, 0.01
-"""RMSE of two paints with each other's references over that with their own, below which they seem exchanged,
-and what that of each must be [1]: samples that real laboratories exchanged have 0.15 to 0.45."""
-_EXCHANGED_AMONG = 200
-"""Paints among which exchanged ones are sought, those furthest from their references [1]."""
+# RMSE with each other's references over RMSE with their own, below which two paints seem exchanged, and the
+# smallest RMSE of each [1]: samples that real laboratories exchanged have 0.15 to 0.45
+_EXCHANGED_SHARE, _EXCHANGED_MIN_RMSE = 0.6, 0.01
+_EXCHANGED_MAX_PAINTS = 200  # searched, those furthest from their references
 
 
 def _exchanged(compared: Sequence[Compared]) -> list[str]:
-    """Return which paints agree with each other's references, and not with their own."""
+    """Return the paints that agree with each other's references better than with their own."""
 
     def rmse(seen: Compared, known: Compared) -> float:
         used = seen.used & known.used
@@ -251,29 +252,31 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
             float(np.sqrt(((seen.signature - known.reference)[used] ** 2).mean())) if used.any() else np.nan
         )
 
-    own = np.array([rmse(each, each) for each in compared])
-    places = np.flatnonzero(own > _EXCHANGED_LEAST)
+    own_rmse = np.array([rmse(each, each) for each in compared])
+    places = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
     texts = []
-    for i, j in itertools.combinations(sorted(places[np.argsort(-own[places])][:_EXCHANGED_AMONG]), 2):
+    for i, j in itertools.combinations(
+        sorted(places[np.argsort(-own_rmse[places])][:_EXCHANGED_MAX_PAINTS]), 2
+    ):
         one, other = compared[i], compared[j]
         names = one.pair.signature.name, other.pair.signature.name
         same = one.instrument == other.instrument and names[0] != names[1]
         if not (same and np.array_equal(one.bands.wavelength, other.bands.wavelength)):
             continue
         across = rmse(one, other), rmse(other, one)
-        whole = _EXCHANGED_SHARE * (own[i] + own[j])
-        # both agree: of three that are exchanged in turn, only one of two would
-        if sum(across) < whole and (np.array(across) < own[[i, j]]).all() and max(across) < 0.5 * whole:
+        whole = _EXCHANGED_SHARE * (own_rmse[i] + own_rmse[j])
+        # both must agree: of three paints exchanged in turn, only one of two would
+        if sum(across) < whole and (np.array(across) < own_rmse[[i, j]]).all() and max(across) < 0.5 * whole:
             texts.append(
                 f"{names[0]} and {names[1]}: each agrees with the reference of the other (RMSE "
-                f"{across[0]:.3f} and {across[1]:.3f}, with its own {own[i]:.3f} and {own[j]:.3f}); were the "
-                "samples, or their names, exchanged?"
+                f"{across[0]:.3f} and {across[1]:.3f}, with its own {own_rmse[i]:.3f} and "
+                f"{own_rmse[j]:.3f}); were the samples, or their names, exchanged?"
             )
     return texts
 
 
 def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
-    """Return the largest RMSE that passes at levels of the reference; NaN where none is named."""
+    """Return the largest RMSE that passes at levels of the reference; NaN without a limit."""
     most = np.full(np.shape(level), limits.get("rmse", np.inf))
     if RELATIVE in limits:
         most = np.fmin(most, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
@@ -281,7 +284,7 @@ def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
 
 
 def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
-    """Return that repeated readings are further apart than the tolerance of their mean."""
+    """Return a remark where repeated readings scatter more than the tolerance of their mean."""
     level = np.asarray(compared.reference[compared.used].mean())
     limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
     if not compared.scatter > limit:
@@ -293,35 +296,30 @@ def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
 
 
 def _limits(tolerance: Any) -> dict[str, float]:
-    given = {"rmse": tolerance} if tolerance is not None else TOLERANCE
-    given = dict(tolerance) if isinstance(tolerance, Mapping) else dict(given)
+    limits = {"rmse": tolerance} if tolerance is not None else TOLERANCE
+    limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
     problems = Problems("tolerance= cannot be used", SchemaError)
-    for name, limit in given.items():
+    for name, limit in limits.items():
         if name not in (RELATIVE, FLOOR, *STATISTICS):
             problems.add(
-                f"there is no statistic {name!r}; there is {', '.join((RELATIVE, FLOOR, *STATISTICS))}"
+                f"there is no statistic {name!r}",
+                expected=", ".join((RELATIVE, FLOOR, *STATISTICS)),
+                code="choice-unknown",
             )
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
-            problems.add(f"{name}: {limit!r}, expected a number that is not negative")
-    if not given:
-        problems.add("no limit; name one, such as 0.02 of RMSE")
-    if FLOOR in given and RELATIVE not in given:
-        problems.add("floor is added to a share of the paint's level; name relative as well, such as 0.05")
-    if RELATIVE in given:
-        given.setdefault(FLOOR, TOLERANCE[FLOOR])
+            problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
+    if not limits:
+        problems.add("no limit", mend="name one, such as 0.02 of RMSE", code="argument-missing")
+    if FLOOR in limits and RELATIVE not in limits:
+        problems.add(
+            "floor is added to a share of the paint's level",
+            mend="name relative as well, such as 0.05",
+            code="option-conflict",
+        )
+    if RELATIVE in limits:
+        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
     problems.raise_if_any()
-    return {name: float(limit) for name, limit in given.items()}
-
-
-def _check_parts(parts: Any) -> None:
-    problems = Problems("parts= cannot be used", SchemaError)
-    if not isinstance(parts, Mapping) or not parts:
-        problems.add(f"{parts!r:.60}, expected names with first and last wavelength [nm]")
-    else:
-        for name, edges in parts.items():
-            if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
-                problems.add(f"{name!r}: {edges!r:.60}, expected first and last wavelength [nm]")
-    problems.raise_if_any()
+    return {name: float(limit) for name, limit in limits.items()}
 
 
 def _statistics(
@@ -331,9 +329,6 @@ def _statistics(
     *,
     named: bool,
 ) -> xr.Dataset:
-    """Return the statistics of all pairs (pair, part)."""
-    import xarray as xr
-
     shape = len(compared), len(parts)
     statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
     statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
@@ -360,8 +355,10 @@ def _statistics(
     variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in statistics.items()}
     variables["bands"] = (dims, bands, _attrs("bands"))
     variables["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
-    too_dark = statistics["rmse_limit"] > DARKEST * statistics["level"] if RELATIVE in limits else False
-    judged = (bands >= _LEAST_BANDS) & (bands >= _LEAST_SHARE * (bands + left_out)) & ~np.asarray(too_dark)
+    too_dark = (
+        statistics["rmse_limit"] > MAX_TOLERANCE_SHARE * statistics["level"] if RELATIVE in limits else False
+    )
+    judged = (bands >= _MIN_BANDS) & (bands >= _MIN_SHARE * (bands + left_out)) & ~np.asarray(too_dark)
     for name, flags in (("judged", judged), ("passes", _passes(statistics, judged, limits, named=named))):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
@@ -395,10 +392,10 @@ def _attrs(name: str) -> dict[str, str]:
 def _passes(
     statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool
 ) -> Bools:
-    """Tell which parts pass.
+    """Return the parts that pass.
 
-    One that is not judged still fails where it is outside of a limit; and where the user asked for it, or
-    nothing of the pair is judged.
+    A part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
+    judged.
     """
     within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
     of_statistics: dict[str, Any] = {
@@ -408,7 +405,7 @@ def _passes(
         of_statistics["rmse"] = statistics["rmse_limit"]
     for name, limit in of_statistics.items():
         away = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
-        # of NaN, neither is true
+        # NaN is neither within nor outside
         within &= away <= limit
         outside |= away > limit
     enough = judged | ~np.logical_or(named, ~judged.any(axis=1, keepdims=True))

@@ -1,22 +1,18 @@
-"""What a validation comes to: numbers, spectra, and a table to read."""
+"""The result of a validation: statistics, spectra, and a table to read."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
-if TYPE_CHECKING:
-    import xarray as xr
+RELATIVE, FLOOR = "relative", "floor"  # parts of a tolerance of RMSE that grows with the paint's level
 
-RELATIVE, FLOOR = "relative", "floor"
-"""Names of a tolerance of RMSE that grows with the paint's level: a share of it, and what is added."""
-
+# statistics and tolerances by name, in the order of a validation's table
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
-"""Names of the statistics: those of a validation's table, in its order, and of tolerances."""
 
 MEANINGS: Mapping[str, str] = {
     "bias": "Mean of signature minus reference",
@@ -27,24 +23,24 @@ MEANINGS: Mapping[str, str] = {
     "scale_free_error": "Root mean square difference after the signature is divided by scale",
     "level": "Mean of the reference",
     "rmse_limit": "Largest RMSE that passes",
-    "coverage": "Part of a band's response that both sides see, the least of the bands used",
+    "coverage": "Part of a band's response covered by both sides, the smallest of the bands used",
     "bands": "Bands that were compared",
-    "bands_left_out": "Bands of the part that one side does not see whole, or has no value in",
-    "passes": "Whether all that the tolerance names is within it, and the part judged where it has to be",
-    "judged": "Whether a part can be judged: enough bands, and a level that the tolerance can tell from none",
+    "bands_left_out": "Bands of the part that one side covers incompletely or has no value in",
+    "passes": "Whether all limits are met, and the part is judged where it has to be",
+    "judged": "Whether a part can be judged: enough bands, and a level well above the tolerance",
     "oxygen_residual": "Depth of the oxygen A band left in the signature; negative where overcorrected",
     "reference_oxygen_residual": "Depth of the oxygen A band left in the reference",
     "signature": "Name of the signature",
     "reference": "Names of the references",
     "instrument": "Instrument of the references",
-    "overlap": "What was done where the reference's detectors overlap",
+    "overlap": "Treatment of overlapping detectors of the reference",
     "overlap_matched": "Whether the reference's values were changed to make detectors meet",
     "mirror_reflection": "Whether the reference includes the mirror image of sky and surroundings",
     "first_wavelength": "Wavelength that a part begins at",
     "last_wavelength": "Wavelength that a part ends before",
     "difference": "Signature minus reference",
-    "signature_sd": "Standard deviation of what the signature is a mean of",
-    "reference_sd": "Standard deviation of what the reference is a mean of",
+    "signature_sd": "Standard deviation of the pixels averaged in the signature",
+    "reference_sd": "Standard deviation of the readings averaged in the reference",
     "signature_u": "Standard uncertainty of the signature",
     "reference_u": "Standard uncertainty of the reference",
 }
@@ -69,41 +65,39 @@ _LEGEND = (
     "limit: largest RMSE that passes; angle in degrees; scale-free: RMSE after division by scale;",
     "oxygen: residual of signature / reference.",
 )
-DARKEST = 0.5
-"""Share of a paint's level that the tolerance of RMSE may be, for a part to be judged: beyond it, twice as
-bright would pass."""
+# tolerance of RMSE over level of the paint, beyond which a part is not judged: a paint twice as bright passes
+MAX_TOLERANCE_SHARE = 0.5
 
-_MOST_NAMES = 6
-_LONGEST_NAME = 40
+_MAX_NAMES = 6
+_MAX_NAME_CHARS = 40
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation:
-    """Agreement of paint signatures with references, as `hyperpaint.validate` finds it.
+    """Agreement of paint signatures with references, as returned by `hyperpaint.validate`.
 
     Attributes
     ----------
     statistics
         Dataset on (pair, part): ``bias``, ``rmse``, ``mae``, ``scale``, ``scale_free_error`` [1] and
-        ``spectral_angle`` [degree], each with its standard uncertainty ``<name>_u`` (NaN where nothing is
-        known of it); ``level``, ``rmse_limit``, ``bands``, ``bands_left_out``, ``coverage``, ``judged`` and
-        ``passes``; on (pair,)
-        ``oxygen_residual``, that of the reference, and who was compared: ``paint``, ``reference``,
-        ``instrument``, ``overlap``, ``overlap_matched``.
+        ``spectral_angle`` [degree], each with its standard uncertainty ``<name>_u`` (NaN where unknown);
+        ``level``, ``rmse_limit``, ``bands``, ``bands_left_out``, ``coverage``, ``judged`` and ``passes``; on
+        (pair,) ``oxygen_residual`` and ``reference_oxygen_residual``, and the pair compared: ``signature``,
+        ``reference``, ``instrument``, ``overlap``, ``overlap_matched``.
     spectra
-        Of every pair a Dataset (band): ``signature``, ``reference``, ``difference``, their uncertainties
-        where they are known, and the ``coverage`` of every band, used or not.
+        A Dataset (band) per pair: ``signature``, ``reference``, ``difference``, their uncertainties where
+        known, and the ``coverage`` of every band, used or not.
     notes
-        Of every pair what a reader should know.
+        Remarks on every pair.
     unpaired_signatures, unpaired_references
-        Names of what had no counterpart.
+        Names without a counterpart.
     missing
-        Those of the signatures that had to have one.
+        Names of signatures whose required reference is absent.
     tolerance
         Limits by name of a statistic, and ``relative`` and ``floor``.
     between
-        References of one paint against one another, where several instruments measured it: the same, a pair
-        for two instruments. It does not decide whether signatures pass.
+        Agreement of the references of one paint where several instruments measured it, one pair for two
+        instruments. It does not decide whether signatures pass.
 
     Examples
     --------
@@ -135,7 +129,7 @@ class Validation:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is outside of the tolerance or cannot be judged, one text a pair or paint."""
+        """Pairs outside of the tolerance or impossible to judge, and missing references, one text each."""
         failures = []
         paints = self._texts("signature")
         for row, within in enumerate(self.statistics["passes"].values):
@@ -145,20 +139,20 @@ class Validation:
         return (*failures, *(f"{name}: its reference is not there" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
-        """Return the name of a part that does not pass, with the reason where that is a lack of bands."""
+        """Return the name of a part that does not pass, with the reason where it cannot be judged."""
         one = self.statistics.isel(pair=row, part=column)
         count, left = int(one["bands"]), int(one["bands_left_out"])
         if one["judged"]:
             return str(one["part"].item())
         reason = f"{count} of {count + left} bands, too few to judge"
-        if float(one["rmse_limit"]) > DARKEST * float(one["level"]):
+        if float(one["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(one["level"]):
             level, limit = float(one["level"]), float(one["rmse_limit"])
             reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
         return f"{one['part'].item()} ({reason})"
 
     @property
     def verdict(self) -> str:
-        """One line: how many pairs are within the tolerance, and how many paints have one."""
+        """One line: number of pairs within the tolerance, and of paints that have a reference."""
         named = dict(self.tolerance)
         texts = []
         if RELATIVE in named:
@@ -174,7 +168,7 @@ class Validation:
         )
 
     def table(self) -> str:
-        """Return all statistics as a text, with what there is to know of each pair."""
+        """Return all statistics as a text table, with remarks on each pair."""
         rows = self._rows()
         lines = aligned([_HEAD, *rows, *(self.between._rows() if self.between else [])], names=3)
         parts = [lines[0], "-" * len(lines[0]), *lines[1 : len(rows) + 1]]
@@ -189,10 +183,10 @@ class Validation:
 
     def _repr_html_(self) -> str:
         cell = "padding:1px 10px 1px 0;text-align:right"
-        own = [*self._rows(), *(self.between._rows() if self.between else [])]
+        table_rows = [*self._rows(), *(self.between._rows() if self.between else [])]
         rows = "".join(
             "<tr>" + "".join(f'<{tag} style="{cell}">{html.escape(text)}</{tag}>' for text in row) + "</tr>"
-            for tag, row in [("th", _HEAD), *(("td", row) for row in own)]
+            for tag, row in [("th", _HEAD), *(("td", row) for row in table_rows)]
         )
         remarks = "".join(f"<li>{html.escape(text)}</li>" for text in (*self._remarks(), *_LEGEND))
         return (
@@ -204,7 +198,6 @@ class Validation:
         return [str(text) for text in self.statistics[name].values]
 
     def _rows(self) -> list[tuple[str, ...]]:
-        """Return a row of cells for every part of every pair that has bands."""
         statistics = self.statistics
         rows: list[tuple[str, ...]] = []
         for row in range(statistics.sizes["pair"]):
@@ -235,7 +228,7 @@ class Validation:
         return " / ".join(_plain(depth, 3) for depth in depths)
 
     def _remarks(self) -> list[str]:
-        """Return what there is to know, each with the paints that it is true of."""
+        """Return the remarks, each with the paints it applies to."""
         rows: dict[str, list[int]] = {}
         for row, texts in enumerate(self.notes):
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
@@ -250,20 +243,20 @@ class Validation:
         return remarks
 
     def _whom(self, rows: Sequence[int]) -> str:
-        """Return which pairs are meant: all, all of an instrument, or paints by name."""
+        """Return the pairs as text: all, all of an instrument, or paints by name."""
         instruments = self._texts("instrument")
-        own = {instruments[row] for row in rows}
+        named = {instruments[row] for row in rows}
         if len(rows) == len(instruments):
             return "all"
-        if len(own) == 1 and len(rows) == sum(name in own for name in instruments):
-            return own.pop()
+        if len(named) == 1 and len(rows) == sum(name in named for name in instruments):
+            return named.pop()
         paints = [_short(self._texts("signature")[row]) for row in rows]
-        rest = len(paints) - _MOST_NAMES
-        return ", ".join(paints[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+        rest = len(paints) - _MAX_NAMES
+        return ", ".join(paints[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _with_uncertainty(value: float, u: float) -> str:
-    """Return a number with the digits that its uncertainty leaves.
+    """Return a number rounded to the digits that its uncertainty leaves.
 
     Examples
     --------
@@ -277,22 +270,22 @@ def _with_uncertainty(value: float, u: float) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    """Return a number without the sign of a zero; a dash where there is none."""
+    """Return a number without the sign of a zero; a dash for NaN."""
     text = f"{value:.{digits}f}"
     return "-" if not np.isfinite(value) else text.lstrip("-") if float(text) == 0.0 else text
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 3] + "..."
+    return name if len(name) <= _MAX_NAME_CHARS else name[: _MAX_NAME_CHARS - 3] + "..."
 
 
 def _printable(text: str) -> str:
-    """Return a text that a terminal takes for nothing but text."""
+    """Return a text with control characters replaced, safe for a terminal."""
     return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
 
 
 def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
-    """Return cells as lines: the first columns, of names, to the left, numbers to the right.
+    """Return rows of cells as lines: the first columns, of names, left-aligned, numbers right-aligned.
 
     Examples
     --------

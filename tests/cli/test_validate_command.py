@@ -145,7 +145,7 @@ def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Pa
     assert made["passed"] is True
     assert made["pairs"][0]["parts"]["red"]["scale"] == pytest.approx(1 / 0.9, rel=1e-3)
     assert made["pairs"][0]["parts"]["red"]["rmse_u"] is None
-    assert "widths of channels 3 nm, as said" in made["pairs"][0]["notes"]
+    assert "widths of channels 3 nm, as given" in made["pairs"][0]["notes"]
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
 
 

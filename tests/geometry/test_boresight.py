@@ -111,8 +111,9 @@ def test_an_outlier_is_named_and_left_out() -> None:
 def test_a_steady_line_does_not_part_pitch_from_clock() -> None:
     flown = flights(1, "none")
     points = picked(true_points(flown, 1, 20), 1)
-    with pytest.raises(SchemaError, match=r"(?s)pitch: .*clock.*condition number"):
+    with pytest.raises(SchemaError) as refused:
         solved(flown, points)
+    assert refused.value.codes == ("parameter-correlated", "parameter-correlated", "condition-poor")
     found = solved(flown, points, solve=("roll", "pitch", "heading"), clock_offset_s=CLOCK)
     assert found.solved == ("roll", "pitch", "heading")
     assert (np.abs(np.subtract(found.boresight, MOUNTED)) < [0.02, 0.02, 0.2]).all()
@@ -158,20 +159,20 @@ def test_one_line_alone_and_what_was_flown_is_located() -> None:
 def test_what_cannot_be_is_refused() -> None:
     flown = flights(1)
     points = true_points(flown, 0)
-    with pytest.raises(SchemaError, match="yaw"):
+    with pytest.raises(SchemaError, match=r"yaw.*choice-unknown"):
         solved(flown, points, solve=("yaw",))
-    with pytest.raises(SchemaError, match="more than"):
+    with pytest.raises(SchemaError, match="control-points-few"):
         solved(flown, points.isel(point=[0, 1]))
-    with pytest.raises(SchemaError, match="outside"):
+    with pytest.raises(SchemaError, match="pixel-outside"):
         solved(flown, points.assign(along_track_pixel=points.along_track_pixel + 1e6))
-    with pytest.raises(SchemaError, match="crs"):
+    with pytest.raises(SchemaError, match="crs-missing"):
         solved(flown, points.drop_attrs())
-    with pytest.raises(SchemaError, match="raw_7"):
+    with pytest.raises(SchemaError, match=r"raw_7.*flightline-unknown"):
         solved(flown, points.assign(flightline=points.flightline.str.replace("raw_0", "raw_7")))
-    with pytest.raises(SchemaError, match="height"):
+    with pytest.raises(SchemaError, match="variable-missing"):
         solved(flown, points.drop_vars("height"))
     nowhere = points.assign(height=points.height.where(points.height > 1e9))
-    with pytest.raises(SchemaError, match="not finite"):
+    with pytest.raises(SchemaError, match="not-finite"):
         solved(flown, nowhere)
 
 
@@ -189,7 +190,7 @@ def test_what_fits_nothing_is_refused() -> None:
     flown = flights(2)
     told: dict[str, Any] = {"solve": ("roll", "pitch", "heading"), "clock_offset_s": CLOCK + 0.3}
     points = picked(true_points(flown, 0), 1)
-    with pytest.raises(SchemaError, match=r"pixel are left, expected 3 at most.*clock"):
+    with pytest.raises(SchemaError, match="control-points-misfit"):
         solved(flown, points, **told)
     assert solved(flown, points, largest_picking_sd=1000.0, **told).picking_sd > 3.0
 

@@ -32,12 +32,12 @@ def test_attitude_against_the_picture(seed: int, offset: float) -> None:
 
 
 def test_a_platform_that_does_not_turn_is_refused() -> None:
-    with pytest.raises(TimeError, match="cannot be compared"):
+    with pytest.raises(TimeError, match="motion-too-small"):
         by_attitude(Flight(seed=4, wobble="none", lines=400, attitude_noise=0.0))
 
 
 def test_an_offset_beyond_those_tried_is_refused() -> None:
-    with pytest.raises(TimeError, match="cannot be compared"):
+    with pytest.raises(TimeError, match="motion-mismatch"):
         by_attitude(Flight(seed=1, wobble="rough", lines=800, clock_offset=0.45), max_offset_s=0.2)
 
 
@@ -46,7 +46,7 @@ def test_a_record_of_another_day_is_refused() -> None:
     nav = flight.navigation()
     nav = nav.assign_coords(navigation_time=nav.navigation_time + np.timedelta64(1, "D"))
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    with pytest.raises(TimeError, match="dates and zones"):
+    with pytest.raises(TimeError, match="pose-missing"):
         estimate_clock_offset(
             flight.line(), navigation=nav, convention=DECLARED, camera=camera, ground=flight.ground
         )
@@ -102,18 +102,18 @@ def test_clouds_in_the_record_and_in_the_picture(seed: int, offset: float) -> No
 
 
 def test_flat_light_is_refused() -> None:
-    with pytest.raises(TimeError, match="light changes by"):
+    with pytest.raises(TimeError, match="light-constant"):
         estimate_clock_offset(lit(0.0, 0.0, 0)[0], irradiance=lit(0.0, 0.0, 0)[1])
 
 
 def test_clouds_elsewhere_are_refused() -> None:
-    with pytest.raises(TimeError, match="cannot be compared"):
+    with pytest.raises(TimeError, match="light-mismatch"):
         estimate_clock_offset(lit(0.0, 0.0, 0)[0], irradiance=lit(0.0, 0.5, 3)[1], max_offset_s=8.0)
 
 
 def test_one_record_is_asked_for() -> None:
     line, record = lit(0.0, 0.5, 0)
-    with pytest.raises(SchemaError, match="one of them"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         estimate_clock_offset(line)
-    with pytest.raises(SchemaError, match="max_offset_s"):
+    with pytest.raises(SchemaError, match=r"max_offset_s.*out-of-range"):
         estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0)

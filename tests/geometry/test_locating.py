@@ -138,7 +138,7 @@ def test_the_antimeridian_and_southern_zones() -> None:
     assert utm_zone(-17.0, 180.0) == "EPSG:32701"
     assert utm_zone(78.0, 20.0) == "EPSG:32633"
     assert utm_zone(60.0, 3.5) == "EPSG:32632"
-    with pytest.raises(SchemaError, match="no UTM zone"):
+    with pytest.raises(SchemaError, match="crs-missing"):
         utm_zone(85.0, 0.0)
 
 
@@ -151,7 +151,7 @@ def test_what_a_line_declares_stands_for_what_is_not_asked() -> None:
     # what is asked for wins, a height model over a level ground too
     other = hp.geometry.locate(declaring, ground=0.0, boresight=(0, 0, 0), lever_arm=(0, 0, 0), camera=CAMERA)
     xr.testing.assert_identical(other, hp.geometry.locate(line, ground=0.0, camera=CAMERA))
-    with pytest.raises(SchemaError, match="ground 'low', expected a finite number"):
+    with pytest.raises(SchemaError, match="not-finite"):
         hp.geometry.locate(line.assign_attrs(ground="low"), camera=CAMERA)
 
 
@@ -186,10 +186,11 @@ def test_pinholes_by_hand() -> None:
     lens = hp.geometry.PinholeCamera(4, pixel_pitch=7.4e-6, focal_length=12e-3)
     tangent = np.tan(np.radians(lens.look_across("right_to_left")))
     assert tangent == pytest.approx(np.array([1.5, 0.5, -0.5, -1.5]) * 7.4e-6 / 12e-3)
-    with pytest.raises(SchemaError, match=r"edges None.*'centres' or 'outer'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.geometry.PinholeCamera(4, field_of_view=40.0)
-    with pytest.raises(SchemaError, match=r"columns 0(.|\n)*either pixel_pitch and focal_length"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.PinholeCamera(0, pixel_pitch=7.4e-6)
+    assert refused.value.codes == ("value-out-of-range", "option-conflict")
 
 
 # --- what has no place -------------------------------------------------------------------------------------
@@ -330,45 +331,48 @@ def test_other_navigation_than_the_line_knows() -> None:
 
 def test_what_cannot_be_is_said_at_once() -> None:
     line = flown(4, 5)
-    with pytest.raises(SchemaError, match=r"boresight(.|\n)*lever_arm(.|\n)*not both(.|\n)*clock_offset_s"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
+    assert refused.value.codes == ("type-wrong", "type-wrong", "argument-missing", "not-finite")
     bare = line.assign_attrs()
     bare.attrs = {}
-    with pytest.raises(SchemaError, match="does not declare what its angles and heights mean"):
+    with pytest.raises(SchemaError, match="convention-missing"):
         hp.geometry.locate(bare, ground=0.0, camera=CAMERA)
-    with pytest.raises(SchemaError, match="column 0 looks left or right"):
+    with pytest.raises(SchemaError, match="column-order-missing"):
         hp.geometry.locate(bare, ground=0.0, camera=CAMERA, convention=Convention())
-    with pytest.raises(SchemaError, match=r"look_across has shape \(4,\), the line 5 columns"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(
             line, ground=0.0, camera=hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
         )
-    with pytest.raises(SchemaError, match="neither look_across nor look_angle"):
+    assert refused.value.codes == ("length-mismatch",) * 2
+    with pytest.raises(SchemaError, match="camera-missing"):
         hp.geometry.locate(line, ground=0.0)
     wrong = line.drop_vars("roll").copy(deep=True)
     wrong["pitch"].attrs["units"] = "radian"
-    with pytest.raises(SchemaError, match=r"'roll' is missing(.|\n)*'pitch' has units 'radian'"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(wrong, ground=0.0, camera=CAMERA)
-    with pytest.raises(SchemaError, match="not known to PROJ"):
+    assert refused.value.codes == ("variable-missing", "units-conflict")
+    with pytest.raises(SchemaError, match="crs-unknown"):
         hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:nothing")
-    with pytest.raises(SchemaError, match="not a map in metres"):
+    with pytest.raises(SchemaError, match="crs-unusable"):
         hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:4326")
     lost = line.copy(deep=True)
     lost["roll"][:] = np.nan
-    with pytest.raises(SchemaError, match="no line has a pose"):
+    with pytest.raises(SchemaError, match="pose-missing"):
         hp.geometry.locate(lost, ground=0.0, camera=CAMERA)
-    with pytest.raises(SchemaError, match="interpolation 'quintic'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.geometry.locate(line, ground=0.0, camera=CAMERA, interpolation="quintic")  # type: ignore[arg-type]
     record = recorded(line).isel(navigation_time=[0, 2, 1, 3])
-    with pytest.raises(TimeError, match=r"runs backwards at 1 of 4 rows \(2\)"):
+    with pytest.raises(TimeError, match="time-backwards"):
         hp.geometry.locate(line, navigation=record, ground=0.0, camera=CAMERA)
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
+    with pytest.raises(MissingExtraError, match=r"\[geo\].*extra-missing"):
         hp.geometry.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618")
     monkeypatch.setitem(sys.modules, "shapely", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
+    with pytest.raises(MissingExtraError, match=r"\[geo\].*extra-missing"):
         hp.geometry.footprint(xr.Dataset())
 
 
@@ -412,5 +416,5 @@ def test_footprints() -> None:
     parted = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
     assert parted["geometry"]["type"] == "MultiPolygon"
     assert parted["properties"]["lines"] == 180
-    with pytest.raises(SchemaError, match="no two neighbouring lines"):
+    with pytest.raises(SchemaError, match="ground-not-seen"):
         hp.geometry.footprint(located.isel(along_track=[0]))

@@ -30,14 +30,14 @@ def test_height_swath_and_aspect_by_hand() -> None:
 
 
 def test_a_ground_above_the_sea_is_noticed() -> None:
-    with pytest.warns(PaintWarning, match=r"(?s)2 m above the ground.*not above the sea"):
+    with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible"):
         mapped(98.0)
 
 
 def test_swath_and_pixels_of_a_whole_camera_are_judged() -> None:
     narrow = xr.Dataset(coords={"cross_track": range(640)})
-    with pytest.warns(PaintWarning, match="the swath is 3.2 m wide, expected 4 to 10000 m"):
+    with pytest.warns(PaintWarning, match=r"3.2 m wide.*swath-implausible"):
         swath_attrs(narrow, across=0.005, along=0.005)
-    with pytest.warns(PaintWarning, match="pixels are 10 times as long as wide"):
+    with pytest.warns(PaintWarning, match=r"10 times.*swath-implausible"):
         swath_attrs(narrow, across=0.05, along=0.5)
     assert swath_attrs(narrow, across=0.05, along=0.06) == pytest.approx({"swath": 32.0, "pixel_aspect": 1.2})

@@ -166,9 +166,9 @@ def test_times_of_a_record() -> None:
     )
     made = hp.geometry.interpolate_pose(twice, at([0.015]))
     assert float(made.altitude[0]) == pytest.approx(float(data.altitude[1:3].mean()), abs=1e-12)
-    with pytest.raises(TimeError, match="runs backwards at 4 of 5 rows"):
+    with pytest.raises(TimeError, match=r"4 of 5.*time-backwards"):
         hp.geometry.interpolate_pose(data.isel(navigation_time=slice(None, None, -1)), at([0.0]))
-    with pytest.raises(TimeError, match="dtype float64"):
+    with pytest.raises(TimeError, match="type-wrong"):
         hp.geometry.interpolate_pose(data.assign_coords(navigation_time=np.arange(5.0)), at([0.0]))
     for kind in ("linear", "cubic"):
         one = data.isel(navigation_time=[2])
@@ -222,8 +222,9 @@ def test_units_references_and_heights() -> None:
     made = hp.geometry.canonical_navigation(radians, convention=Convention(angle_unit="radian"))
     np.testing.assert_allclose(made["heading"], data["heading"], rtol=0, atol=1e-12)
     assert made["heading"].attrs["units"] == "degree"
-    with pytest.raises(SchemaError, match=r"'roll' has units 'radian'(.|\n)*'heading' has units 'radian'"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.canonical_navigation(radians)
+    assert refused.value.codes == ("units-conflict",) * 3
     magnetic = Convention(heading_reference="magnetic", declination=-7.5)
     turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9

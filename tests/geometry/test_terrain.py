@@ -183,7 +183,7 @@ def test_holes_and_edges_are_not_ground() -> None:
     # past the edge there is nothing
     small = hp.geometry.locate(line, dem=dem(np.full((200, 60), 0.5), 0.1), crs=UTM, camera=CAMERA).compute()
     np.testing.assert_array_equal(np.isnan(small.east.values), np.abs(away) > 2.95)
-    with pytest.raises(SchemaError, match="only holes"):
+    with pytest.raises(SchemaError, match="dem-empty"):
         hp.geometry.locate(line, dem=dem(np.full((9, 9), np.nan)), crs=UTM, camera=CAMERA)
 
 
@@ -209,17 +209,18 @@ def test_heights_above_the_geoid() -> None:
 
 def test_rasters_that_cannot_be_used() -> None:
     line, heights = flown(3, COLUMNS), np.zeros((9, 9))
-    with pytest.raises(SchemaError, match=r"no crs(.|\n)*most DEMs above the geoid"):
+    with pytest.raises(SchemaError) as refused:
         hp.geometry.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
+    assert refused.value.codes == ("crs-missing", "height-reference-missing")
     with pytest.raises(SchemaError, match="undulation-missing"):
         hp.geometry.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
     uneven = dem(heights)
     uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))
-    with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
+    with pytest.raises(SchemaError, match="grid-uneven"):
         hp.geometry.locate(line, dem=uneven, crs=UTM, camera=CAMERA)
-    with pytest.raises(SchemaError, match=r"dims \(lat, lon\), expected \(y, x\)"):
+    with pytest.raises(SchemaError, match="dim-missing"):
         hp.geometry.locate(line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA)
-    with pytest.raises(SchemaError, match="not both"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         hp.geometry.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA)
 
 
@@ -261,7 +262,7 @@ def test_longitudes_of_a_dem_may_count_from_elsewhere(longitude: float, middle: 
 def test_a_grid_along_a_flight_is_no_dem(transform: str) -> None:
     raster = dem(np.zeros((40, 40)))
     turned = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": transform}))
-    with pytest.raises(SchemaError, match="turned on its map"):
+    with pytest.raises(SchemaError, match="grid-turned"):
         hp.geometry.locate(flown(4, COLUMNS), dem=turned, camera=CAMERA)
     straight = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": "0 0.25 0 0 0 -0.25"}))
     assert hp.geometry.locate(

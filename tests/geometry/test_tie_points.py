@@ -99,9 +99,9 @@ def test_no_overlap_is_said(flight: Any) -> None:
         "a": lines["north"].isel(along_track=slice(0, 100)),
         "b": lines["north"].isel(along_track=slice(250, 384)),
     }
-    with pytest.raises(SchemaError, match="no tie points between a, b"):
+    with pytest.raises(SchemaError, match="tie-points-missing"):
         hp.geometry.find_tie_points(apart)
-    with pytest.raises(SchemaError, match="two flight lines or more"):
+    with pytest.raises(SchemaError, match="line-number"):
         hp.geometry.find_tie_points(lines)
 
 
@@ -110,7 +110,7 @@ def test_lines_of_one_course_do_not_tell_the_pitch(flight: Any) -> None:
     lines = placed(flight, (0.0, 0.0, 0.0), "north", "again")
     ties = hp.geometry.find_tie_points(lines)
 
-    with pytest.raises(SchemaError, match=r"(?s)pitch: its uncertainty.*add lines of other courses"):
+    with pytest.raises(SchemaError, match=r"(?s)pitch.*condition-poor"):
         hp.geometry.solve_boresight(lines, ties, lever_arm=LEVER_ARM)
 
 

@@ -136,5 +136,5 @@ def test_before_and_after_straightening(width: float) -> None:
     assert min(vertical) < flown.north.mean() < max(vertical)
     assert [axes.get_title() for axes in figure.axes] == ["as recorded", "straightened"]
     assert straight.get_ylabel() == "north, up [m]"
-    with pytest.raises(hp.SchemaError, match="the line is not located"):
+    with pytest.raises(hp.SchemaError, match="line-not-located"):
         pictures.straightening(line.drop_vars(["east", "north"]))

@@ -55,7 +55,7 @@ def test_a_line_is_never_mirrored(heading: float, turned: bool) -> None:
     [
         ("left_to_right", True, "cross_track [column]"),
         ("right_to_left", False, "cross_track [column]"),
-        (None, True, "cross_track [column], taken to run to the right"),
+        (None, True, "cross_track [column], assumed to run to the right"),
     ],
 )
 def test_columns_run_as_declared(order: str | None, rightwards: bool, label: str) -> None:

@@ -153,7 +153,7 @@ def test_a_map_stays_a_map(called: Any) -> None:
 
 def test_without_visible_bands() -> None:
     line = scene(np.ones((2, NM.size)))
-    with pytest.raises(SchemaError, match="three bands"):
+    with pytest.raises(SchemaError, match="band-missing"):
         rgb(line.assign_coords(wavelength=line.wavelength + 600))
 
 
@@ -166,7 +166,7 @@ def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
 
 def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         quicklook(flight().line)
 
 
@@ -217,5 +217,5 @@ def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> N
     np.testing.assert_array_equal(rgb(alone).values, small.values)
     with pytest.raises(SchemaError, match="cannot compute reflectance"):
         rgb(alone.drop_vars("overview"))
-    with pytest.raises(SchemaError, match="lines=0, expected 1"):
+    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
         rgb(line, lines=0)

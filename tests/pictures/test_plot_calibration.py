@@ -51,7 +51,14 @@ def curve(axes: Any, label: str) -> np.ndarray:
 
 
 def test_every_axis_says_what_it_shows(figure: Any) -> None:
-    titles = ("lines and", "wavelength residual", "smile", "width of", "responsivity", "standard uncertainty")
+    titles = (
+        "lamp lines",
+        "wavelength residual",
+        "smile",
+        "width of",
+        "responsivity",
+        "standard uncertainty",
+    )
     ylabels = [panel(figure, title).get_ylabel() for title in titles]
     assert ylabels == [
         *("counts above dark [count]", "cross_track [column]", "cross_track [column]", "FWHM [nm]"),
@@ -64,7 +71,7 @@ def test_every_axis_says_what_it_shows(figure: Any) -> None:
 
 
 def test_lines_are_the_counts_of_the_sweep(figure: Any, sweep: xr.Dataset, calibration: xr.Dataset) -> None:
-    axes = panel(figure, "lines and")
+    axes = panel(figure, "lamp lines and")
     assert axes.get_title().endswith(f"column {COLUMNS // 2}")
     curves = [line for line in axes.get_lines() if str(line.get_label()).endswith(" nm")]
     points = [line for line in axes.get_lines() if line.get_marker() == "o"]
@@ -133,7 +140,7 @@ def test_bands_without_a_gain_are_shaded(figure: Any, calibration: xr.Dataset) -
 
 def test_without_the_sweep_fits_stand_alone(calibration: xr.Dataset) -> None:
     pytest.importorskip("matplotlib")
-    axes = panel(calibration_report(calibration, column=0), "lines and")
+    axes = panel(calibration_report(calibration, column=0), "lamp lines and")
     assert axes.get_title().endswith("column 0")
     assert sum(line.get_xdata().size > 0 for line in axes.get_lines()) == 5
 
@@ -144,8 +151,8 @@ def test_unlit_columns_and_single_columns_are_drawn() -> None:
     with pytest.warns(PaintWarning, match="columns are not lit"):
         calibration = calibrate(beam)
     assert not calibration.line_trusted.any("step").all()
-    assert "column 12" in panel(calibration_report(calibration, beam), "lines and").get_title()
-    dark = panel(calibration_report(calibration, beam, column=0), "lines and")
+    assert "column 12" in panel(calibration_report(calibration, beam), "lamp lines and").get_title()
+    dark = panel(calibration_report(calibration, beam, column=0), "lamp lines and")
     assert not [line for line in dark.get_lines() if line.get_xdata().size]
     narrow = simulate_sweep(steps=13, bands=136, columns=1)
     assert len(calibration_report(calibrate(narrow), narrow).axes) == 9
@@ -153,8 +160,9 @@ def test_unlit_columns_and_single_columns_are_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    with pytest.raises(SchemaError, match=r"(?s)expected those of one camera.*column=9, expected 0 to 5"):
+    with pytest.raises(SchemaError) as refused:
         calibration_report(calibration, sweep.isel(step=slice(9)), column=9)
+    assert refused.value.codes == ("grid-mismatch", "value-out-of-range")
     with pytest.raises(SchemaError, match="line_band"):
         calibration_report(calibration.drop_vars("line_band"))
     with pytest.raises(SchemaError, match=r"(?s)cal\.xls.*ends in one of.*\.pdf.*\.png"):
@@ -165,7 +173,7 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         calibration_report(calibration)
 
 

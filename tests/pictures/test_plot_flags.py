@@ -133,7 +133,7 @@ def test_layers_below_zero_are_drawn_about_zero(line: xr.Dataset) -> None:
 def test_what_is_not_there_is_told(line: xr.Dataset) -> None:
     with pytest.raises(SchemaError, match=r"no flag 'glitter'.*saturated"):
         flag_overlay(line, ["glitter"], axes=axes())
-    with pytest.raises(SchemaError, match=r"no layer 'wavelength'.*glint_fraction"):
+    with pytest.raises(SchemaError, match=r"'wavelength'.*missing"):
         flag_overlay(line, layer="wavelength", axes=axes())
 
 

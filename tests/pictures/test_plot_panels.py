@@ -33,7 +33,7 @@ def test_curves_are_the_factors(tmp_path: Path) -> None:
 
 
 def test_a_line_without_panels_has_no_picture() -> None:
-    with pytest.raises(SchemaError, match="'panel_factor' is missing"):
+    with pytest.raises(SchemaError, match="variable-missing"):
         hp.pictures.panel_figure(flight().line)
 
 

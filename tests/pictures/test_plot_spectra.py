@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import save_figure
 from hyperpaint.pictures.plot_chain import triptych
-from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum
+from hyperpaint.pictures.plot_spectra import MAX_PAINTS, library_overview, spectrum
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])
@@ -100,17 +100,19 @@ def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
 
 
 def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match=r"(?s)spread='range'.*either regions or pixels"):
+    with pytest.raises(SchemaError) as refused:
         spectrum(line, spread="range")
-    with pytest.raises(SchemaError, match="neither regions nor pixels"):
+    assert refused.value.codes == ("choice-unknown", "argument-missing")
+    with pytest.raises(SchemaError, match="option-conflict"):
         spectrum(paints, pixels=(0, 0))
-    with pytest.raises(SchemaError, match=r"no paint 'middle'; there is left, _right \$x"):
+    with pytest.raises(SchemaError, match=r"'middle'.*left, _right \$x.*paint-unknown"):
         spectrum(paints, paints="middle", axes=axes())
-    with pytest.raises(SchemaError, match=r"(?s)\(20, 0\) is outside.*\(0, -1\) is outside"):
+    with pytest.raises(SchemaError) as refused:
         spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
-    with pytest.raises(SchemaError, match="whole"):
+    assert refused.value.codes == ("pixel-outside",) * 2
+    with pytest.raises(SchemaError, match=r"whole.*type-wrong"):
         spectrum(line, pixels=(0.5, 1.0))
-    with pytest.raises(SchemaError, match="at most 24"):
+    with pytest.raises(SchemaError, match="curve-number"):
         spectrum(line, pixels=[(0, 0)] * 25)
 
 
@@ -126,9 +128,9 @@ def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         spectrum(line, pixels=(0, 0))
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
         triptych(line, LEFT)
 
 
@@ -168,11 +170,11 @@ def test_single_pixels_go_through_the_chain(line: xr.Dataset) -> None:
             np.testing.assert_allclose(drawn.get_color(), colour, atol=1e-6)
     labels = [text.get_text() for text in figure.axes[2].get_legend().get_texts()]
     assert [label[:7] for label in labels] == ["(3, 4)", "(10, 1)"] or labels[0].startswith("(3, 4)")
-    with pytest.raises(SchemaError, match="give one of them"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         triptych(line, LEFT, pixels=places)
-    with pytest.raises(SchemaError, match=r"\(99, 0\) is outside of 20 lines of 6 columns"):
+    with pytest.raises(SchemaError, match="pixel-outside"):
         triptych(line, pixels=[(99, 0)])
-    with pytest.raises(SchemaError, match="expected whole"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         triptych(line, pixels=[(1.5, 0)])
 
 
@@ -194,10 +196,10 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
 
 @pytest.mark.filterwarnings("ignore:counts are no whole numbers")
 def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="one region, found 2"):
+    with pytest.raises(SchemaError, match="region-number"):
         triptych(line, hp.Regions((LEFT, RIGHT)))
     dark = line.assign(saturation_count=((), np.float32(60.0), {"units": "count"}))
-    with pytest.raises(SchemaError, match="'left': none of 60 pixels is left"):
+    with pytest.raises(SchemaError, match=r"'left'.*region-empty"):
         triptych(dark, LEFT)
     with pytest.raises(SchemaError, match="counts"):
         triptych(line.drop_vars("counts"), LEFT)
@@ -249,15 +251,15 @@ def test_colours_of_paints() -> None:
 
 def test_the_overview_is_bounded() -> None:
     nm = np.arange(400.0, 800.0, 40.0)
-    count = MOST_PAINTS + 3
+    count = MAX_PAINTS + 3
     library = xr.Dataset(
         {"reflectance": (("signature", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
         {"wavelength": ("band", nm, {"units": "nm"}), "signature": [f"p{k}" for k in range(count)]},
     )
     figure = library_overview(library, columns=8)
-    assert len(figure.axes) == MOST_PAINTS
-    assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
-    with pytest.raises(SchemaError, match="has none"):
+    assert len(figure.axes) == MAX_PAINTS
+    assert figure.get_suptitle() == f"the first {MAX_PAINTS} of {count} paints"
+    with pytest.raises(SchemaError, match="library-empty"):
         library_overview(library.isel(signature=slice(0, 0)))
 
 
@@ -272,7 +274,7 @@ def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: p
 
     with monkeypatch.context() as patched:
         patched.setattr(figure, "savefig", half)
-        with pytest.raises(StoreError, match=r"No space left on device; .* free"):
+        with pytest.raises(StoreError, match=r"No space left.* free"):
             save_figure(figure, path)
     assert path.read_bytes() == before
     save_figure(figure, tmp_path / "without_suffix")

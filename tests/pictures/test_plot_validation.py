@@ -12,7 +12,7 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.pictures.figures import check_picture
-from hyperpaint.pictures.plot_validation import MOST_PAIRS
+from hyperpaint.pictures.plot_validation import MAX_PAIRS
 
 mpl.use("Agg")
 
@@ -55,15 +55,15 @@ def test_instruments_are_drawn_over_one_another() -> None:
 
 @pytest.mark.slow
 def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
-    count = MOST_PAIRS + 3
+    count = MAX_PAIRS + 3
     names = [f"paint {n}" for n in range(count)]
     levels = np.linspace(0.9, 1.0, count)
     paints = library(np.outer(levels, seen(NM, 6.0)), names)
     references = library(np.outer(np.ones(count), seen(NM, 6.0)), names)
     figure = hp.pictures.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
     titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
-    assert titles == names[:MOST_PAIRS]
-    assert f"the {MOST_PAIRS} worst of {count} shown" in figure.get_suptitle()
+    assert titles == names[:MAX_PAIRS]
+    assert f"the {MAX_PAIRS} worst of {count} shown" in figure.get_suptitle()
     assert (tmp_path / "many.png").stat().st_size > 10_000
 
 
@@ -76,7 +76,7 @@ def test_any_name_is_drawn(tmp_path: Path) -> None:
 def test_wrong_sizes() -> None:
     found = hp.validate(*agreeing())
     for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
-        with pytest.raises(SchemaError, match="expected positive numbers"):
+        with pytest.raises(SchemaError, match="value-out-of-range"):
             hp.pictures.validation_figure(found, **wrong)
 
 

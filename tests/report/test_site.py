@@ -139,7 +139,7 @@ def test_reflectance_is_computed_where_the_store_has_counts_alone(tmp_path: Path
     assert copy.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
     assert "counts" not in copy
     assert "flags_from" in copy.quality.attrs  # looked for on the way
-    with pytest.raises(StoreError, match="no reflectance for the page to read"):
+    with pytest.raises(StoreError, match=r"missing.*store-empty"):
         write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr")
 
 
@@ -166,7 +166,7 @@ def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
     index = json.loads((tmp_path / "page" / "site.json").read_text())
     assert (index["lines"][0]["name"], index["lines"][0]["lies"]) == ("map.zarr", False)
     assert index["libraries"][0]["group"] == "library"
-    with pytest.raises(SchemaError, match="what the store itself holds"):
+    with pytest.raises(SchemaError, match="option-conflict"):
         write_site(tmp_path / "map.zarr", tmp_path / "b", signatures=tmp_path / "paints.zarr", link="../a")
 
 
@@ -193,7 +193,7 @@ def test_a_linked_store_is_not_copied(lot: Path, tmp_path: Path, link: str, orig
     ],
 )
 def test_what_is_no_address_is_refused(lot: Path, tmp_path: Path, link: str) -> None:
-    with pytest.raises(SchemaError, match="expected an address such as"):
+    with pytest.raises(SchemaError, match="link-invalid"):
         write_site(lot, tmp_path / "page", link=link)
     assert not (tmp_path / "page").exists()
 
@@ -218,7 +218,7 @@ def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) 
     (tmp_path / "mine" / "site.json").write_text("{}")
     other = call("--out", tmp_path / "mine", "--overwrite")
     assert "holds other files" in other.stderr
-    with pytest.raises(SchemaError, match="lines=0"):
+    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
         write_site(lot, tmp_path / "new", lines=0)
 
 

@@ -218,7 +218,7 @@ def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list
     done = hp.report.write_report(lot, tmp_path / "a.html", progress=lambda *step: told.append(step))
     assert done.problems == ()
     page = (tmp_path / "a.html").read_text()
-    assert "were looked for here; the store has no such flags" in page
+    assert "were detected for this page" in page
     assert ">glint<" in page
     assert "Mirror image of the sun" in page  # the layer
     assert len(surveys) == 1
@@ -237,7 +237,7 @@ def test_the_report_of_a_line_without_a_sun(tmp_path: Path) -> None:
     nowhere = stored(scene(placed=False), tmp_path)
     done = run("report", nowhere, "--out", tmp_path / "a.html")
     assert done.exit_code == 0, done.output
-    assert "could not be looked for: the sun" in (tmp_path / "a.html").read_text()
+    assert "could not be detected: the sun" in (tmp_path / "a.html").read_text()
     done = run("report", nowhere, "--out", tmp_path / "b.html", "--sun-zenith", 30)
     assert done.exit_code == 0, done.output
     assert ">glint<" in (tmp_path / "b.html").read_text()

@@ -60,7 +60,7 @@ def test_readings_of_the_outside_are_brought_to_the_body(geometry: str, included
 
 def test_what_cannot_be_converted_is_named() -> None:
     outside = reading(NEAR + 0.04, quantity=OUTSIDE, specular_component="included")
-    with pytest.warns(PaintWarning, match="give the reference the attributes measurement_geometry"):
+    with pytest.warns(PaintWarning, match="coats-differ"):
         assert scale(signature(), outside) == pytest.approx(-0.04, abs=1e-3)
     for quantity, mend in ((THROUGH_COAT, "coat=True"), (OUTSIDE, "specular_sky=True")):
         with pytest.warns(PaintWarning, match=mend):
@@ -72,10 +72,10 @@ def test_what_cannot_be_converted_is_named() -> None:
 
 def test_the_light_leaves_less_to_be_judged() -> None:
     low = signature(sun_zenith=80.0)
-    assert any("the shape can be judged" in note for note in hp.validate(low, reading(NEAR)).notes[0])
+    assert any("80 degrees from the zenith" in note for note in hp.validate(low, reading(NEAR)).notes[0])
     odd = signature(sun_zenith=40.0, sky_state=np.int8(SKY_STATES.index("contradictory")))
     share = (("signature", "band"), np.full((1, NM.size), 0.4), {"units": "1"})
     stored = odd.assign(diffuse_fraction=share).chunk(signature=1)  # as it comes from a store
     told = hp.validate(stored, reading(NEAR)).notes[0]
-    assert any("contradicted every sky" in note for note in told)
+    assert any("contradicted" in note for note in told)
     assert not any("contradicted" in note for note in hp.validate(odd, reading(NEAR)).notes[0])

@@ -31,20 +31,18 @@ def write_sig(path: Path, level: float, head: str = "") -> None:
 
 def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
     two = field([LEVEL + 0.2, LEVEL - 0.2], ["site1/red.sig", "site2/red.sig"])
-    with pytest.raises(
-        SchemaError, match=r"'red' may be any of 'site1/red.sig', 'site2/red.sig' of ASD.*pairs="
-    ):
+    with pytest.raises(SchemaError, match=r"site1/red.*site2/red.*reference-ambiguous"):
         hp.validate(red(), two)
     found = hp.validate(red(), two, {"red": "site1/red"})
     assert found.statistics["reference"].values.tolist() == ["site1/red.sig"]
-    with pytest.warns(PaintWarning, match=r"scatter by 0\.28, more than the tolerance of 0\.02"):
+    with pytest.warns(PaintWarning, match="reference-scatter"):
         both = hp.validate(red(), two, {"red": ["site1/red.sig", "site2/red.sig"]})
     assert any("are they of one paint?" in note for note in both.notes[0])
 
 
 def test_a_short_name_of_two_datasets_is_refused() -> None:
     one, other = field(LEVEL + 0.2, ["red"]), field(LEVEL - 0.2, ["red"])
-    with pytest.raises(SchemaError, match=r"'red \(dataset 1\)', 'red \(dataset 2\)' of ASD"):
+    with pytest.raises(SchemaError, match=r"dataset 2.*reference-ambiguous"):
         hp.validate(red(), [one, other])
 
 
@@ -68,7 +66,7 @@ def test_files_of_open_svc(tmp_path: Path) -> None:
         write_sig(tmp_path / folder / "red.sig", level, "time= 27.05.2025 09:39:32, 27.05.2025 09:42:59\n")
     both = hp.open_svc([tmp_path / "site1", tmp_path / "site2"], utc_offset_h=2)
     paints = library(np.full(NM.size, 0.3), ("red",))
-    with pytest.raises(SchemaError, match=r"'red' may be any of 'site1/red', 'site2/red' of SVC"):
+    with pytest.raises(SchemaError, match=r"site2/red.*reference-ambiguous"):
         hp.validate(paints, both)
     for name in ("site1/red", "site1/red.sig"):
         found = hp.validate(paints, both, {"red": name})
@@ -80,7 +78,7 @@ def test_files_of_open_svc(tmp_path: Path) -> None:
             tmp_path / folder / "svc" / "red.sig", 0.3, "time= 27.05.2025 09:39:32, 27.05.2025 09:42:59\n"
         )
     numbered = hp.open_svc([tmp_path / "a" / "svc", tmp_path / "b" / "svc"], utc_offset_h=2)
-    with pytest.raises(SchemaError, match=r"'svc/red', 'svc/red \(2\)'"):
+    with pytest.raises(SchemaError, match=r"red \(2\).*reference-ambiguous"):
         hp.validate(paints, numbered)
 
 
@@ -93,7 +91,7 @@ def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:
             f"instrument= HI: {serial} (HR-1024i)\nerror= 0, {serial}\n{times}",
         )
     both = hp.open_svc([tmp_path / "s1", tmp_path / "s2"], utc_offset_h=2)
-    with pytest.warns(PaintWarning, match=r"red: SVC HI: 1 \(HR-1024i\) against SVC HI: 2 .* is beyond"):
+    with pytest.warns(PaintWarning, match=r"HI: 2.*references-disagree"):
         found = hp.validate(library(np.full(NM.size, 0.3), ("red",)), both)
     assert found.statistics["instrument"].values.tolist() == ["SVC HI: 1 (HR-1024i)", "SVC HI: 2 (HR-1024i)"]
     np.testing.assert_allclose(found.statistics["bias"].sel(part="all"), [-0.01, 0.01], atol=1e-4)
@@ -106,8 +104,9 @@ def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:
 
 def test_paints_of_one_name_are_refused() -> None:
     paints = library([seen(NM, 6.0)] * 2, ("hood", "hood"))
-    with pytest.raises(SchemaError, match="there are 2 paints 'hood'"):
+    with pytest.raises(SchemaError) as refused:
         hp.validate(paints, agreeing()[1])
+    assert refused.value.codes == ("paint-duplicate",) * 2
     # each names its own
     named = paints.assign_coords(reference=("signature", np.array(["a", "b"], object)))
     assert hp.validate(named, field([LEVEL] * 2, ["a", "b"])).statistics.sizes["pair"] == 2

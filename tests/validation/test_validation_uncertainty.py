@@ -50,7 +50,7 @@ def test_what_is_known_of_some_bands_only() -> None:
 def test_one_part_is_said_to_be_one_part(known: str) -> None:
     other = {"random": "systematic", "systematic": "random"}[known]
     only = hp.validate(library(PAINT, **{f"reflectance_u_{known}": np.full(NM.size, 0.005)}), field(LEVEL))
-    told = f"uncertainty of the signature: {known} part only, the {other} one is not known"
+    told = f"uncertainty of the signature: {known} part only, the {other} part is unknown"
     assert told in only.notes[0]
     spreads = {f"reflectance_u_{name}": np.full(NM.size, 0.005) for name in (known, other)}
     both = hp.validate(library(PAINT, **spreads), field(LEVEL))

@@ -85,7 +85,7 @@ def test_widths_of_channels_have_bounds(wrong: float) -> None:
     widths = np.full(references.sizes["wavelength"], 3.0)
     widths[150] = wrong
     bad = references.assign_coords(fwhm=("wavelength", widths, {"units": "nm"}))
-    with pytest.raises(SchemaError, match=r"reference 1: 'fwhm' reaches from .* expected 0.05 to 100 nm"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         hp.validate(signatures, bad)
-    with pytest.raises(SchemaError, match="'fwhm' reaches from"):
+    with pytest.raises(SchemaError, match="value-out-of-range"):
         hp.validate(signatures, references, reference_fwhm=wrong)

@@ -94,7 +94,7 @@ def test_a_declared_panel_scales_its_line_and_is_reported(flown: Path, tmp_path:
     )
     np.testing.assert_allclose(seen, 0.5, rtol=2e-3)
     page = hp.report.write_report(store, tmp_path / "page.html", flags=False).path.read_text(encoding="utf-8")
-    assert "What panels of known reflectance measure" in page
+    assert "Ratio of measured to certified reflectance" in page
 
 
 def test_what_a_panel_lacks_is_listed(flown: Path) -> None:

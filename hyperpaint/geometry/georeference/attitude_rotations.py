@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 
-_MIN_ARC_RAD = 1e-8
-"""Half angle between rotations below which the arc is its chord [rad]."""
+_MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is its chord
 
 
 def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
@@ -47,7 +46,7 @@ def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    # twice, as a hair less than 0 comes to 360 itself
+    # twice, because an angle just below 0 gives 360 itself
     return np.degrees(roll), np.degrees(pitch), np.mod(np.mod(np.degrees(heading), 360.0), 360.0)
 
 
@@ -60,7 +59,7 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     """
     dot = (first * second).sum(axis=-1)
     second = np.where((dot < 0)[..., None], -second, second)
-    # by the chord: the arc cosine of what is nearly 1 has lost half of its digits
+    # by the chord: an arc cosine near 1 loses half of its digits
     angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
     near = angle < _MIN_ARC_RAD
     sine = np.where(near, 1.0, np.sin(angle))

@@ -1,4 +1,4 @@
-"""Where the columns of a line camera look."""
+"""Look directions of the columns of a line camera."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
-_MAX_LOOK_ANGLE_DEG = 89.0
-"""Angle from the optical axis from which a camera no longer looks down."""
+_MAX_LOOK_ANGLE_DEG = 89.0  # from the optical axis
 
 
 @takes_quantities(pixel_pitch="m", focal_length="m", field_of_view="degree")
@@ -34,8 +33,8 @@ class PinholeCamera:
     field_of_view
         Angle between the outermost columns [degree], instead of the two lengths.
     edges
-        What ``field_of_view`` is between: ``"centres"`` of the outermost columns, or their ``"outer"`` edges.
-        The two differ by half a column at either edge of the swath; makers mean either, so none is assumed.
+        Ends of ``field_of_view``: ``"centres"`` of the outermost columns, or their ``"outer"`` edges. The two
+        differ by half a column at either edge of the swath; makers use both, so there is no default.
 
     Raises
     ------
@@ -59,25 +58,43 @@ class PinholeCamera:
     def __post_init__(self) -> None:
         problems = Problems("the description of this camera is not valid", SchemaError)
         if not (isinstance(self.columns, int | np.integer) and self.columns > 0):
-            problems.add(f"columns {self.columns!r:.60}, expected a whole number above 0")
+            problems.add(
+                f"columns {self.columns!r:.60}", expected="a whole number above 0", code="value-out-of-range"
+            )
         lengths = (self.pixel_pitch, self.focal_length)
         if (self.field_of_view is None) == (None in lengths) or (
             self.field_of_view is not None and lengths != (None, None)
         ):
-            problems.add("expected either pixel_pitch and focal_length, or field_of_view with edges")
+            problems.add(
+                "pixel_pitch, focal_length and field_of_view do not describe one camera",
+                expected="either the two lengths, or field_of_view with edges",
+                code="option-conflict",
+            )
         for name in ("pixel_pitch", "focal_length"):
             length = getattr(self, name)
             if length is not None and not 0.0 < length < np.inf:
-                problems.add(f"{name} {length!r:.60}, expected a length above 0 [m]")
+                problems.add(
+                    f"{name} {length!r:.60}", expected="a length above 0 [m]", code="value-out-of-range"
+                )
         if self.field_of_view is not None:
             if not 0.0 < self.field_of_view < 2 * _MAX_LOOK_ANGLE_DEG:
-                problems.add(f"field_of_view {self.field_of_view!r:.60}, expected 0 to 178 [degree]")
+                problems.add(
+                    f"field_of_view {self.field_of_view!r:.60}",
+                    expected="0 to 178 [degree]",
+                    code="value-out-of-range",
+                )
             if self.edges not in ("centres", "outer"):
                 problems.add(
-                    f"edges {self.edges!r:.60}, expected 'centres' or 'outer': what field_of_view is between"
+                    f"edges {self.edges!r:.60}",
+                    expected="'centres' or 'outer', the edges that field_of_view is between",
+                    code="choice-unknown",
                 )
             elif self.edges == "centres" and self.columns == 1:
-                problems.add("one column has no angle between centres; give edges='outer'")
+                problems.add(
+                    "one column has no angle between centres",
+                    mend="give edges='outer'",
+                    code="option-conflict",
+                )
         problems.raise_if_any()
 
     @property
@@ -98,7 +115,7 @@ class PinholeCamera:
 def look_angles(
     line: xr.Dataset, camera: PinholeCamera | xr.Dataset | None, convention: Convention
 ) -> tuple[Any, Any]:
-    """Return where the columns look, across and along the track (cross_track,) [degree]; lazy where they are.
+    """Return look angles of the columns, across and along the track (cross_track,) [degree]; maybe lazy.
 
     Parameters
     ----------
@@ -122,17 +139,34 @@ def look_angles(
     if isinstance(camera, PinholeCamera):
         if convention.column_order is None:
             raise SchemaError(
-                "whether column 0 looks left or right is not declared; give "
-                "convention=Convention(column_order='left_to_right') or 'right_to_left'"
+                "whether column 0 looks left or right is not declared",
+                mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
+                code="column-order-missing",
             )
         across = camera.look_across(convention.column_order)
         along = np.zeros_like(across)
     else:
-        across, along = _table(line if camera is None else camera)
+        source = line if camera is None else camera
+        name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
+        if name is None:
+            raise SchemaError(
+                "the line has neither look_across nor look_angle (cross_track) [degree]",
+                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                "of the angles",
+                code="camera-missing",
+            )
+        across = convert(source[name], "degree").data.astype(np.float64)
+        along = np.zeros(across.shape)
+        if "look_along" in source.variables:
+            along = convert(source["look_along"], "degree").data.astype(np.float64)
     problems = Problems("the directions of the columns cannot be used", SchemaError)
     for name, angles in (("look_across", across), ("look_along", along)):
         if angles.shape != (line.sizes[CROSS_TRACK],):
-            problems.add(f"{name} has shape {angles.shape}, the line {line.sizes[CROSS_TRACK]} columns")
+            problems.add(
+                f"{name} has shape {angles.shape}",
+                expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
+                code="length-mismatch",
+            )
     problems.raise_if_any()
     return across, along
 
@@ -147,22 +181,9 @@ def directions(across: Floats, along: Floats) -> Floats:
     """
     if not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all():
         raise SchemaError(
-            f"the angles of the columns are not finite and below {_MAX_LOOK_ANGLE_DEG:g} degrees everywhere"
+            "some columns look to the horizon or above it, or have no angle",
+            expected=f"angles below {_MAX_LOOK_ANGLE_DEG:g} degrees",
+            code="value-out-of-range",
         )
     u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
     return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
-
-
-def _table(source: xr.Dataset) -> tuple[Any, Any]:
-    """Return ``look_across`` and ``look_along`` (cross_track,) [degree] of a dataset."""
-    name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
-    if name is None:
-        raise SchemaError(
-            "the line has neither look_across nor look_angle (cross_track) [degree]; "
-            "give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the "
-            "angles"
-        )
-    across = convert(source[name], "degree").data.astype(np.float64)
-    if "look_along" not in source.variables:
-        return across, np.zeros(across.shape)
-    return across, convert(source["look_along"], "degree").data.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What a located flight line covers, and how far apart its pixels are on the ground."""
+"""Outline of a located flight line, and the spacing of its pixels on the ground."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
@@ -20,7 +20,7 @@ _PERCENTILES = (5.0, 95.0)
 
 
 def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
-    """Return the outline of what a located line covers, as a Feature of GeoJSON (eager).
+    """Return the outline of the ground that a located line covers, as a GeoJSON Feature (eager).
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
     Notes
     -----
-    The union of the quadrilaterals between the ends of neighbouring lines: what a wobble folds back over
-    itself is counted once. Bends of less than half the spacing of the pixels are left out.
+    The union of the quadrilaterals between the ends of neighbouring lines: ground that a wobble shows twice
+    is counted once. Bends of less than half the spacing of the pixels are left out.
 
     Examples
     --------
@@ -63,19 +63,21 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     >>> outline["geometry"]["type"], round(outline["properties"]["area"], -1)  # [m2]
     ('Polygon', 1110.0)
     """
-    try:
+    with needs_extra("shapely", "geo", "the outline of a line"):
         import shapely
-    except ImportError as error:
-        needed = MissingExtraError.of("shapely", "geo", "an outline of what a line covers")
-        raise needed from error
-
     east, north, source = _places(located)
-    ends = line_ends(east, north)
+    # the outermost located pixels of every line (line, end, 2)
+    is_known = np.isfinite(east) & np.isfinite(north)
+    outermost = is_known.argmax(axis=1), is_known.shape[1] - 1 - is_known[:, ::-1].argmax(axis=1)
+    rows = np.arange(len(east))
+    ends = np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in outermost], axis=1)
     is_placed = np.all(np.isfinite(ends), axis=(1, 2))
     follows = np.flatnonzero(is_placed[1:] & is_placed[:-1])
     if not follows.size:
         raise SchemaError(
-            "no two neighbouring lines are placed on the ground; look at poses and at the quality's off_swath"
+            "no two neighbouring lines are placed on the ground",
+            mend="look at poses and at the quality's off_swath",
+            code="ground-not-seen",
         )
     corners = np.concatenate([ends[follows], ends[follows + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
@@ -92,7 +94,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
 
 def spacing(located: xr.Dataset) -> dict[str, float]:
-    """Return how far apart the pixels of a located line are on the ground (eager).
+    """Return the spacing of the pixels of a located line on the ground (eager).
 
     Parameters
     ----------
@@ -103,7 +105,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     -------
     dict
         ``across`` and ``along``: median distance of neighbouring columns and lines [m]; with ``_p05`` and
-        ``_p95`` their 5th and 95th percentiles. ``gsd``: the larger of the medians, what a map is made with.
+        ``_p95`` their 5th and 95th percentiles. ``gsd``: the larger of the medians, the default of maps.
         ``reversed``: share of the steps from line to line that go back against the flight [1]. ``off_swath``:
         share of the pixels without a place [1].
 
@@ -139,45 +141,34 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
             distances[f"{name}_p{percent:02.0f}"] = value
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
-            "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
+            "no two neighbouring pixels are placed on the ground",
+            mend="look at poses and at the quality's off_swath",
+            code="ground-not-seen",
         )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
-    distances["reversed"] = _reversed(east, north)
+    # steps from line to line at the middle column, against the mean direction of flight
+    middle = east.shape[1] // 2
+    steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    distances["reversed"] = float((steps @ steps.mean(axis=0) < 0.0).mean()) if steps.size else np.nan
     distances["off_swath"] = float(np.isnan(east).mean())
     return distances
 
 
 def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
-    """Return east and north of every pixel [m], and their map."""
-    coordinates = require(located, ["east", "north"], "what a line covers")
+    coordinates = require(located, ["east", "north"], "the outline of a line")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
-        raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.geometry.locate")
+        raise SchemaError(
+            "'east' does not declare its map",
+            mend="locate the line with hyperpaint.geometry.locate",
+            code="crs-missing",
+        )
     east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
     return np.asarray(east), np.asarray(north), crs
 
 
-def line_ends(east: Floats, north: Floats) -> Floats:
-    """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
-    is_placed = np.isfinite(east) & np.isfinite(north)
-    first = is_placed.argmax(axis=1)
-    last = is_placed.shape[1] - 1 - is_placed[:, ::-1].argmax(axis=1)
-    rows = np.arange(len(east))
-    return np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in (first, last)], axis=1)
-
-
 def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
-    """Return distances to the next column and to the next line [m]."""
     across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
     along = np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))
     return across, along
-
-
-def _reversed(east: Floats, north: Floats) -> float:
-    """Return the share of steps from line to line, at the middle column, that go against the flight."""
-    middle = east.shape[1] // 2
-    steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)
-    steps = steps[np.isfinite(steps).all(axis=1)]
-    if not steps.size:
-        return np.nan
-    return float((steps @ steps.mean(axis=0) < 0.0).mean())

@@ -1,4 +1,4 @@
-"""The earth's figure and the maps of it, through pyproj (extra ``geo``)."""
+"""Reference systems and maps of the earth, through pyproj (extra ``geo``)."""
 
 from __future__ import annotations
 
@@ -10,40 +10,33 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import SchemaError, needs_extra
 
 if TYPE_CHECKING:
     import pyproj
 
-GEODETIC = "EPSG:4979"
-"""Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
+GEODETIC = "EPSG:4979"  # of positions: latitude, longitude, height above the ellipsoid of WGS 84
 _GEOCENTRIC = "EPSG:4978"
-
-_MAX_LATITUDE_DEG = 89.9
-"""Latitude beyond which east and north change too fast for what is done here [degree]."""
+_MAX_LATITUDE_DEG = 89.9  # nearer to a pole east and north turn too fast for a polynomial
 
 
 def _pyproj() -> Any:
-    try:
+    with needs_extra("pyproj", "geo", "placing pixels on a map"):
         import pyproj
-    except ImportError as error:
-        needed = MissingExtraError.of("pyproj", "geo", "placing pixels on a map")
-        raise needed from error
     return pyproj
 
 
 @functools.lru_cache(maxsize=64)
 def _crs(text: str) -> pyproj.CRS:
-    """Return a reference system, of the horizontal alone, of what `crs_of` has returned."""
     horizontal: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
     return horizontal
 
 
 @functools.lru_cache(maxsize=64)
 def _transformer(source: str, target: str) -> pyproj.Transformer:
-    """Return what turns coordinates of one reference system into another's, x or longitude first.
+    """Return the transformer between two reference systems; x or longitude come first.
 
-    Heights [m] belong to `GEODETIC` and to geocentric X, Y, Z [m] alone; of others the horizontal is taken.
+    Only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems are taken as horizontal.
     """
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
     transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
@@ -51,7 +44,7 @@ def _transformer(source: str, target: str) -> pyproj.Transformer:
 
 
 def crs_of(crs: Any) -> str:
-    """Return a reference system in the form that tasks carry: its EPSG code, else WKT.
+    """Return a reference system as text: its EPSG code, else WKT.
 
     Parameters
     ----------
@@ -69,10 +62,14 @@ def crs_of(crs: Any) -> str:
     try:
         system = pyproj.CRS.from_user_input(crs).to_2d()
     except pyproj.exceptions.CRSError as error:
-        raise SchemaError(f"crs {crs!r:.80} is not known to PROJ; expected such as 'EPSG:32617'") from error
+        raise SchemaError(
+            f"crs {crs!r:.80} is unknown to PROJ", expected="such as 'EPSG:32617'", code="crs-unknown"
+        ) from error
     if not (system.is_projected or system.is_geographic):
         raise SchemaError(
-            f"crs {crs!r:.80} is neither projected nor geographic; expected such as 'EPSG:32617'"
+            f"crs {crs!r:.80} is neither projected nor geographic",
+            expected="such as 'EPSG:32617'",
+            code="crs-unusable",
         )
     code = system.to_authority(min_confidence=100)
     return ":".join(code) if code and pyproj.CRS(":".join(code)) == system else system.to_wkt()
@@ -96,7 +93,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     Raises
     ------
     SchemaError
-        There is none: the place is not finite, or beyond 84 degrees north or 80 south.
+        The place is not finite, or beyond 84 degrees north or 80 south.
 
     Examples
     --------
@@ -106,7 +103,11 @@ def utm_zone(latitude: float, longitude: float) -> str:
     'EPSG:32632'
     """
     if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
-        raise SchemaError(f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}; give crs=")
+        raise SchemaError(
+            f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
+            mend="give crs=",
+            code="crs-missing",
+        )
     longitude = (longitude + 180.0) % 360.0 - 180.0
     zone = int((longitude + 180.0) // 6.0) + 1
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
@@ -117,7 +118,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
 
 
 def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any) -> Floats:
-    """Return where grid north points, clockwise from true north [degree].
+    """Return the direction of grid north, clockwise from true north [degree].
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def grid_mapping_attrs(crs: str) -> dict[str, Any]:
 
 
 def between_maps(places: Floats, source: str, target: str) -> Floats:
-    """Return places (n, 2) of one reference system in another, x or longitude first."""
+    """Return places (n, 2) converted between reference systems, x or longitude first."""
     if source == target:
         return places
     x, y = _transformer(source, target).transform(places[:, 0], places[:, 1])
@@ -170,20 +171,20 @@ def between_maps(places: Floats, source: str, target: str) -> Floats:
 
 
 def is_in_metres(crs: str) -> bool:
-    """Tell whether a reference system is a map whose coordinates are in metres to the east and north.
+    """Return whether a reference system is a map with coordinates in metres to the east and north.
 
-    Those to the west and south (EPSG:2053) would turn every map over.
+    Axes to the west or south (EPSG:2053) would turn every map over.
     """
     system = _crs(crs)
-    ways = {axis.direction.lower() for axis in system.axis_info}
+    directions = {axis.direction.lower() for axis in system.axis_info}
     # both axes of a map of the north pole may point south
-    if "west" in ways or {"south", "east"} <= ways:
+    if "west" in directions or {"south", "east"} <= directions:
         return False
     return system.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in system.axis_info)
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
-    """Return by how much x is to be moved to be the one nearest to a place that means the same.
+    """Return the shift that brings x nearest to ``middle`` without changing its meaning.
 
     Whole turns of longitude [degree], where the reference system is geographic; 0 on a map.
     """
@@ -203,8 +204,7 @@ _OFFSETS = np.array(
         for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
     ],
     dtype=np.float64,
-)
-"""Places around the camera from which a polynomial of second degree is had by differences."""
+)  # places around the camera, whose differences give a polynomial of second degree
 
 
 def polynomials(
@@ -228,8 +228,8 @@ def polynomials(
 
     Notes
     -----
-    A map is not flat: its north turns and its scale changes from place to place. What is left out of the
-    second degree is of the order of d (d / R)^2, for a way d on an earth of radius R: 25 nm at 100 m, 0.2 mm
+    A map is not flat: its north turns and its scale changes from place to place. Terms beyond the second
+    degree are of the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm
     at 2 km.
     """
     coefficients = np.full((3, latitude.size, 10), np.nan)
@@ -250,12 +250,11 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
     coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
-    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ's sign for what is not on the map
+    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ returns infinity outside of the map
     return coefficients
 
 
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
-    """Return the directions east, north and up in geocentric coordinates (line, 3, 3)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     zero = np.zeros_like(sin_lat)
@@ -268,7 +267,7 @@ def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
 
 
 def _coefficients(value: Floats, reach: Floats) -> Floats:
-    """Return the ten coefficients (line, 10) of what is known at `_OFFSETS` times the reach (line, 19)."""
+    """Return ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)."""
     centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
     slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
     square = (ends[..., 0] + ends[..., 1] - 2.0 * centre[:, None]) / (2.0 * reach[:, None] ** 2)
@@ -278,7 +277,7 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
 
 
 def turn_of_north(latitude: Floats) -> Floats:
-    """Return how true north turns with the way to the east [rad m-1]."""
+    """Return the rotation of true north per metre to the east [rad m-1]."""
     phi = np.radians(latitude)
     radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     return np.asarray(np.tan(phi) / radius)

@@ -1,4 +1,4 @@
-"""The place on the ground that every pixel of a flight line shows."""
+"""Ground position of every pixel of a flight line."""
 
 from __future__ import annotations
 
@@ -44,20 +44,19 @@ from .poses import (
 )
 from .terrain import Terrain, grid_of, terrain_of
 
+# turns north, east, down into east, north, up
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Turns north, east, down into east, north, up."""
-_MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0
-"""Bounds of the way from the camera over which a map is looked at [m]."""
+_MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0  # distances over which the map around a camera is fitted
 
 
 @dataclass(frozen=True)
 class Swath:
-    """All that a slab of lines needs."""
+    """Inputs that all slabs of lines share."""
 
     poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
     look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
     boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
-    #: Projection centre from the point that positions are of: forward, right, down [m]
+    #: From the reference point of positions to the projection centre: forward, right, down [m]
     lever_arm: tuple[float, float, float]
     ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or a raster of heights
     crs: str  #: Map
@@ -86,7 +85,7 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     col, row = x.copy(), y.copy()
     if grid.crs != swath.crs:
         col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
-    # rasters count longitude from -180 or 0, or reach across 180
+    # longitude of rasters begins at -180 or 0, or runs across 180
     col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
     for place, (first, step) in ((col, grid.x), (row, grid.y)):
         place[:, 0] -= first
@@ -96,8 +95,8 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     return out
 
 
+# coordinates added, in the order in which the kernels write them
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
-"""Coordinates added, in the order in which the kernels write them."""
 
 
 @takes_quantities(**LOCATION_UNITS)
@@ -116,7 +115,7 @@ def locate(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> xr.Dataset:
-    """Add the place on the ground that every pixel shows, and the direction it is seen from.
+    """Add the ground position of every pixel, and the direction it is seen from.
 
     Parameters
     ----------
@@ -127,17 +126,17 @@ def locate(
         Record to take the poses from, with the same variables on ``navigation_time`` [UTC]; see
         `hyperpaint.geometry.interpolate_pose`.
     boresight
-        Roll, pitch and heading of the camera in the body [degree], a rotation as that of the body itself:
+        Roll, pitch and heading of the camera in the body [degree], applied like the angles of the body:
         first heading, then pitch, then roll; by default the line's attribute ``boresight``, else zero.
     lever_arm
-        From the point that positions are of to the camera's projection centre, forward, right, down [m]; by
+        From the reference point of positions to the camera's projection centre, forward, right, down [m]; by
         default the line's attribute ``lever_arm``, else zero.
     ground
         Height of level ground above the ellipsoid [m]; either this or ``dem``; by default the line's
         attribute ``ground``.
     dem
         Heights (y, x) [m, unless an attribute ``units`` says otherwise] with coordinates of cell centres and
-        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares what they are above:
+        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares the zero of heights:
         ``"ellipsoid"``, or ``"geoid"`` with ``geoid_undulation`` [m].
     crs
         Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
@@ -149,7 +148,7 @@ def locate(
     clock_offset_s
         Added to ``time`` to have the time of the navigation's clock [s].
     convention
-        What the angles and heights mean, and the order of the columns; by default what the attributes of
+        Meaning of angles and heights, and the order of the columns; by default as the attributes of
         ``navigation``, or of the line, declare. ``column_order`` is needed for a pinhole alone, and is also
         taken from the attributes of the line.
     max_gap_s, interpolation
@@ -167,8 +166,8 @@ def locate(
     Raises
     ------
     SchemaError
-        Neither or both of ``ground`` and ``dem``; variables, a declaration of what they mean, or the camera
-        are missing; the map is not in metres; all of a kind are listed.
+        Neither or both of ``ground`` and ``dem``; variables, the declaration of their meaning, or the camera
+        are missing; the map is not in metres; all problems of a kind are listed.
     TimeError
         The record runs backwards.
     UnitsError
@@ -184,12 +183,12 @@ def locate(
     -----
     A pixel's direction is ``R_nb R_bc u``: the camera's direction u turned into the body by the boresight
     and into north, east, down by ``R_nb = Rz(heading) Ry(pitch) Rx(roll)``. Each line is computed in the
-    local frame of its own position, in which its attitude is given, so that neither the map's convergence nor
-    its scale has to be corrected for. The way from there to the map is taken as a polynomial of second degree
+    local frame of its position, the frame of its attitude, so that neither the map's convergence nor its
+    scale needs a correction. Local coordinates are converted to the map by a polynomial of second degree
     around the camera, see `hyperpaint.geometry.georeference.geodesy.polynomials`.
 
-    Lines in memory have poses at once; of lazy ones nothing is read, unless ``crs`` is to be found out, which
-    needs the positions.
+    Poses of lines in memory are computed at once; of lazy lines nothing is read, unless ``crs`` has to be
+    derived from their positions.
 
     Examples
     --------
@@ -207,7 +206,11 @@ def locate(
     >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
-    boresight, lever_arm, ground = _declared(line, boresight, lever_arm, ground, dem)
+    # arguments come before declarations of the line
+    level: Sequence[float] = (0.0, 0.0, 0.0)
+    boresight = line.attrs.get("boresight", level) if boresight is None else boresight
+    lever_arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
+    ground = line.attrs.get("ground") if ground is None and dem is None else ground
     if dem is not None and "units" in dem.attrs:
         dem = convert(dem, "m", "dem")
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
@@ -226,16 +229,34 @@ def locate(
         heights = dem.squeeze(drop=True).transpose("y", "x").data
         surface = _call(terrain_of, heights=heights, grid=grid)
     chunks = _line_chunks(line)
-    turn, arm = _triple(boresight), _triple(lever_arm)
+    turn, arm = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
-        Swath, poses=poses, look=_call(directions, across=across, along=along), boresight=turn, lever_arm=arm,
-        ground=surface, crs=crs, starts=np.concatenate([[0], np.cumsum(chunks)]),
-    )  # fmt: skip
+        Swath,
+        poses=poses,
+        look=_call(directions, across=across, along=along),
+        boresight=turn,
+        lever_arm=arm,
+        ground=surface,
+        crs=crs,
+        starts=np.concatenate([[0], np.cumsum(chunks)]),
+    )
     places = da.map_blocks(
-        places_of, dask.delayed(swath, pure=True), chunks=((len(_PLACES),), chunks, (len(across),)),
-        dtype=np.float64, meta=np.empty((0, 0, 0)), name=None,
-    )  # fmt: skip
-    located = _with_places(_with_poses(line, poses, chunks), places, crs)
+        places_of,
+        dask.delayed(swath, pure=True),
+        chunks=((len(_PLACES),), chunks, (len(across),)),
+        dtype=np.float64,
+        meta=np.empty((0, 0, 0)),
+        name=None,
+    )
+    # the poses used, in chunks of the cube where they are lazy
+    if not isinstance(poses, np.ndarray):
+        shape = (len(POSE), line.sizes[ALONG_TRACK])
+        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
+    columns_used = {
+        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
+    }
+    located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
+    located = _with_places(located, places, crs)
     settings = {
         "boresight": list(turn),
         "lever_arm": list(arm),
@@ -247,23 +268,7 @@ def locate(
     return located
 
 
-# --- what is asked for -------------------------------------------------------------------------------------
-
-
-def _declared(
-    line: xr.Dataset,
-    boresight: Sequence[float] | None,
-    lever_arm: Sequence[float] | None,
-    ground: float | None,
-    dem: xr.DataArray | None,
-) -> tuple[Sequence[float], Sequence[float], Any]:
-    """Return the mounting and the ground as asked for, else as the line's attributes declare them."""
-    level: Sequence[float] = (0.0, 0.0, 0.0)
-    turn = line.attrs.get("boresight", level) if boresight is None else boresight
-    arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
-    if ground is None and dem is None:
-        ground = line.attrs.get("ground")
-    return turn, arm, ground
+# --- arguments ---------------------------------------------------------------------------------------------
 
 
 def _check(
@@ -274,50 +279,52 @@ def _check(
     dem: xr.DataArray | None,
     clock_offset_s: float,
 ) -> None:
-    """Refuse arguments that contradict one another or are out of range; all are listed."""
     problems = Problems("this line cannot be located", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
             problems.add(
-                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; isel({dim}=[5]) keeps it, "
-                "dims= names it"
+                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
+                mend=f"isel({dim}=[5]) keeps it, dims= names it",
+                code="dim-missing",
             )
-    for name, three in (("boresight", boresight), ("lever_arm", lever_arm)):
+    for name, triple in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
-            fine = np.shape(three) == (3,) and bool(np.isfinite(np.asarray(three, np.float64)).all())
+            is_valid = np.shape(triple) == (3,) and bool(np.isfinite(np.asarray(triple, np.float64)).all())
         except (TypeError, ValueError):
-            fine = False
-        if not fine:
-            problems.add(f"{name} {three!r:.80}, expected three finite numbers")
+            is_valid = False
+        if not is_valid:
+            problems.add(f"{name} {triple!r:.80}", expected="three finite numbers", code="type-wrong")
     if (ground is None) == (dem is None):
-        problems.add("give the height of the ground above the ellipsoid (ground=, in m), or dem=, not both")
+        problems.add(
+            "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
+            mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+            code="argument-missing" if dem is None else "option-conflict",
+        )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
         if number is not None and not is_number:
-            problems.add(f"{name} {number!r:.80}, expected a finite number")
+            problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
     problems.raise_if_any()
 
 
-def _triple(three: Sequence[float]) -> tuple[float, float, float]:
-    first, second, third = (float(number) for number in three)
-    return first, second, third
-
-
 def _map_of(poses: Any, crs: Any) -> str:
-    """Return the map asked for, or the UTM zone of the middle of the lines that have a pose."""
+    """Return the given CRS, or the UTM zone of the middle of the lines that have a pose."""
     if crs is None:
         with_pose = np.flatnonzero(np.isfinite(poses[0]))
         if not with_pose.size:
             raise SchemaError(
-                "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
+                "no line has a pose, and so no UTM zone",
+                mend="check the navigation and its times, or give crs=",
+                code="pose-missing",
             )
         latitude, longitude = poses[:2, with_pose[with_pose.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
     code = crs_of(crs)
     if not is_in_metres(code):
         raise SchemaError(
-            f"crs {crs!r:.80} is not a map in metres to the east and north; give a projected one, such as "
-            "'EPSG:32617'"
+            f"crs {crs!r:.80} is not a map in metres to the east and north",
+            mend="give a projected one, such as 'EPSG:32617'",
+            code="crs-unusable",
         )
     return code
 
@@ -328,7 +335,7 @@ def _map_of(poses: Any, crs: Any) -> str:
 def _pose_inputs(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
 ) -> dict[str, Any]:
-    """Return the columns of poses; and, where they are to be interpolated, their times and those wanted."""
+    """Return the columns of poses, with recorded and wanted times where they are to be interpolated."""
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
     columns = pose_columns(source, convention, dim)
@@ -339,7 +346,10 @@ def _pose_inputs(
     if navigation is None:
         return {**inputs, "recorded": wanted, "wanted": wanted}
     if NAVIGATION_TIME not in navigation.variables:
-        raise SchemaError(f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]")
+        raise SchemaError(
+            f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
+            code="variable-missing",
+        )
     return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
 
 
@@ -354,33 +364,25 @@ def _poses(
     wanted: Any = None,
     **columns: Any,
 ) -> Floats:
-    """Return canonical poses of all lines (6, line), float64; all NaN or none."""
+    """Return canonical poses of all lines (6, line), float64; a pose is complete or all NaN."""
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
         return values
     return poses_at(
-        np.asarray(recorded), values, np.asarray(wanted), clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s, interpolation=interpolation,
-    )  # fmt: skip
-
-
-def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:
-    """Return the line with the poses used, in chunks of its cube where they are lazy."""
-    if not isinstance(poses, np.ndarray):
-        shape = (len(POSE), line.sizes[ALONG_TRACK])
-        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
-    coordinates = {
-        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
-    }
-    return line.drop_vars(POSE, errors="ignore").assign_coords(coordinates)
+        np.asarray(recorded),
+        values,
+        np.asarray(wanted),
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
 
 
 # --- places ------------------------------------------------------------------------------------------------
 
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
-    """Return the line with its places, and the flag where there are none."""
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
@@ -397,15 +399,27 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    """Return lines of every slab: as what the line holds is chunked, else as radiometry will chunk it."""
+    """Return the lines of every slab: as the line is chunked, else as radiometry will chunk it."""
     pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
     for array in sorted(pixels, key=lambda v: -v.ndim):
         if array.chunks is not None:
             return tuple(array.chunksizes[ALONG_TRACK])
     samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
-    slab = lines_a_task(4 * samples, CHUNK_LINES)
-    full, rest = divmod(line.sizes[ALONG_TRACK], slab)
-    return (slab,) * full + ((rest,) if rest or not full else ())
+    return line_slabs(line.sizes[ALONG_TRACK], lines_a_task(4 * samples, CHUNK_LINES)) or (0,)
+
+
+def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
+    """Return the lines of every slab, the last one being the rest."""
+    full, rest = divmod(lines, slab)
+    return (slab,) * full + ((rest,) if rest else ())
+
+
+def is_located(line: xr.Dataset) -> bool:
+    """Return whether every pixel of a line has ``east`` and ``north``."""
+    return all(
+        axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
+        for axis in ("east", "north")
+    )
 
 
 def _is_lazy(*values: Any) -> bool:
@@ -413,7 +427,7 @@ def _is_lazy(*values: Any) -> bool:
 
 
 def _call(function: Any, **inputs: Any) -> Any:
-    """Return a small result: at once of what is in memory, else as a node of the graph."""
+    """Return the result of a function: at once from arrays in memory, else as a node of the graph."""
     if _is_lazy(*inputs.values()):
         return dask.delayed(function, pure=True)(**inputs)
     return function(**inputs)

@@ -1,4 +1,4 @@
-"""Where the camera was and how it was turned, in canonical form, at the middle of every exposure."""
+"""Position and attitude of the camera, in canonical form, at the middle of every exposure."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
-_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1
-"""Intervals, and seconds, that a gap is longer than."""
+_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1  # longer intervals between rows are gaps
 
 LOCATION_UNITS = {
-    "ground": "m", "boresight": "degree", "lever_arm": "m", "clock_offset_s": "s", "max_gap_s": "s",
-}  # fmt: skip
-"""Units of the arguments that say how a line is located."""
+    "ground": "m",
+    "boresight": "degree",
+    "lever_arm": "m",
+    "clock_offset_s": "s",
+    "max_gap_s": "s",
+}
+"""Units of the arguments of `locate`."""
 
 
 # --- canonical form ----------------------------------------------------------------------------------------
@@ -51,7 +54,7 @@ def canonical_navigation(
         ``latitude``, ``longitude`` [degree], ``altitude`` [m], ``roll``, ``pitch``, ``heading``
         (navigation_time), as their file has them; also of a flight line (along_track).
     convention
-        What they mean; by default what the attributes declare.
+        Meaning of these variables; by default as their attributes declare.
     crs
         Map whose north ``"grid"`` headings count from, where the convention names none.
 
@@ -64,8 +67,8 @@ def canonical_navigation(
     Raises
     ------
     SchemaError
-        Variables are missing, the meaning of their numbers is not declared, or units contradict it; all are
-        listed. No declination, geoid undulation or grid for what needs it.
+        Variables are missing, their meaning is not declared, or units contradict it; all are listed. A
+        declination, geoid undulation or grid is needed and missing.
     UnitsError
         Units that cannot be read, or are of another dimension.
 
@@ -99,7 +102,7 @@ def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
 def convention_of_line(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None
 ) -> Convention:
-    """Return the convention of a line's poses, with the line's order of columns where it declares none.
+    """Return the convention of a line's poses; the line's own column order fills a missing one.
 
     Raises
     ------
@@ -108,22 +111,23 @@ def convention_of_line(
     """
     source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
     declared = convention_of(source, convention, subject)
-    own = Convention.from_attrs(line.attrs)
-    if declared.column_order is None and own is not None:
-        declared = declared.replace(column_order=own.column_order)
+    of_line = Convention.from_attrs(line.attrs)
+    if declared.column_order is None and of_line is not None:
+        declared = declared.replace(column_order=of_line.column_order)
     return declared
 
 
 def convention_of(
     dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
 ) -> Convention:
-    """Return the convention given, else that of the attributes; SchemaError where there is neither."""
+    """Return the given convention, else the one of the attributes; SchemaError where there is neither."""
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
-            f"{subject} does not declare what its angles and heights mean, and makers differ; give "
-            "convention=Convention(...), whose defaults are roll positive with the right wing down, pitch "
-            "with the nose up, heading clockwise from true north [degree] and heights above the ellipsoid"
+            f"{subject} does not declare its angles and heights, and makers differ",
+            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
+            code="convention-missing",
         )
     return declared
 
@@ -144,12 +148,14 @@ def pose_columns(
     columns: dict[str, xr.DataArray] = {}
     for name in POSE:
         if name not in dataset.variables:
-            problems.add(f"{name!r} is missing")
+            problems.add(f"{name!r} is missing", code="variable-missing")
             continue
         column = dataset[name].reset_coords(drop=True)
         if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
             held = ", ".join(map(str, column.dims))
-            problems.add(f"{name!r} has dims ({held}), expected ({dim or NAVIGATION_TIME})")
+            problems.add(
+                f"{name!r} has dims ({held})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
+            )
             continue
         units = column.attrs.get("units")
         if name not in ANGLES:
@@ -157,7 +163,9 @@ def pose_columns(
         elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
             problems.add(
                 f"{name!r} has units {units!r}, while the convention declares angle_unit "
-                f"{convention.angle_unit!r}; correct the one that is wrong"
+                f"{convention.angle_unit!r}",
+                mend="correct the one that is wrong",
+                code="units-conflict",
             )
         columns[name] = column
     problems.raise_if_any()
@@ -175,7 +183,7 @@ def canonical_values(
     convention: Convention,
     crs: Any = None,
 ) -> Floats:
-    """Return canonical poses (6, row), float64, of columns that a convention gives the meaning of."""
+    """Return canonical poses (6, row), float64, from columns in the given convention."""
     latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
     convergence = None
     if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
@@ -198,7 +206,7 @@ def interpolate_pose(
     interpolation: Interpolation = "linear",
     crs: Any = None,
 ) -> xr.Dataset:
-    """Return canonical poses at times, on the shortest arc between the rows of a navigation record.
+    """Return canonical poses at given times, interpolated on the shortest arc between rows of a record.
 
     Parameters
     ----------
@@ -246,9 +254,13 @@ def interpolate_pose(
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(
-        navigation[NAVIGATION_TIME].values, values, time.values, clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s, interpolation=interpolation,
-    )  # fmt: skip
+        navigation[NAVIGATION_TIME].values,
+        values,
+        time.values,
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
     interpolated = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
     return interpolated.assign_attrs(convention.of_canonical.to_attrs())
 
@@ -262,7 +274,7 @@ def poses_at(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> Floats:
-    """Return poses (6, line) at times, of canonical ones (6, row); see `interpolate_pose`."""
+    """Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`."""
     check_interpolation(interpolation, max_gap_s)
     knots = _nanoseconds(recorded)
     wanted = _nanoseconds(time)
@@ -279,29 +291,31 @@ def poses_at(
             poses[part] = between(
                 knots[is_recorded], values[part][:, is_recorded], wanted, gap, interpolation
             )
-    # half a pose places nothing
+    # an incomplete pose is no pose
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
     return poses
 
 
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
-    """Refuse an interpolation that does not exist, and a gap that is not above 0, as SchemaError."""
+    """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     if interpolation not in ("linear", "cubic"):
-        problems.add(f"interpolation {interpolation!r:.60}, expected 'linear' or 'cubic'")
+        problems.add(
+            f"interpolation {interpolation!r:.60}", expected="'linear' or 'cubic'", code="choice-unknown"
+        )
     if max_gap_s is not None and not max_gap_s > 0.0:
-        problems.add(f"max_gap_s {max_gap_s!r:.60}, expected a time above 0 [s]")
+        problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
     problems.raise_if_any()
 
 
 def _nanoseconds(time: Array) -> Ints:
     if time.dtype.kind != "M":
-        raise TimeError(f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)")
+        raise TimeError(f"times have dtype {time.dtype}", expected="datetime64[ns] (UTC)", code="type-wrong")
     return time.astype("datetime64[ns]").astype(np.int64)
 
 
 def _increasing(knots: Ints) -> Bools:
-    """Tell which rows have a time that was not there before.
+    """Return the rows whose time is later than all before (row,).
 
     Raises
     ------
@@ -314,8 +328,9 @@ def _increasing(knots: Ints) -> Bools:
         rows = dated[1:][steps < 0]
         shown = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
         raise TimeError(
-            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown}); "
-            "sort the record by time, or take these rows out"
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown})",
+            mend="sort the record by time, or remove these rows",
+            code="time-backwards",
         )
     keep = np.zeros(knots.size, bool)
     keep[dated[np.concatenate([[True], steps > 0])[: dated.size]]] = True
@@ -323,14 +338,14 @@ def _increasing(knots: Ints) -> Bools:
 
 
 def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
-    """Return the row before each time, the weight of the row after, and whether it may be interpolated."""
+    """Return the row before each time, the weight of the row after, and whether interpolation is allowed."""
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
     inside = (wanted >= knots[0]) & (wanted <= knots[-1])
     step = knots[after] - knots[before]
     since = np.where(inside, wanted - knots[before], 0)
     weight = since / np.maximum(step, 1)
-    # on a row there is nothing to interpolate, however far the next one is
+    # a time equal to a row needs no interpolation, however far the next row is
     return before, weight, inside & ((step / _NS_PER_S <= gap) | (since == 0) | (since == step))
 
 

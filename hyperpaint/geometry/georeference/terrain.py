@@ -1,4 +1,4 @@
-"""Rasters of heights that rays are followed to."""
+"""Height rasters (DEM) that rays are intersected with."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from hyperpaint.kernels.arguments import BLOCK
 
 from .geodesy import crs_of
 
-_MAX_UNEVENNESS = 1e-3
-"""Part of a cell by which the coordinates of a raster may miss their even spacing."""
+_MAX_UNEVENNESS_CELLS = 1e-3  # deviation of a raster's coordinates from even spacing
 
 
 @dataclass(frozen=True)
 class TerrainGrid:
-    """How the cells of a raster lie on its map, and what its heights mean."""
+    """Grid of a height raster, and the reference of its heights."""
 
     crs: str  #: Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
-    heights: Convention  #: What the raster's numbers are above
-    missing: tuple[float, ...]  #: Numbers that stand for holes
+    heights: Convention  #: Height reference of the raster
+    missing: tuple[float, ...]  #: Numbers that mark holes
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A raster of heights, ready for the kernel."""
+    """A height raster, prepared for the kernel."""
 
     grid: TerrainGrid  #: Where its cells lie
     heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
@@ -45,7 +44,7 @@ class Terrain:
 
 
 def grid_of(dem: xr.DataArray) -> TerrainGrid:
-    """Return how a raster lies, from its coordinates and attributes; its heights are not read.
+    """Return the grid of a raster from its coordinates and attributes; its heights are not read.
 
     Raises
     ------
@@ -59,89 +58,102 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     dem = dem.squeeze(drop=True) if dem.ndim > 2 else dem
     axes: dict[str, tuple[float, float]] = {}
     if set(dem.dims) != {"y", "x"}:
-        problems.add(f"dims ({', '.join(map(str, dem.dims))}), expected (y, x)")
+        problems.add(f"dims ({', '.join(map(str, dem.dims))})", expected="(y, x)", code="dim-missing")
     else:
         for name in ("x", "y"):
-            axis = _axis(dem, name)
-            if isinstance(axis, str):
-                problems.add(axis)
-            else:
-                axes[name] = axis
+            try:
+                axes[name] = _axis(dem, name)
+            except SchemaError as error:
+                problems.add_error("cells", error)
     if _is_turned(dem, axes):
         problems.add(
-            "it lies turned on its map, as the GeoTransform of spatial_ref says, so that x and y are no map "
-            "coordinates; bring it to a grid with north up (rioxarray's reproject, or "
-            "hyperpaint.geometry.orthorectify onto such a grid)"
+            "the GeoTransform of spatial_ref turns it on its map, so x and y are no map coordinates",
+            mend="bring it to a grid with north up, by rioxarray's reproject or "
+            "hyperpaint.geometry.orthorectify",
+            code="grid-turned",
         )
-    crs = _crs_text(dem)
-    if crs is None:
-        problems.add("no crs; open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')")
+    # as rioxarray declares it, or an attribute of the raster
+    declared_crs = [
+        str(attrs[name])
+        for attrs in (dem.attrs, _mapping_attrs(dem))
+        for name in ("crs", "crs_wkt", "spatial_ref")
+        if attrs.get(name)
+    ]
+    if not declared_crs:
+        problems.add(
+            "no crs",
+            mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
+            code="crs-missing",
+        )
     declared = {
         name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs
     }
     heights = Convention()
     if "height_reference" not in declared:
         problems.add(
-            "what its heights are above is not declared; positions are above the ellipsoid, most DEMs above "
-            "the geoid: dem.assign_attrs(height_reference='ellipsoid'), or height_reference='geoid' with "
-            "geoid_undulation=, the height of the geoid above the ellipsoid [m]"
+            "height_reference is not declared; positions are above the ellipsoid, most DEMs above the geoid",
+            mend="dem.assign_attrs(height_reference='ellipsoid'), or height_reference='geoid' with "
+            "geoid_undulation=, the height of the geoid above the ellipsoid [m]",
+            code="height-reference-missing",
         )
     else:
         try:
             heights = Convention(**declared)
             heights.ellipsoidal(0.0)
         except SchemaError as error:
-            problems.add(str(error))
+            problems.add_error("heights", error)
     problems.raise_if_any()
-    return TerrainGrid(crs_of(crs), axes["x"], axes["y"], heights, _missing(dem))
+    # in rasters that xarray decoded (mark in `encoding`) holes are NaN already
+    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
+    holes = {float(mark) for mark in marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
+    return TerrainGrid(crs_of(declared_crs[0]), axes["x"], axes["y"], heights, tuple(holes))
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
-    """Return the raster of heights (row, col), made ready for the kernel.
+    """Return a raster of heights (row, col), prepared for the kernel.
 
     Raises
     ------
     SchemaError
-        It is nothing but holes.
+        All cells are holes.
     """
     elevation = np.array(heights, dtype=np.float64)
     for value in grid.missing:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     if np.isnan(elevation).all():
-        raise SchemaError("this DEM holds no heights, only holes")
+        raise SchemaError("this DEM holds no heights, only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
-    return Terrain(
-        grid, elevation, _tops(elevation), float(np.nanmin(elevation)), float(np.nanmax(elevation))
-    )
-
-
-def _tops(heights: Floats) -> Floats:
-    filled = np.where(np.isnan(heights), -np.inf, heights)
+    # highest point of every block of cells; neighbouring blocks share a border
+    filled = np.where(np.isnan(elevation), -np.inf, elevation)
     rows, cols = (range(0, size - 1, BLOCK) for size in filled.shape)
-    # a block owns the borders it shares
     strips = [filled[r : r + BLOCK + 1].max(axis=0) for r in rows]
-    return np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
+    tops = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
+    return Terrain(grid, elevation, tops, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
 
 
-def _axis(dem: xr.DataArray, name: str) -> tuple[float, float] | str:
-    """Return the first coordinate and the step of an axis, or what is wrong with it."""
+def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
+    """Return the first coordinate and the step of an axis; SchemaError where it is missing or uneven."""
     if name not in dem.coords:
-        return f"no coordinate {name!r} of the centres of its cells"
+        raise SchemaError(f"no coordinate {name!r} of their centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
     if values.size < 2:
-        return f"{values.size} cells along {name!r}, expected two or more"
+        raise SchemaError(f"{values.size} along {name!r}", expected="two or more", code="length-mismatch")
     step = (values[-1] - values[0]) / (values.size - 1)
     uneven = np.abs(values - (values[0] + step * np.arange(values.size)))
-    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS * abs(step)):
-        return f"coordinate {name!r} is not evenly spaced; bring the DEM to a regular grid"
+    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS_CELLS * abs(step)):
+        raise SchemaError(
+            f"coordinate {name!r} is not evenly spaced",
+            mend="bring the DEM to a regular grid",
+            code="grid-uneven",
+        )
     return float(values[0]), float(step)
 
 
 def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
-    """Tell whether a raster, by its GeoTransform, has rows that do not run east or west.
+    """Return whether the rows of a raster, by its GeoTransform, do not run east or west.
 
-    That of a part of a raster may be stale, so that nothing but directions are taken from it.
+    The origin in the GeoTransform of a cropped raster may be stale; only the directions are used.
     """
     try:
         numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
@@ -150,25 +162,10 @@ def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bo
     if len(numbers) != 6:
         return False
     _, right, right_by_row, _, up_by_column, _ = numbers
-    # of a flight to the south: distances from a corner grow to the west
+    # on the grid of a flight to the south, x grows to the west
     return bool(right_by_row or up_by_column) or (right < 0.0 < axes.get("x", (0.0, 0.0))[1])
 
 
 def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:
     mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
     return dem.coords[mapping].attrs if mapping in dem.coords else {}
-
-
-def _crs_text(dem: xr.DataArray) -> str | None:
-    """Return the crs that a raster declares, as rioxarray or by hand."""
-    for attrs in (dem.attrs, _mapping_attrs(dem)):
-        for name in ("crs", "crs_wkt", "spatial_ref"):
-            if attrs.get(name):
-                return str(attrs[name])
-    return None
-
-
-def _missing(dem: xr.DataArray) -> tuple[float, ...]:
-    # of what xarray has decoded, with the mark in `encoding`, holes are NaN already
-    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
-    return tuple({float(value) for value in marks if np.ndim(value) == 0 and np.isfinite(float(value))})

@@ -1,9 +1,8 @@
-"""From several flight lines to one map, and from their overlaps to what a camera's mounting is solved from.
+"""Several flight lines as one map, and tie points between them for solving the camera's mounting.
 
-Located lines or maps come in; files: `strips` (lines on one grid, cut into its tiles), `composing` (`mosaic`:
-which line counts at a cell), `levelling` (one factor a line and band),
-`seams` (the areas of the lines as GeoJSON), `tie_points` (places that two lines
-show).
+Located lines or maps come in. Files: `strips` (lines on one grid, cut into its tiles), `composing` (`mosaic`:
+choice of the line at a cell), `levelling` (one factor per line and band), `seams` (areas of the lines as
+GeoJSON), `tie_points` (places that two lines show).
 """
 
 from .composing import mosaic

@@ -1,4 +1,4 @@
-"""Several flight lines as one map: of every cell the line that shows it best."""
+"""Mosaic of several flight lines: each cell shows one line, chosen by a rule."""
 
 from __future__ import annotations
 
@@ -26,16 +26,14 @@ from .levelling import LEVELLED_BY, Levelling, overlap_factors
 from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
 
 RULES = ("nadir", "unflagged", "newest")
+# variables that a rule needs of every line
 _RANKED_BY = {
-    "nadir": ("view_zenith",), "unflagged": ("quality", "view_zenith"), "newest": ("line_time",)
-}  # fmt: skip
-"""What a rule needs of every line."""
-_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)
-"""Flags of pixels that hold nothing: any other line is better."""
-_LOCATION = (
-    "navigation", "boresight", "lever_arm", "ground", "dem", "crs", "camera", "clock_offset_s", "convention",
-    "max_gap_s", "interpolation",
-)  # fmt: skip
+    "nadir": ("view_zenith",),
+    "unflagged": ("quality", "view_zenith"),
+    "newest": ("line_time",),
+}
+_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)  # pixels of any other line are better
+_LOCATION = (*LOCATION_UNITS, "navigation", "dem", "crs", "camera", "convention", "interpolation")
 NO_LINE = np.int16(-1)
 Place = tuple[int, int]
 
@@ -52,10 +50,10 @@ def mosaic(
     progress: Progress | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Return several flight lines as one map with north up; every cell is of one line.
+    """Return several flight lines as one map with north up; every cell shows one line.
 
-    Lazy but for one look at where the pixels of each line lie. A tile reads the lines that show it, one
-    after another, and no others.
+    Lazy except for one survey of the pixel positions of each line. A tile reads only the lines that show it,
+    one after another.
 
     Parameters
     ----------
@@ -64,35 +62,35 @@ def mosaic(
         `hyperpaint.geometry.locate`; or maps with north up, as `hyperpaint.geometry.orthorectify`
         returns them, on grids that fit. Lines of a sequence are numbered.
     gsd
-        Edge of a cell [m]; by default that of the maps, else the largest spacing of the pixels of any line.
+        Edge of a cell [m]; by default the cell of the maps, else the largest pixel spacing of any line.
     rule
-        Which line counts where several show a cell: that which looks down most steeply (``"nadir"``, by
+        The line shown where several cover a cell: the line that looks down most steeply (``"nadir"``, by
         ``view_zenith``); the same, but pixels without any flag of ``quality`` first (``"unflagged"``); or
-        that flown last (``"newest"``, by ``line_time``). Whatever the rule, pixels without data
-        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order counts.
+        the line flown last (``"newest"``, by ``line_time``). Under every rule pixels without data
+        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order is shown.
     levelling
         ``"overlap"`` multiplies the spectra of every line by one factor a band, so that lines agree where
         unflagged cells of two overlap: robust least squares on the logarithm of their ratio, which keeps the
-        mean of all lines. It makes seams fade, and brings errors of one line into the others: off by default.
-        Looking at all overlaps is eager.
+        mean of all lines. Seams fade, but errors of one line enter the others: off by default. Reading the
+        overlaps is eager.
     variables
-        What comes along, as of `hyperpaint.geometry.orthorectify`; all lines must have it.
+        Variables of the map, as for `hyperpaint.geometry.orthorectify`; all lines must have them.
     tile
         Rows and columns of a task.
     progress
-        Called with slabs looked at and to do, for every line.
+        Called with the number of slabs surveyed and their total, for every line.
     **options
         ``method``, ``multi_hit`` and ``max_stretch`` of `hyperpaint.geometry.orthorectify`, and options of
-        `hyperpaint.geometry.locate`, which hold for all lines.
+        `hyperpaint.geometry.locate`, for all lines.
 
     Returns
     -------
     xarray.Dataset
-        The variables (y, x[, band]) of the line that counts, never averaged, and unchanged but by levelling.
-        ``flightline`` (y, x): its number, whose name ``flag_values`` and ``flag_meanings`` tell, -1 where no
-        line shows a cell; ``line_count``: how many do; ``gap``: none does, but within the ends of a line;
-        ``levelling_factor`` (source, band), where asked for; its attribute ``interpolated_bands`` names those
-        of which overlaps say nothing, and whose factors are from their neighbours.
+        The variables (y, x[, band]) of the line shown, never averaged, and changed by levelling alone.
+        ``flightline`` (y, x): its number, with its name in ``flag_values`` and ``flag_meanings``, -1 where no
+        line covers a cell; ``line_count``: number of lines that cover it; ``gap``: uncovered, but between
+        the ends of a line; ``levelling_factor`` (source, band), with levelling; its attribute
+        ``interpolated_bands`` names the bands without usable overlaps, whose factors are interpolated.
         Sides of more than 256 cells begin at whole multiples of 128, as chunks of a store do.
         Otherwise as `hyperpaint.geometry.orthorectify`, whose ``nearest_line`` and ``nearest_sample`` are the
         pixel of that line.
@@ -100,8 +98,8 @@ def mosaic(
     Raises
     ------
     SchemaError
-        No lines, or ones on different maps or grids, of different wavelengths, units or types, or without
-        what the rule needs; options that do not exist; all of a kind are listed.
+        No lines, or lines on different maps or grids, of different wavelengths, units or types, or without
+        the variables of the rule; unknown options; all problems of a kind are listed.
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
 
@@ -111,7 +109,7 @@ def mosaic(
 
     Examples
     --------
-    Two lines side by side, of which the second looks down more steeply at what both show:
+    Two lines side by side; the second looks down more steeply at the cells that both cover:
 
     >>> import numpy as np, xarray as xr
     >>> def line(first, zenith):
@@ -138,6 +136,7 @@ def mosaic(
             f"rule {rule!r} chooses by {' and '.join(needed)}, which {', '.join(lacking)} lack",
             mend="locate the lines, add it to variables=, or choose another rule",
             option="choose another --rule",
+            code="variable-missing",
         )
     return _composed(strips, _aligned(shared.grid), rule, tile, levelling)
 
@@ -145,20 +144,22 @@ def mosaic(
 def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
     problems = Problems("these lines make no mosaic", SchemaError)
     if rule not in RULES:
-        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)))
+        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
     if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None")
+        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]")
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(f"tile {tile!r:.60}", expected="a whole number of cells above 0")
+        problems.add(
+            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
+        )
     problems.raise_if_any()
 
 
 def _planes(
     rule: str, names: list[str], fills: list[Any], size: int, recipes: dict[int, Recipe], gaps: list[Recipe]
 ) -> dict[str, Array]:
-    """Return the choice of a tile, and the planes ``names`` of the lines that count (row, col).
+    """Return the choice of lines for a tile, and the planes ``names`` of the chosen lines (row, col).
 
     ``recipes`` are those of the planes, by the number of the line.
     """
@@ -171,7 +172,7 @@ def _planes(
         ranks = _ranks(rule, plane)
         if not best:
             best = [np.zeros(shape, rank.dtype) for rank in ranks]
-        # of a tuple of ranks the first that differs decides; equals stay with the line that came first
+        # the first rank that differs decides; equal ranks stay with the line that came first
         better, equal = np.zeros(shape, bool), np.ones(shape, bool)
         for rank, least in zip(ranks, best, strict=True):
             better |= equal & (rank < least)
@@ -191,7 +192,7 @@ def _planes(
 
 
 def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None) -> Array:
-    """Return the spectra of a tile (row, col, band), of the lines that count; of others nothing is read.
+    """Return the spectra of a tile (row, col, band) from the chosen lines; other lines are not read.
 
     ``factors`` (line, band) multiply them.
     """
@@ -205,7 +206,7 @@ def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], fac
 
 
 def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
-    """Return what the pixels of a line are ranked by, the most important first; the least is best."""
+    """Return the ranks of the pixels of a line, the most important first; the smallest rank wins."""
     quality = plane.get("quality", np.zeros_like(plane["hits"]))
     ranks = [(quality & _EMPTY_PIXEL) != 0]
     if rule == "newest":
@@ -229,7 +230,6 @@ class _Tiles:
     def _array(
         self, name: str, tasks: Mapping[Any, Any], dtype: Any, bands: tuple[int, ...], of: list[da.Array]
     ) -> da.Array:
-        """Return the array of some tasks, by place."""
         layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
         graph = HighLevelGraph.from_collections(name, layer, dependencies=of)
         rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
@@ -237,12 +237,11 @@ class _Tiles:
         return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
     def levelling(self, variable: str) -> Levelling:
-        """Return what levels a cube, of its type."""
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
-        own = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
-        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], own)
+        nm = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
+        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], nm)
         return levelling._replace(factors=levelling.factors.astype(first.dtype))
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
@@ -251,42 +250,41 @@ class _Tiles:
         return {number: strip.recipe(names, at) for number, strip in strips if strip.reaches(at)}
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
-        """Return the `_planes` of every tile, as an array of one dict a tile."""
+        """Return the `_planes` of every tile, as an array of one dict per tile."""
         first = self.strips[0].map
         fills = [fill_of(name, first[name].dtype) for name in names]
         tasks = {}
         for place in np.ndindex(self.count):
             at = self.first[0] + place[0], self.first[1] + place[1]
             gaps = [strip.recipe(["gap"], at) for strip in self.strips if strip.covers(at)]
-            given = (rule, names, fills, self.size, self._recipes(names, place), gaps)
-            tasks[place] = (partial(_planes, *given),)
+            arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
+            tasks[place] = (partial(_planes, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
         name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
         return self._array(name, tasks, object, (), [])
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
-        """Return one of the planes (row, col)."""
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
         return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
 
     def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
-        """Return spectra (row, col, band) of the lines that count."""
+        """Return the spectra (row, col, band) of the chosen lines."""
         first = self.strips[0].map[variable]
         fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
         tasks = {}
         for place in np.ndindex(self.count):
-            given = {"fill": fill, "bands": bands, "factors": factors}
+            options = {"fill": fill, "bands": bands, "factors": factors}
             recipes = self._recipes([variable], place)
-            tasks[place] = (partial(_spectra, recipes=recipes, **given), (lines.name, *place))
+            tasks[place] = (partial(_spectra, recipes=recipes, **options), (lines.name, *place))
         name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
         return self._array(name, tasks, first.dtype, (bands,), [lines])
 
 
 def _aligned(grid: MapGrid) -> MapGrid:
-    """Return a grid whose larger sides begin where a chunk of a store would.
+    """Return a grid whose longer sides begin at a chunk of a store.
 
-    Tiles begin at whole multiples of their size on the map. Where a mosaic of several begins between two
-    chunks of a store, every chunk is written from up to four tiles, which are held until then.
+    Tiles begin at whole multiples of their size on the map. If a mosaic of several tiles began between two
+    chunks of a store, every chunk would be written from up to four tiles, which are held until then.
     """
     starts = [
         first - first % STORE_TILE if size > 2 * STORE_TILE else first
@@ -297,7 +295,6 @@ def _aligned(grid: MapGrid) -> MapGrid:
 
 
 def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None) -> xr.Dataset:
-    """Return the mosaic of lines on one grid."""
     first = strips[0].map
     starts = [start // tile for start in grid.first]
     ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
@@ -308,27 +305,30 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
     numbers = np.arange(len(strips), dtype=np.int16)
     meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
     flags = {"flag_values": numbers, "flag_meanings": meanings, "empty_value": int(NO_LINE)}
-    own: dict[str, tuple[Any, str, dict[str, Any]]] = {
+    planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
         "flightline": (np.int16, "Flight line that shows a cell", flags),
         "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
         "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
     }
     variables: dict[str, Any] = {}
-    for name, (dtype, meaning, attrs) in own.items():
+    for name, (dtype, meaning, attrs) in planes_of_choice.items():
         attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
         variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
     factors = None
     if levelling is not None:
         factors, interpolated = tiles.levelling(_cube_to_level(first, flat))
-        about = {"units": "1", "long_name": "Factor of the spectra of a line, from its overlaps with others"}
+        attributes = {
+            "units": "1",
+            "long_name": "Factor of the spectra of a line, from its overlaps with others",
+        }
         if interpolated.any():
-            # of these bands overlaps say nothing; by line, numbers from 0
-            about["interpolated_bands"] = "; ".join(
+            # bands without usable overlaps, by line, numbered from 0
+            attributes["interpolated_bands"] = "; ".join(
                 f"{strip.name}: {', '.join(map(str, np.flatnonzero(bands)))}"
                 for strip, bands in zip(strips, interpolated, strict=True)
                 if bands.any()
             )
-        variables["levelling_factor"] = (("source", BAND), factors, about)
+        variables["levelling_factor"] = (("source", BAND), factors, attributes)
         variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
     for name in common:
         lazy = (
@@ -344,20 +344,20 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
         and all(coordinate.variable.identical(s.map[name].variable) for s in strips)
     }
     attrs = {
-        key: value for key, value in first.attrs.items()
+        key: value
+        for key, value in first.attrs.items()
         if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
-    }  # fmt: skip
+    }
     attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
     attrs["flightlines"] = [strip.name for strip in strips]
     whole = xr.Dataset(variables, of_bands, attrs)
-    # tiles reach beyond the lines
+    # cut the tiles to the extent of the lines
     offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
     rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
     return whole.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
 
 
 def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
-    """Return the name of the one cube of a map."""
     cubes = [str(name) for name in first.data_vars if name not in flat and first[name].ndim == 3]
     missing = [name for name in LEVELLED_BY if name not in first.variables]
     if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
@@ -365,12 +365,13 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
             f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
             expected="one cube of floats, such as reflectance, with quality",
             mend="give variables=",
+            code="variable-missing",
         )
     return cubes[0]
 
 
 def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
-    """Return the coordinates of a map with north up, with what those of a line say of themselves."""
+    """Return the coordinates of a map with north up, with the attributes of the lines' coordinates."""
     rows, cols = grid.shape
     (east, _), (_, north) = (
         grid.centres(slice(0, 1), slice(0, cols)),

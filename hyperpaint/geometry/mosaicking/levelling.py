@@ -1,4 +1,4 @@
-"""One factor a line and band, so that lines agree where they overlap."""
+"""One factor per line and band that makes lines agree where they overlap."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from hyperpaint.base.errors import SchemaError
 
 from .strips import Recipe
 
-LEVELLED_BY = ("hits", "quality")
-"""Planes that are needed beside the spectra."""
+LEVELLED_BY = ("hits", "quality")  # planes needed besides the spectra
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Thresholds of the factors, and where they come from."""
+    """Thresholds of the factors, and their origin."""
 
-    step: int = 2  #: every how many rows and columns are looked at: neighbours say the same
+    step: int = 2  #: step of the rows and columns used: neighbouring cells are redundant
     min_cells: int = 20  #: cells of a tile in which two lines must overlap
     #: Standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964).
     huber_sd: float = 1.345
@@ -35,7 +34,7 @@ RULES = Rules()
 
 
 class _Ratio(NamedTuple):
-    """What two lines say of one another in a tile."""
+    """Ratio of two lines in one tile."""
 
     first: int
     second: int
@@ -44,45 +43,47 @@ class _Ratio(NamedTuple):
 
 
 class Levelling(NamedTuple):
-    """Factors, and which of them overlaps say."""
+    """Factors, and the bands in which they are interpolated."""
 
     factors: Floats  #: (line, band) [1]
-    #: (line, band): whether a line that overlaps say something of has its factor from neighbouring bands
+    #: (line, band): whether the factor of an overlapping line is interpolated from neighbouring bands
     interpolated: Bools
 
 
 def overlap_factors(
     tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
 ) -> Levelling:
-    """Return factors by which lines agree where they overlap (eager, a tile at a time).
+    """Return factors that make lines agree where they overlap (eager, a tile at a time).
 
-    ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Least squares on the
-    logarithm of the medians of tiles, tiles that lie off counting less; unflagged cells alone. Lines that
-    hang together by overlaps keep their mean logarithm; lines without enough overlap have the factor 1.
-    In a band that is not above 0 in one of two lines these do not overlap: a factor of 1 between those of its
-    neighbours would be a step in the spectrum, so that the logarithm is interpolated over ``wavelength``
-    (band,), or bands, line by line, and held beyond the outermost ones.
+    ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
+    the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
+    logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
+    or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
+    interpolated over ``wavelength`` (band,), or band numbers, line by line, and held beyond the outermost
+    bands.
 
     Raises
     ------
     SchemaError
         No two lines overlap.
     """
-    # as part of the callable: of arguments dask would look into the recipes for tasks of its own
+    # as part of the callable: in arguments dask would search the recipes for tasks
     looks = [
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
     ]
     ratios = [ratio for part in dask.compute(*looks) for ratio in part]
     if not ratios:
         raise SchemaError(
-            "lines cannot be levelled where no two overlap in unflagged cells", mend="leave out levelling="
+            "lines cannot be levelled where no two overlap in unflagged cells",
+            mend="leave out levelling=",
+            code="overlap-missing",
         )
     incidence = np.zeros((len(ratios), lines))
     for row, ratio in enumerate(ratios):
         incidence[row, ratio.first], incidence[row, ratio.second] = -1.0, 1.0
     observed = np.stack([ratio.log_ratio for ratio in ratios])
     weights = np.sqrt(np.stack([ratio.cells for ratio in ratios]))
-    # the lines that hang together by the overlaps of any band: in those of one band all of them must be tied
+    # lines connected by overlaps in any band must be connected in this band too
     whole = _parts(incidence)
     logs = np.zeros((lines, bands))
     is_tied = np.zeros((lines, bands), bool)
@@ -90,7 +91,8 @@ def overlap_factors(
         there = np.isfinite(observed[:, band])
         if there.any():
             logs[:, band] = _robust(incidence[there], observed[there, band], weights[there, band])
-            is_tied[:, band] = _of_whole_parts(_parts(incidence[there]), whole)
+            parts = _parts(incidence[there])
+            is_tied[:, band] = [np.unique(parts[whole == number]).size == 1 for number in whole]
     overlapping: Bools = np.any(incidence != 0.0, axis=0)
     interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
     place = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
@@ -103,7 +105,7 @@ def overlap_factors(
 
 
 def _parts(incidence: Floats) -> Ints:
-    """Return the least number of the lines that each line hangs together with (line,)."""
+    """Return the connected part of each line, as the smallest line number in it (line,)."""
     parts = np.arange(incidence.shape[1])
     pairs = np.argsort(-np.abs(incidence), axis=1, kind="stable")[:, :2]
     for _ in range(parts.size):
@@ -115,13 +117,7 @@ def _parts(incidence: Floats) -> Ints:
     return parts
 
 
-def _of_whole_parts(parts: Ints, whole: Ints) -> Bools:
-    """Tell of every line whether the lines that it hangs together with at all do so in this band."""
-    return np.array([np.unique(parts[whole == number]).size == 1 for number in whole])
-
-
 def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
-    """Return what every pair of lines says of one another in a tile."""
     logs = {}
     for number, recipe in recipes.items():
         hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe.values())
@@ -140,7 +136,7 @@ def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
 
 
 def _robust(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
-    """Return the logarithms of factors (line,); their mean is 0 over lines that hang together."""
+    """Return the logarithms of factors (line,); their mean is 0 over connected lines."""
     trust = np.ones_like(observed)
     for _ in range(RULES.rounds):
         scaled = (weights * np.sqrt(trust))[:, None]

@@ -1,4 +1,4 @@
-"""Where one line of a mosaic ends and the next begins."""
+"""Boundaries between the lines of a mosaic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hyperpaint.base.errors import SchemaError, needs_extra
 
 
 def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
-    """Return the areas that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
+    """Return the area that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
 
     Parameters
     ----------
@@ -48,6 +48,7 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
         raise SchemaError(
             "this is no mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
             mend="compose one with hyperpaint.geometry.mosaic",
+            code="variable-missing",
         )
     with needs_extra("rasterio", "geo", "outlining the lines of a mosaic"):
         from rasterio import Affine

@@ -1,7 +1,7 @@
 """Several flight lines as maps on one grid, each cut into the tiles of the mosaic.
 
-A line is surveyed once for where it lies, and then orthorectified over the tiles that it touches, so that
-its own tiles are those of the mosaic and nothing is cut up again.
+The extent of a line is surveyed once; then the line is orthorectified over the tiles of the mosaic that it
+touches, so that nothing has to be cut again.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs
 from hyperpaint.geometry.orthorectification import MapGrid, orthorectify
 from hyperpaint.geometry.orthorectification.grids import Survey, covering, north_axes, survey_lines
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
-_ON_GRID_CELLS = 1e-3
-"""Part of a cell by which grids may miss one another and still be one."""
+_ON_GRID_CELLS = 1e-3  # largest offset between two grids that count as one
 _SAME_WAVELENGTH_NM = 1e-6
-_NEEDED = ("hits", "gap")
-"""What every map from `orthorectify` has, and a mosaic is composed by."""
+_NEEDED = ("hits", "gap")  # variables of every map from `orthorectify`
 
 
 @dataclass(frozen=True)
@@ -44,18 +43,17 @@ class Strip:
     touched: Array  #: (tile row, tile column) bool: whether the line shows any cell of a tile
 
     def covers(self, place: tuple[int, int]) -> bool:
-        """Tell whether the map has a tile at a place in the mosaic."""
+        """Return whether the map has a tile at a place in the mosaic."""
         return all(
             0 <= k - first < size
             for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
         )
 
     def reaches(self, place: tuple[int, int]) -> bool:
-        """Tell whether the line may show a cell of a tile."""
+        """Return whether the line may show a cell of a tile."""
         return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
-        """Return what makes a tile of some variables."""
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
         arrays = [self.map[name].data for name in names]
         keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
@@ -72,26 +70,27 @@ class Strip:
 class Recipe:
     """The tasks of one tile of one line, which run one after another within a task of the mosaic.
 
-    As tasks of their own they would be shared with the neighbouring tiles, and the slabs of all lines of a
-    row of tiles be held until the row is done: memory would grow with the number of lines. The price is that
-    a slab is computed for every tile it reaches into.
+    As separate tasks they would be shared between neighbouring tiles, and dask would hold the slabs of all
+    lines of a row of tiles until the row is done: memory would grow with the number of lines. The price is
+    that a slab is computed again for every tile it reaches into.
     """
 
     graph: dict[Any, Any]
     keys: list[Any]
 
     def values(self) -> list[Array]:
-        """Return the tile of every variable."""
         return list(dask.get(self.graph, self.keys))
 
 
 def named_lines(lines: Any) -> dict[str, xr.Dataset]:
-    """Return lines by their names, in the order of these; without names they are numbered as they come."""
+    """Return lines by name, sorted; lines of a sequence are numbered."""
     if isinstance(lines, xr.DataTree):
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
         raise SchemaError(
-            f"{type(lines).__name__} is no collection of flight lines; give a dict of datasets by their names"
+            f"{type(lines).__name__} is no collection of flight lines",
+            mend="give a dict of datasets by their names",
+            code="type-wrong",
         )
     if isinstance(lines, Mapping):
         return {str(name): lines[name] for name in sorted(lines, key=str)}
@@ -100,25 +99,21 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
 
 
 def is_map(line: xr.Dataset) -> bool:
-    """Tell whether a dataset is on a map already."""
+    """Return whether a dataset is a map."""
     return {"y", "x"} <= set(line.dims)
 
 
 def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Return the lines with the places of their pixels; maps and located lines as they are."""
-    located = {}
-    for name, line in lines.items():
-        placed = is_map(line) or all(
-            axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
-            for axis in ("east", "north")
-        )
-        located[name] = line if placed else locate(line, **location)
-    return located
+    """Return the lines with ground positions; maps and located lines are returned unchanged."""
+    return {
+        name: line if is_map(line) or is_located(line) else locate(line, **location)
+        for name, line in lines.items()
+    }
 
 
 @dataclass(frozen=True)
 class SharedGrid:
-    """The grid of a mosaic, and where each line lies on it."""
+    """The grid of a mosaic, and the part of it that each line covers."""
 
     grid: MapGrid
     surveys: dict[str, Survey]  #: Of lines that are no maps yet
@@ -126,7 +121,7 @@ class SharedGrid:
 
 
 def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
-    """Return the grid that covers all lines; eager in where they lie, a line at a time.
+    """Return the grid that covers all lines; surveys the lines (eager) one at a time.
 
     Raises
     ------
@@ -136,8 +131,10 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     problems = Problems("these lines make no mosaic", SchemaError)
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
-        listed = ", ".join(f"{name}: {one}" for name, one in crs.items())
-        problems.add(f"lines on different maps ({listed})", mend="give crs=", option="give --crs")
+        listed = ", ".join(f"{name}: {code}" for name, code in crs.items())
+        problems.add(
+            f"lines on different maps ({listed})", mend="give crs=", option="give --crs", code="crs-conflict"
+        )
     surveys = {
         name: survey_lines(*_places(line), north_axes(), progress)
         for name, line in lines.items()
@@ -145,30 +142,26 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     }
     transforms = {name: _transform(name, line, problems) for name, line in lines.items() if is_map(line)}
     problems.raise_if_any()
-    size = gsd
-    if size is None:
-        size = next(
-            (one[1] for one in transforms.values()), max((s.gsd for s in surveys.values()), default=np.nan)
-        )
-    size = float(size)
+    # the cell of the first map, else the largest spacing of a line
+    largest = max((survey.gsd for survey in surveys.values()), default=np.nan)
+    size = float(next((transform[1] for transform in transforms.values()), largest) if gsd is None else gsd)
     axes = north_axes()
     if transforms:
-        # maps of others begin anywhere; those of hyperpaint at whole multiples of a cell
+        # maps of other programs begin anywhere, maps of hyperpaint at whole multiples of a cell
         east, *_, north, _, _ = next(iter(transforms.values()))
         phase = [way - size * round(way / size) for way in (east, north)]
         if max(map(abs, phase)) > _ON_GRID_CELLS * size:
             axes = type(axes)(axes.right, (phase[0], phase[1]))
     grids = {name: covering(axes, size, survey.box, whole=False) for name, survey in surveys.items()}
     for name, transform in transforms.items():
-        col, row = (
-            (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
-        )  # fmt: skip
+        col, row = (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
         off = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
         if off > _ON_GRID_CELLS:
             problems.add(
                 f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
                 expected=f"cells of {size:.9g} m on the grid of the others",
                 mend="orthorectify all lines with one gsd and grid='north', or give the lines",
+                code="grid-mismatch",
             )
         shape = lines[name].sizes["y"], lines[name].sizes["x"]
         grids[name] = MapGrid(axes, size, (round(row), round(col)), shape)
@@ -187,18 +180,24 @@ def strips_of(
     tile: int,
     **options: Any,
 ) -> list[Strip]:
-    """Return all lines on the grid of the mosaic, cut into its tiles; options as of `orthorectify`.
+    """Return all lines on the grid of the mosaic, cut into its tiles; options as for `orthorectify`.
 
     Raises
     ------
     SchemaError
-        Lines have other wavelengths, units or types than the first; maps lack what a mosaic is composed by.
+        Lines have other wavelengths, units or types than the first; maps lack ``hits`` or ``gap``.
     """
     strips = []
     for name, line in lines.items():
-        corner, rows, cols = _tiles_of(shared.grids[name], tile)
+        # Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when
+        # another line joins the mosaic, so its rounding does not change either.
+        part = shared.grids[name]
+        row, col = (first // tile for first in part.first)
+        end_row, end_col = (-(-(k + count) // tile) for k, count in zip(part.first, part.shape, strict=True))
+        corner = row, col
+        rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
         if is_map(line):
-            strips.append(_cut(name, line, shared.grids[name], (corner, rows, cols), variables))
+            strips.append(_cut(name, line, part, (corner, rows, cols), variables))
             continue
         own = replace(shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0]))
         west, _, _, north, _, _ = own.transform
@@ -216,20 +215,6 @@ def strips_of(
     return strips
 
 
-def _tiles_of(part: MapGrid, tile: int) -> tuple[tuple[int, int], list[int], list[int]]:
-    """Return row and column of the first tile that a map touches, and the edges of all, in rows and columns.
-
-    Tiles are counted from the anchor of the grid, as cells are: those of a line do not move when another
-    line joins the mosaic, and with them no rounding does.
-    """
-    edges, corner = [], []
-    for first, count in zip(part.first, part.shape, strict=True):
-        begin, end = first // tile, -(-(first + count) // tile)
-        edges.append([k * tile for k in range(begin, end + 1)])
-        corner.append(begin)
-    return (corner[0], corner[1]), edges[0], edges[1]
-
-
 def _cut(
     name: str,
     line: xr.Dataset,
@@ -237,18 +222,18 @@ def _cut(
     tiles: tuple[tuple[int, int], list[int], list[int]],
     variables: Iterable[str] | None,
 ) -> Strip:
-    """Return a map cut along the tiles of the mosaic, and padded to whole ones."""
+    """Return a map cut along the tiles of the mosaic, and padded to whole tiles."""
     missing = [needed for needed in _NEEDED if needed not in line.variables]
     if missing:
         raise SchemaError(
-            f"the map {name} has no {', '.join(missing)}, which tell what it shows",
+            f"the map {name} lacks {', '.join(missing)}",
             mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+            code="variable-missing",
         )
     corner, *edges = tiles
-    pads, sizes = [], []
-    for start, count, edge in zip(own.first, own.shape, edges, strict=True):
-        pads.append((start - edge[0], edge[-1] - (start + count)))
-        sizes.append(tuple(np.diff(edge).tolist()))
+    spans = zip(own.first, own.shape, edges, strict=True)
+    pads = [(start - edge[0], edge[-1] - (start + count)) for start, count, edge in spans]
+    sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
     names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_NEEDED, *variables])]
     cut = {}
     for variable in (held for held in names if {"y", "x"} <= set(line[held].dims)):
@@ -269,43 +254,47 @@ def _cut(
 
 
 def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return what a cell of a mosaic gets that no line shows."""
+    """Return the value of a cell of a mosaic that no line shows."""
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
 
 
 def _check_alike(strips: Sequence[Strip]) -> None:
-    """Refuse lines whose bands, units or types are not those of the first; all are listed."""
     problems = Problems("these lines make no mosaic", SchemaError)
     first = strips[0]
     for strip in strips[1:]:
         for name in first.map.data_vars:
             ours, theirs = first.map[name], strip.map.variables.get(name)
             if theirs is None:
-                problems.add(f"{strip.name} has no {name}, which {first.name} has", mend="give variables=")
+                problems.add(
+                    f"{strip.name} has no {name}, which {first.name} has",
+                    mend="give variables=",
+                    code="variable-missing",
+                )
                 continue
-            for what, new, old in (
+            for property_name, new, old in (
                 ("type", theirs.dtype, ours.dtype),
                 ("size", theirs.shape[2:], ours.shape[2:]),
                 ("units", theirs.attrs.get("units"), ours.attrs.get("units")),
             ):
                 if new != old:
-                    problems.add(f"{what} of {name} of {strip.name} {new}", expected=f"{old} of {first.name}")
+                    problems.add(
+                        f"{property_name} of {name} of {strip.name} {new}",
+                        expected=f"{old} of {first.name}",
+                        code="variable-mismatch",
+                    )
         one, two = (np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip))
         if one.shape != two.shape or not np.allclose(one, two, rtol=0, atol=_SAME_WAVELENGTH_NM):
-            problems.add(f"wavelengths of {strip.name} are not those of {first.name}")
+            problems.add(
+                f"wavelengths of {strip.name} differ from those of {first.name}", code="wavelength-mismatch"
+            )
     problems.raise_if_any()
 
 
 def _places(line: xr.Dataset) -> tuple[da.Array, da.Array]:
-    """Return east and north of the pixels of a located line [m], in slabs."""
     chunks = line["east"].variable.chunksizes.get(ALONG_TRACK)
-    if chunks is None:
-        full, rest = divmod(line.sizes[ALONG_TRACK], CHUNK_LINES)
-        chunks = (CHUNK_LINES,) * full + ((rest,) if rest else ())
-    east, north = (
-        in_slabs(line[axis].transpose(ALONG_TRACK, CROSS_TRACK), chunks) for axis in ("east", "north")
-    )
-    return east, north
+    slabs = chunks or line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
+    east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))
+    return in_slabs(east, slabs), in_slabs(north, slabs)
 
 
 def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
@@ -313,7 +302,6 @@ def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
 
 
 def _crs(line: xr.Dataset) -> Any:
-    """Return what the map of a line is called, for comparison."""
     if not is_map(line):
         return line["east"].attrs.get("crs")
     named = line["x"].attrs.get("crs") if "x" in line.coords else None
@@ -321,13 +309,15 @@ def _crs(line: xr.Dataset) -> Any:
 
 
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
-    """Return the GeoTransform of a map; what is wrong with it is added to the problems."""
+    """Return the GeoTransform of a map; problems are noted."""
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
-    fine = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
-    if not fine:
+    is_north_up = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
+    if not is_north_up:
         problems.add(
-            f"the map {name} has the GeoTransform {text}", expected="square cells with north up",
+            f"the map {name} has the GeoTransform {text}",
+            expected="square cells with north up",
             mend="orthorectify with grid='north'",
-        )  # fmt: skip
+            code="grid-turned",
+        )
     return numbers

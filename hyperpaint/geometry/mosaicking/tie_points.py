@@ -1,4 +1,4 @@
-"""The same places on the ground in two overlapping lines, found in their pictures."""
+"""Tie points: the same places on the ground in two overlapping lines, found by correlation."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _FIELDS = ("glt_line", "glt_sample", "ground_height")
 
 @dataclass(frozen=True)
 class Rules:
-    """Thresholds of the search, and where they come from."""
+    """Thresholds of the search, and their origin."""
 
     #: Cells from the middle of a patch to its edge: large enough for a few objects, small enough that the
     #: camera's errors are one shift in it.
     half_patch: int = 20
-    #: Least correlation that is taken for the same place. Noise of half the contrast leaves 0.8.
+    #: Smallest correlation accepted as the same place. Noise of half the contrast leaves 0.8.
     min_correlation: float = 0.8
-    #: What another place within the search may reach, as a part of the best: beyond it the pattern repeats.
+    #: Largest correlation elsewhere, relative to the best: beyond it the pattern repeats.
     max_rival: float = 0.9
-    #: Least standard deviation of a patch along its flattest direction, relative to its mean.
+    #: Smallest standard deviation of a patch along its flattest direction, relative to its mean.
     min_texture: float = 0.01
     max_patches: int = 150  #: patches of a pair of lines, those with the most texture
     outlier_sd: float = 4.0  #: standard deviations of shifts from a plane through those of a pair
@@ -73,37 +73,35 @@ def find_tie_points(
     gsd
         Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
     search_m
-        How far apart on the map the two lines may show one place [m]; by default 16 cells. It should be less
-        than half the distance at which the ground repeats itself.
+        Largest distance on the map between the two positions of one place [m]; by default 16 cells. It should
+        be less than half the distance at which the ground repeats itself.
     band
-        Number of the band that is looked at, of counts, else radiance, else reflectance; by default the
-        middle one.
+        Number of the band to compare, of counts, else radiance, else reflectance; by default the middle one.
     rules
         Thresholds.
     progress
-        Called with pairs of lines done and to do.
+        Called with the number of pairs of lines done and their total.
     **location
         Options of `hyperpaint.geometry.locate`.
 
     Returns
     -------
     xarray.Dataset
-        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): where each of the two lines shows the
-        place, in fractions of a pixel from the centre of the first; ``flightline`` (point, side);
-        ``east``, ``north`` and ``height`` (point) [m]: where the first of them places it; ``shift``
-        (point, side): how far east and north the second places it of that [m]; ``quality`` (point): the
-        correlation, 1 at the most.
+        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): position in each of the two lines, in
+        fractions of a pixel from the centre of the first; ``flightline`` (point, side); ``east``, ``north``
+        and ``height`` (point) [m]: ground position by the first line; ``shift`` (point, side): position by
+        the second line minus the first, east and north [m]; ``quality`` (point): correlation, at most 1.
 
     Raises
     ------
     SchemaError
-        Less than two lines, maps in their place, no cube, or no overlap in which anything is found.
+        Fewer than two lines, maps instead of lines, no cube, or no tie points in the overlaps.
 
     Notes
     -----
     Both lines are resampled bilinearly on one grid with north up. Patches with texture in every direction are
-    looked for in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
-    Patterns that repeat within the search, and shifts apart from a plane through all of a pair, are left out.
+    searched in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
+    Patterns that repeat within the search, and shifts off a plane through all shifts of a pair, are left out.
 
     Examples
     --------
@@ -119,7 +117,9 @@ def find_tie_points(
     """
     named = named_lines(lines)
     if len(named) < 2 or any(map(is_map, named.values())):
-        raise SchemaError("tie points are of two flight lines or more, in the geometry of the camera")
+        raise SchemaError(
+            "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
+        )
     named = located_lines(named, location)
     if gsd is None:
         gsd = 2.0 * shared_grid(named, None, None).grid.gsd
@@ -137,9 +137,10 @@ def find_tie_points(
     table = np.concatenate(rows)
     if not len(table):
         raise SchemaError(
-            f"no tie points between {', '.join(named)}; do the lines overlap, and by more than "
-            f"{2 * rules.half_patch * gsd:.3g} m?",
+            f"no tie points between {', '.join(named)}",
+            expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
             mend="give a larger search_m=, another band= or gsd=",
+            code="tie-points-missing",
         )
     east, north = shared.grid.axes.anchor
     row, col, shift_down, shift_right, quality, height = table[:, :6].T
@@ -164,15 +165,16 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     cubes = [name for name in _PICTURED if name in line.variables and set(line[name].dims) == set(CUBE)]
     if not cubes or "ground_height" not in line.variables:
         raise SchemaError(
-            "a line has no counts, radiance or reflectance to look at, or no ground_height",
+            "a line has no counts, radiance or reflectance, or no ground_height",
             mend="locate lines with hyperpaint.geometry.locate before",
+            code="variable-missing",
         )
     number = line.sizes[BAND] // 2 if band is None else band
-    seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
+    image = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
     names = {name for name in line.data_vars if BAND in line[name].dims}
-    # without index coordinates places are positions in the line, also in a crop
+    # without index coordinates the map holds positions in the line, also for a crop
     other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
-    flat = line.drop_vars([*names, *other]).assign(picture=seen.drop_vars(other, errors="ignore"))
+    flat = line.drop_vars([*names, *other]).assign(picture=image.drop_vars(other, errors="ignore"))
     orthomap = orthorectify(
         flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
     )[["picture", *_FIELDS]].compute()
@@ -184,9 +186,7 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
     """Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10)."""
     half = rules.half_patch
     first = np.maximum(one.corner, other.corner)
-    last = np.minimum(
-        np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape)
-    )  # fmt: skip
+    last = np.minimum(np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape))
     if (last - first <= 2 * half).any():
         return np.empty((0, 10))
     centres = [
@@ -201,9 +201,9 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
         shift, quality = _match(_window(one, place, half), _window(other, place, half + reach), rules)
         if quality < rules.min_correlation:
             continue
-        seen_by_one = _at(one, np.array(place, float))
-        seen_by_other = _at(other, np.array(place) + shift)
-        tie = [*place, *shift, quality, seen_by_one[2], *seen_by_one[:2], *seen_by_other[:2]]
+        in_one = _at(one, np.array(place, float))
+        in_other = _at(other, np.array(place) + shift)
+        tie = [*place, *shift, quality, in_one[2], *in_one[:2], *in_other[:2]]
         if np.isfinite(tie).all():
             ties.append(tie)
     table = np.array(ties, np.float64).reshape(-1, 10)
@@ -211,7 +211,7 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
 
 
 def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
-    """Return cells around a place of the shared grid; NaN beyond the picture."""
+    """Return the cells around a place of the shared grid; NaN beyond the picture."""
     out = np.full((2 * half + 1,) * 2, np.nan)
     low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
     begin = [max(k, 0) for k in low]
@@ -233,7 +233,8 @@ def _texture(patch: Floats) -> float:
 
 
 def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
-    """Return by how many rows and columns a patch lies off the middle of a window, and its correlation."""
+    """Return the offset of a patch from the middle of a window (rows, columns), and its correlation."""
+    from scipy.ndimage import maximum_filter
     from scipy.signal import fftconvolve
 
     none = np.zeros(2), 0.0
@@ -247,28 +248,22 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
     sums, squares, counts = (fftconvolve(of, box, "valid") for of in (filled, filled**2, is_shown * 1.0))
     spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * middle**2)) * np.linalg.norm(weights)
     score = fftconvolve(filled, weights[::-1, ::-1], "valid") / spread
-    score[counts < size - 0.5] = -1.0  # a place is compared whole or not at all
+    score[counts < size - 0.5] = -1.0  # only complete patches are compared
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
     best, reach = float(score[peak]), score.shape[0] // 2
     if not all(0 < k < n - 1 for k, n in zip(peak, score.shape, strict=True)):
         return none
     near = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
-    if near.min() <= -1.0 or _rival(score, peak) > rules.max_rival * best:
+    # the highest local maximum other than the peak
+    others = np.where(score == maximum_filter(score, 5), score, -1.0)
+    others[tuple(peak)] = -1.0
+    if near.min() <= -1.0 or float(others.max()) > rules.max_rival * best:
         return none
     return np.array(peak) - reach + _summit(near), best
 
 
-def _rival(score: Floats, peak: Sequence[Any]) -> float:
-    """Return the highest local maximum other than the peak."""
-    from scipy.ndimage import maximum_filter
-
-    others = np.where(score == maximum_filter(score, 5), score, -1.0)
-    others[tuple(peak)] = -1.0
-    return float(others.max())
-
-
 def _summit(near: Floats) -> Floats:
-    """Return how far the summit of the paraboloid through 3 x 3 values lies off their middle."""
+    """Return the offset of the summit of the paraboloid through 3 x 3 values from their middle."""
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
     _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
@@ -280,7 +275,7 @@ def _summit(near: Floats) -> Floats:
 
 
 def _at(picture: _Picture, place: Array) -> Floats:
-    """Return the fields at a fraction of a row and column; NaN beyond what is shown."""
+    """Return the fields at a fractional row and column; NaN beyond the picture."""
     at = place - picture.corner
     low = np.floor(at).astype(int)
     if (low < 0).any() or (low + 1 >= picture.image.shape).any():
@@ -292,10 +287,11 @@ def _at(picture: _Picture, place: Array) -> Floats:
 
 
 def _on_a_plane(table: Floats, rules: Rules) -> Bools:
-    """Tell which ties of a pair are shifted as a plane through their shifts says."""
+    """Return the ties of a pair whose shifts lie on a plane through all of its shifts."""
     good = np.ones(len(table), bool)
-    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)]) \
-        if len(table) else np.empty((0, 3))  # fmt: skip
+    if not len(table):
+        return good
+    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
     for _ in range(10):
         if good.sum() < 6:
             return good

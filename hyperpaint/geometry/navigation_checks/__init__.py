@@ -1,4 +1,4 @@
-"""Is what a navigation record says of the camera true? Signs, clocks and the camera's mounting, tested."""
+"""Checks of a navigation record: signs of angles, clocks, mounting of the camera."""
 
 from .checking import ConventionCheck, Finding, check_conventions
 from .clock_offsets import ClockOffset, estimate_clock_offset

@@ -1,4 +1,4 @@
-"""Does a navigation record mean what is declared of it? The track and the picture are asked."""
+"""Test of a declared convention against the track and the picture of a flight line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Verdict = Literal["right", "wrong", "undecided"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check says of one thing that is declared.
+    """Result of a check of one declaration.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class ConventionCheck:
-    """What track and picture say of a declared convention.
+    """Result of a check of a declared convention.
 
     Attributes
     ----------
@@ -70,12 +70,12 @@ class ConventionCheck:
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """Names of what looks wrong."""
+        """Fields that look wrong."""
         return tuple(one.field for one in self.findings if one.verdict == "wrong")
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Names of what could not be decided."""
+        """Fields that could not be decided."""
         return tuple(one.field for one in self.findings if one.verdict == "undecided")
 
     def __getitem__(self, field: str) -> Finding:
@@ -95,7 +95,7 @@ class ConventionCheck:
 
 @dataclass(frozen=True)
 class Rules:
-    """When a meaning is called right or wrong; set on simulated flights."""
+    """Thresholds for calling a convention right or wrong; set on simulated flights."""
 
     min_parts: int = 500  #: parts of rows that must be comparable
     #: Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
@@ -125,7 +125,7 @@ def check_conventions(
     lines: slice | None = None,
     crs: Any = None,
 ) -> ConventionCheck:
-    """Test what a navigation record is declared to mean against the track and the picture (eager).
+    """Test the declared convention of a navigation record against the track and the picture (eager).
 
     A platform that rolls shifts the rows of a picture sideways, and one that pitches makes them more or less
     alike; what positions and angles mean decides which shifts are to be expected. All combinations of signs,
@@ -199,7 +199,7 @@ def check_conventions(
 
 
 def _findings(setting: Setting) -> list[Finding]:
-    """Return one finding for everything that is declared."""
+    """Return one finding for every declaration."""
     declared = Hypothesis(setting.declared)
     given = _height(declared, setting)
     if given <= 0.0:
@@ -231,13 +231,15 @@ def _findings(setting: Setting) -> list[Finding]:
 
 
 def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
-    """Return all meanings by how well they fit, and what of the picture was compared."""
+    """Return all conventions by fit, and the compared parts of the picture."""
     plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
     if used.sum() < RULES.min_parts:
         raise SchemaError(
-            f"{int(used.sum())} parts of rows show a motion and have poses, expected "
-            f"{RULES.min_parts}; look at the times of line and record, and at what the line shows"
+            f"{int(used.sum())} parts of rows show a motion and have poses",
+            expected=f"{RULES.min_parts}",
+            mend="check the times of line and record, and the contrast of the line",
+            code="motion-not-seen",
         )
     scored = score(
         setting.seen, setting.recorded, setting.view, Hypothesis(setting.declared),
@@ -247,14 +249,14 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
 
 
 def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
-    """Return the meaning that fits best; of those that fit as well, that nearest to the one declared."""
+    """Return the convention that fits best; among equal fits the one nearest to the declared one."""
     own = fields_of(declared)
     near = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
     return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
 
 
 def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Bools) -> list[Finding]:
-    """Return findings on what meanings differ in."""
+    """Return findings on the fields in which conventions differ."""
     near = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
     late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
     findings = []
@@ -281,7 +283,7 @@ def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: 
 
 
 def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools) -> str:
-    """Return why a clock that is off is as good an explanation as another meaning; empty where it is not."""
+    """Return why a clock offset explains the picture as well as another convention, or ""."""
     offsets = np.arange(
         -RULES.clock_search_s, RULES.clock_search_s + RULES.clock_step_s / 2, RULES.clock_step_s
     )
@@ -320,7 +322,7 @@ def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setti
 
 
 def _square(hypothesis: Hypothesis, setting: Setting) -> float:
-    """Return the height at which lines are as far apart as columns [m]."""
+    """Return the height at which pixels are square [m]."""
     north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
     way = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
     return max(way / float(np.abs(setting.view.step).mean()), 1.0)
@@ -350,7 +352,7 @@ def _heights(declared: str, given: float, fitted: Refined) -> Finding:
 
 
 def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
-    """Return what the clock says of the part of the exposure that stamps mark."""
+    """Return the finding on the part of the exposure that time stamps mark, by the fitted clock."""
     fitted = fit_clock(
         setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used
     )
@@ -378,7 +380,7 @@ def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
 
 
 def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
-    """Return the angle between heading and course, from which alone no north follows."""
+    """Return the angle between heading and course, which alone decides no reference of north."""
     poses = hypothesis.poses(setting.recorded)
     has_heading = np.isfinite(poses[5])
     turned = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))
@@ -388,7 +390,7 @@ def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
 
 
 def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
-    """Return the convention with what is wrong replaced, where one alternative is left."""
+    """Return the convention with wrong fields replaced, where one alternative remains."""
     changes = {
         one.field: one.likely
         for one in findings

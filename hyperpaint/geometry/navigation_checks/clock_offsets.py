@@ -1,4 +1,4 @@
-"""How far the clock of a camera is from that of navigation, or from that of an irradiance spectrometer.
+"""Clock offset between a camera and a navigation record, or an irradiance spectrometer.
 
 The clock of the irradiance spectrometer follows from clouds that both instruments see. Lines brighten and
 darken with what they show much more than with the light. But from one line to the next most pixels show
@@ -30,7 +30,7 @@ from .pose_motion import setting_of
 
 @dataclass(frozen=True)
 class AttitudeRules:
-    """When an offset between attitude and picture is believed; set on simulated flights."""
+    """Thresholds for an offset between attitude and picture; set on simulated flights."""
 
     search_step_s: float = 0.01  #: of the first search; platforms turn at some hertz at most
     #: What is left at the best offset, over what is left where the platform is taken to be at rest.
@@ -43,7 +43,7 @@ class AttitudeRules:
 
 @dataclass(frozen=True)
 class LightRules:
-    """When an offset between irradiance and brightness of lines is believed; set on simulated flights."""
+    """Thresholds for an offset between irradiance and brightness of lines; set on simulated flights."""
 
     wavelengths_nm: tuple[float, float] = (500.0, 850.0)  #: what pictures are of, too
     min_change: float = 0.02  #: relative change of the light over the line, for clocks to be compared
@@ -62,7 +62,7 @@ ATTITUDE, LIGHT = AttitudeRules(), LightRules()
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """An estimate of how far two clocks are apart; it is not applied.
+    """An estimate of the offset between two clocks; it is not applied.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ def estimate_clock_offset(
     lines: slice | None = None,
     crs: Any = None,
 ) -> ClockOffset:
-    """Estimate how far the camera's clock is from another; nothing is applied (eager).
+    """Estimate the offset of the camera's clock from another clock; nothing is applied (eager).
 
     Parameters
     ----------
@@ -164,9 +164,15 @@ def estimate_clock_offset(
     True
     """
     if (navigation is None) == (irradiance is None):
-        raise SchemaError("give navigation= or irradiance=, one of them: they have clocks of their own")
+        raise SchemaError(
+            "navigation= and irradiance= are both given or both missing",
+            mend="give one of them",
+            code="option-conflict",
+        )
     if not 0.0 < max_offset_s < np.inf:
-        raise SchemaError(f"max_offset_s {max_offset_s!r}, expected a time above 0 [s]")
+        raise SchemaError(
+            f"max_offset_s {max_offset_s!r}", expected="a time above 0 [s]", code="value-out-of-range"
+        )
     if irradiance is not None:
         return _light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
     setting = setting_of(
@@ -182,50 +188,60 @@ def estimate_clock_offset(
     steady = np.broadcast_to(setting.steady[:, None], setting.seen.shift.shape)
     used = steady & np.isfinite(setting.seen.shift)
     if not used.any():
-        _refuse("no two lines in a row show a motion")
+        _refuse("no two lines in a row show a motion", "motion-not-seen")
     offsets = np.arange(-max_offset_s, max_offset_s + ATTITUDE.search_step_s / 2, ATTITUDE.search_step_s)
     costs = costs_of(setting.seen, poses, view, used, offsets)
     if np.isnan(costs).all():
-        _refuse("the record has no poses at the times of the lines; look at dates and zones")
+        _refuse("the record has no poses at the times of the lines; look at dates and zones", "pose-missing")
     near = poses(float(offsets[np.nanargmin(costs)]))
     still = float(costs_of(setting.seen, lambda _: _at_rest(near), view, used, np.zeros(1))[0])
     misfit = costs / still
     best = int(np.nanargmin(misfit))
     gain = 1.0 - float(misfit[best])
     if not gain > 1.0 - ATTITUDE.max_left:
-        _refuse(f"attitude explains {100 * max(gain, 0):.1f} % of the shifts; the platform hardly turned")
+        _refuse(
+            f"attitude explains {100 * max(gain, 0):.1f} % of the shifts; the platform hardly turned",
+            "motion-too-small",
+        )
     if best in (0, offsets.size - 1):
-        _refuse(f"the best offset, {offsets[best]:+.2f} s, is the last that was tried; look farther")
+        _refuse(
+            f"the best offset, {offsets[best]:+.2f} s, is the last that was tried; look farther",
+            "offset-at-limit",
+        )
     away = np.abs(offsets - offsets[best]) > ATTITUDE.rival_distance_s
     rival = 1.0 - float(np.nanmin(np.where(away, misfit, np.inf)))
     if rival > (1.0 - ATTITUDE.rival_gain) * gain:
         other = float(offsets[np.nanargmin(np.where(away, misfit, np.inf))])
-        _refuse(f"{other:+.2f} s fits nearly as well as {offsets[best]:+.2f} s")
+        _refuse(f"{other:+.2f} s fits nearly as well as {offsets[best]:+.2f} s", "offset-ambiguous")
     there = poses(float(offsets[best]))
     size = amplitude(setting.seen, view.motion(there).shift, view.motion(_at_rest(there)).shift, used)
     if not ATTITUDE.min_amplitude < size < 1.0 / ATTITUDE.min_amplitude:
         _refuse(
             f"at the best offset, {offsets[best]:+.2f} s, shifts are {size:.2f} of those expected; look "
-            "farther, or at signs and units with hyperpaint.geometry.check_conventions"
+            "farther, or at signs and units with hyperpaint.geometry.check_conventions",
+            "motion-mismatch",
         )
     fitted = fit_clock(setting.seen, poses, view, used, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
     if not fitted.sd < limit:
-        _refuse(f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for")
+        _refuse(
+            f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for",
+            "offset-uncertain",
+        )
     evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(used.sum())} parts of rows"
     return ClockOffset(fitted.value, fitted.sd, "attitude", evidence, _curve(offsets, misfit))
 
 
 def _at_rest(poses: Floats) -> Floats:
-    """Return poses whose angles are their means."""
+    """Return poses with angles replaced by their means."""
     resting, has_pose = poses.copy(), np.isfinite(poses[3])
     turned = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
     resting[3:, has_pose] = np.degrees(np.angle(turned))[:, None]
     return resting
 
 
-def _refuse(reason: str) -> NoReturn:
-    raise TimeError(f"the clocks cannot be compared: {reason}")
+def _refuse(reason: str, code: str) -> NoReturn:
+    raise TimeError(f"the clocks cannot be compared: {reason}", code=code)
 
 
 def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
@@ -266,13 +282,14 @@ def _light_offset(
     is_finite = np.isfinite(level)
     samples, level = samples[is_finite], level[is_finite]
     if samples.size < 4:
-        _refuse(f"the record has {samples.size} spectra")
+        _refuse(f"the record has {samples.size} spectra", "record-too-short")
     at, change = _changes(picture_of(part, part_image), at)
     width = float(np.median(np.diff(samples))) / LIGHT.bins_an_interval
     edges = np.arange(at[0], at[-1], max(width, 3.0 * float(np.median(np.diff(at)))))
     if edges.size <= LIGHT.min_bins:
         _refuse(
-            f"the line lasts {at[-1] - at[0]:.1f} s, expected {LIGHT.min_bins * width:.0f} s for this record"
+            f"the line lasts {at[-1] - at[0]:.1f} s, expected {LIGHT.min_bins * width:.0f} s for this record",
+            "line-too-short",
         )
     seen = np.diff(np.interp(edges, at, np.concatenate([[0.0], np.cumsum(change)])))
     offsets = np.linspace(-most, most, LIGHT.offset_steps + 1)
@@ -283,11 +300,15 @@ def _light_offset(
             meant[k] = np.diff(np.interp(edges, stamps, level))
     covered = np.asarray(np.isfinite(meant).all(axis=1))
     if not covered.any():
-        _refuse("the irradiance record does not cover the line, whatever the offset; look at dates and zones")
+        _refuse(
+            "the irradiance record does not cover the line, whatever the offset; look at dates and zones",
+            "record-elsewhere",
+        )
     swing = float(np.ptp(np.cumsum(meant[covered], axis=1), axis=1).max())
     if swing < LIGHT.min_change:
         _refuse(
-            f"the light changes by {100 * swing:.1f} % over the line, expected {100 * LIGHT.min_change:.0f} %"
+            f"light changes by {100 * swing:.1f} % over the line, at least {100 * LIGHT.min_change:.0f} %",
+            "light-constant",
         )
     return _best(offsets, seen, meant, covered, loosest)
 
@@ -309,11 +330,15 @@ def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest:
     if not gain > LIGHT.min_log_odds:
         _refuse(
             f"the brightness of lines does not follow the light (log odds {gain:.1f}, expected "
-            f"{LIGHT.min_log_odds:g})"
+            f"{LIGHT.min_log_odds:g})",
+            "light-mismatch",
         )
     rivals = covered & (odds < 2.0)
     if rivals[0] or rivals[-1] or (rivals[1:-1] & ~(covered[2:] & covered[:-2])).any():
-        _refuse(f"the best offset, {offsets[best]:+.2f} s, is at the end of those that the record allows")
+        _refuse(
+            f"the best offset, {offsets[best]:+.2f} s, is at the end of those that the record allows",
+            "offset-at-limit",
+        )
     offset = _minimum(offsets, left)
     blocks = np.array_split(np.arange(seen.size), LIGHT.blocks)
     without = np.array([_minimum(offsets, cost.sum(axis=1) - cost[:, b].sum(axis=1)) for b in blocks])
@@ -322,9 +347,11 @@ def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest:
     sd = max(float(spread), float(np.ptp(near)) / 2.0, float(offsets[1] - offsets[0]) / 2.0)
     away = rivals & (np.abs(offsets - offsets[best]) > max(LIGHT.rival_sd * sd, LIGHT.rival_distance_s))
     if away.any():
-        _refuse(f"{offsets[away][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s")
+        _refuse(
+            f"{offsets[away][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s", "offset-ambiguous"
+        )
     if sd > loosest:
-        _refuse(f"it is {offset:+.2f} +- {sd:.2f} s, while {loosest:g} s is asked for")
+        _refuse(f"it is {offset:+.2f} +- {sd:.2f} s, while {loosest:g} s is asked for", "offset-uncertain")
     share = 100.0 * (1.0 - left[best] / none)
     evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {gain:.0f}"
     return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(left / none)))

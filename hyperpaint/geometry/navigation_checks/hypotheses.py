@@ -1,4 +1,4 @@
-"""Everything that a navigation record could mean, and how well each meaning fits the picture."""
+"""All possible conventions of a navigation record, and the fit of each to the picture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LOG_ODDS_AGAINST = 6.0
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One meaning of a record."""
+    """One possible convention of a record."""
 
     convention: Convention  #: What angles mean, and the order of columns
     positions: Positions = "as declared"  #: What latitude and longitude are
@@ -51,7 +51,7 @@ class Hypothesis:
         return replace(recorded, columns=columns).at(self.convention, clock_offset_s)
 
     def view(self, view: View) -> View:
-        """Return where zones look with this order of columns."""
+        """Return the look directions of the zones for this order of columns."""
         if self.convention.column_order != "right_to_left":
             return view
         return replace(view, right=-view.right, step=-view.step)
@@ -59,7 +59,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis and how well it fits."""
+    """A hypothesis and its fit."""
 
     hypothesis: Hypothesis  #: What is supposed
     odds: float  #: Logarithm of its probability over that of the most probable; 0 for that
@@ -68,7 +68,7 @@ class Scored:
 
 
 def fields_of(hypothesis: Hypothesis) -> dict[str, str]:
-    """Return what a hypothesis says, field by field."""
+    """Return the fields of a hypothesis by name."""
     senses = {name: getattr(hypothesis.convention, name) for name in _SENSES}
     return {**senses, "positions": hypothesis.positions}
 

@@ -1,4 +1,4 @@
-"""By how much points are missed, as a function of how a camera is mounted and how late its clock is."""
+"""Residuals of control points as a function of the camera's mounting and clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 
 
 @dataclass(frozen=True)
 class Misses:
-    """Misses of all points as a function of what is solved for."""
+    """Residuals of all points as a function of the free parameters."""
 
     sights: list[Sightings]
     start: Floats  #: all five parameters where the solution begins

@@ -1,4 +1,4 @@
-"""How well the motion that poses mean fits that of a picture; clock and height at which it fits best."""
+"""Fit of the motion expected from poses to the motion of a picture; best clock offset and height."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .pose_motion import Motion, View
 
 @dataclass(frozen=True)
 class Rules:
-    """How motion of poses is fitted to that of a picture; found on simulated flights."""
+    """Thresholds of the fit; set on simulated flights."""
 
     clip_sd: float = 4.0  #: standard deviations at which a residual counts no more
     max_slant: float = 0.3  #: lean of structures on the ground [pixel sideways a pixel forward]
@@ -44,7 +44,7 @@ _EPS = 1e-30
 
 @dataclass(frozen=True)
 class Residuals:
-    """What a hypothesis leaves unexplained."""
+    """Motion of the picture that a hypothesis does not explain."""
 
     shift: Floats  #: (line - 1, zone) [pixel]
     unlikeness: Floats  #: (line - 1, zone) [1]
@@ -57,7 +57,7 @@ def robust_scale(values: Floats) -> float:
 
 
 def residuals(seen: RowMotion, meant: Motion, used: Bools, interval: float) -> Residuals:
-    """Return what is left of a picture's motion, the ground's slant and the clock's lag taken out.
+    """Return the motion of a picture less the expected motion, the ground's slant and the clock's lag.
 
     ``seen`` and ``meant`` are the motion of the picture and of the poses, compared where ``used`` (line - 1,
     zone); ``interval`` is that between lines [s].
@@ -104,7 +104,7 @@ def _unexplained(values: Floats, alike: Floats, used: Bools) -> Floats:
 
 
 def inflation(left: Floats) -> float:
-    """Return by how much residuals (line, zone) are fewer than they are many: they resemble their neighbours.
+    """Return the ratio of the number of residuals (line, zone) to the number of independent ones.
 
     Notes
     -----
@@ -194,14 +194,14 @@ def costs_of(
 
 
 def _levelled(left: Floats, travel: Floats) -> Floats:
-    """Return residuals less what leans on the ground, which is in proportion to the way."""
+    """Return residuals less the part proportional to the way, which comes from structures that lean."""
     inliers = np.isfinite(left) & (np.abs(left) < RULES.clip_sd * robust_scale(left))
     lean = float((left[inliers] * travel[inliers]).sum() / max((travel[inliers] ** 2).sum(), 1e-12))
     return np.asarray(left - np.clip(lean, -RULES.max_slant, RULES.max_slant) * travel)
 
 
 def amplitude(seen: RowMotion, meant: Floats, rest: Floats, used: Bools) -> float:
-    """Return what shifts of the picture are of those expected, both less those of a platform at rest."""
+    """Return the ratio of measured to expected shifts, both less the shifts of a platform at rest."""
     good = used & np.isfinite(meant) & np.isfinite(rest)
     away = seen.shift - meant
     good &= np.abs(away) < RULES.clip_sd * robust_scale(away[good])
@@ -259,7 +259,7 @@ def _jackknife(normal: Floats, right: Floats, whole_a: Floats, whole_b: Floats, 
 
 
 def _apart(values: Floats, lean: Floats) -> Floats:
-    """Return values (line, zone) less what is in proportion to the way, zone by zone."""
+    """Return values (line, zone) less their part proportional to the way, zone by zone."""
     size = (values * lean).sum(axis=0) / np.maximum((lean**2).sum(axis=0), 1e-12)
     return np.asarray(values - size * lean)
 

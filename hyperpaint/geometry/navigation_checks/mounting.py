@@ -1,4 +1,4 @@
-"""How a camera is mounted, and how late its clock is, from points whose place is known."""
+"""Solution for the mounting and the clock of a camera from control points."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class BoresightSolution:
-    """How a camera sits in its platform.
+    """Mounting of a camera in its platform, and its clock offset.
 
     Attributes
     ----------
@@ -83,12 +83,12 @@ class BoresightSolution:
 
     @property
     def solved(self) -> tuple[str, ...]:
-        """Names of what was solved."""
+        """Names of the parameters solved for."""
         return tuple(str(name) for name in self.covariance["parameter"].values)
 
     @property
     def sd(self) -> dict[str, float]:
-        """Standard uncertainty of what was solved, in its own unit."""
+        """Standard uncertainty of the parameters solved for, in their units."""
         variance = np.diag(self.covariance.values)
         return {name: float(np.sqrt(v)) for name, v in zip(self.solved, variance, strict=True)}
 
@@ -227,9 +227,10 @@ def solve_boresight(
     variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
         raise SchemaError(
-            f"nothing fits these control points: {np.sqrt(variance):.1f} pixel are left, expected "
-            f"{largest_picking_sd:g} at most (largest_picking_sd=); is the clock, clock_offset_s=, known "
-            f"within 1 s, are convention=, camera= and crs= those of the flight, points those of the lines?"
+            f"control points do not fit: residual {np.sqrt(variance):.1f} px",
+            expected=f"at most {largest_picking_sd:g} px (largest_picking_sd=)",
+            mend="check clock_offset_s= (within 1 s), convention=, camera=, crs= and the points' lines",
+            code="control-points-misfit",
         )
     roll, pitch, heading, height, clock = fit.points.parameters(fit.free).tolist()
     return BoresightSolution(
@@ -248,18 +249,28 @@ def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
     problems = Problems("a boresight cannot be solved for", SchemaError)
     names = [name for name in PARAMETERS if name in solve]
     if isinstance(solve, str) or not names or set(solve) - set(PARAMETERS):
-        problems.add(f"solve {solve!r:.80}, expected some of {', '.join(PARAMETERS)}")
+        problems.add(
+            f"solve {solve!r:.80}", expected=f"some of {', '.join(PARAMETERS)}", code="choice-unknown"
+        )
     missing = [name for name in _FIELDS if name not in points.variables or points[name].dims != ("point",)]
     if missing:
         problems.add(
-            f"control points have no {', '.join(missing)} (point); see hyperpaint.io.read_control_points"
+            f"control points have no {', '.join(missing)} (point)",
+            mend="see hyperpaint.io.read_control_points",
+            code="variable-missing",
         )
     problems.raise_if_any()
     if not all(np.isfinite(points[name].values).all() for name in _FIELDS):
-        problems.add("control points have numbers that are not finite; leave these points out")
+        problems.add(
+            "control points have numbers that are not finite",
+            mend="leave these points out",
+            code="not-finite",
+        )
     if 2 * points.sizes["point"] <= len(names):
         problems.add(
-            f"{points.sizes['point']} points, expected more than {len(names) / 2:g} for {', '.join(names)}"
+            f"{points.sizes['point']} points",
+            expected=f"more than {len(names) / 2:g} for {', '.join(names)}",
+            code="control-points-few",
         )
     problems.raise_if_any()
     return names
@@ -278,16 +289,21 @@ def _sights(
     """Return the points, line by line."""
     crs = points.attrs.get("crs") if crs is None else crs
     if crs is None:
-        raise SchemaError("which map east and north are of is not known; give crs=")
+        raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
     count = points.sizes["point"]
     if not isinstance(lines, xr.Dataset):
         if "flightline" not in points.variables:
-            raise SchemaError("control points do not say which line they are of: flightline (point)")
+            raise SchemaError(
+                "control points do not name their line: flightline (point) is missing",
+                code="variable-missing",
+            )
         of = points["flightline"].values.astype(str)
         unknown = sorted(set(of) - set(lines))
         if unknown:
             raise SchemaError(
-                f"control points are of {', '.join(unknown)}; lines given are {', '.join(map(str, lines))}"
+                f"control points are of {', '.join(unknown)}",
+                expected=f"points of {', '.join(map(str, lines))}",
+                code="flightline-unknown",
             )
         parts = [(name, line, np.flatnonzero(of == name)) for name, line in lines.items()]
     else:
@@ -358,9 +374,10 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
         apart = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         if apart and not rival.left > RULES.rival_ratio * best.left:
             raise SchemaError(
-                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points alike, "
-                f"leaving {best.left:.2f} and {rival.left:.2f} pixel; add points, or leave 'clock' out of "
-                "solve="
+                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points alike: "
+                f"residuals {best.left:.2f} and {rival.left:.2f} px",
+                mend="add points, or leave 'clock' out of solve=",
+                code="clock-ambiguous",
             )
     return best._replace(points=points.whitened(best.free))
 
@@ -423,8 +440,9 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
     for name, size in zip(names, alone, strict=True):
         if not size * _MAX_SD[name] > 1.0:
             problems.add(
-                f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel; leave it "
-                "out of solve=, or add points across the swath"
+                f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel",
+                mend="leave it out of solve=, or add points across the swath",
+                code="parameter-insensitive",
             )
     problems.raise_if_any()
     _, singular, turned = np.linalg.svd(slopes / length, full_matrices=False)
@@ -438,11 +456,13 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
             partners = [n for j, n in enumerate(names) if j != k and abs(turned[-1, j]) > 0.3]
             problems.add(
                 f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
-                f"since {' and '.join(partners) or 'both lines'} would move the points alike"
+                f"since {' and '.join(partners) or 'both lines'} would move the points alike",
+                code="parameter-correlated",
             )
         problems.add(
-            f"condition number {min(condition, 1e12):.3g}; add lines of other courses, heights or with more "
-            "wobble, points across the swath, or leave a parameter out of solve="
+            f"condition number {min(condition, 1e12):.3g}",
+            mend="add lines of other courses or heights or points across the swath, or shorten solve=",
+            code="condition-poor",
         )
     problems.raise_if_any()
     return condition

@@ -1,4 +1,4 @@
-"""One grey picture of a flight line, and how it moves from row to row, by the picture alone.
+"""One grey picture of a flight line, and its motion from row to row.
 
 A line camera that rolls shifts its rows sideways. That shift can be measured wherever the ground is rough.
 How far two rows are apart along the track cannot be measured so, but the farther they are the less they are
@@ -35,13 +35,17 @@ def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
     if image is None:
         name = next((name for name in _CUBES if name in line.variables), None)
         if name is None:
-            raise SchemaError(f"this line has no picture: none of {', '.join(_CUBES)}; give image=")
+            raise SchemaError(
+                f"this line has no picture: {', '.join(_CUBES)}", mend="give image=", code="picture-missing"
+            )
         image = line[name]
         if BAND in image.dims:
             image = image.isel({BAND: _bands(line)}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
     if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
-        raise SchemaError(f"the image is {dict(image.sizes)}, expected {sizes} as the line")
+        raise SchemaError(
+            f"the image is {dict(image.sizes)}", expected=f"{sizes}, as the line", code="grid-mismatch"
+        )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
 
@@ -79,7 +83,7 @@ _FLAT = 1e-12
 
 @dataclass(frozen=True)
 class RowMotion:
-    """What rows say of the motion from each to the next."""
+    """Motion of a picture from each row to the next."""
 
     #: (row - 1, zone): a row at x shows what the row before shows at x + shift [pixel]; NaN where it is not
     #: clear
@@ -91,7 +95,7 @@ class RowMotion:
 
 
 def row_motion(picture: Array) -> RowMotion | None:
-    """Return what a picture (row, column) says; None where it is too narrow.
+    """Return the motion of a picture (row, column); None where it is too narrow.
 
     Notes
     -----
@@ -142,7 +146,7 @@ def _levelled(picture: Array) -> Floats:
 
 
 def _fine(rows: Floats) -> Floats:
-    """Return rows without what changes slowly.
+    """Return rows without slow changes.
 
     A long edge aslant looks like a shift to any two rows; of what is small there is more, to every side.
     """

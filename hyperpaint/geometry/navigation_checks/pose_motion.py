@@ -1,4 +1,4 @@
-"""How a picture should move from row to row, as the poses have it; and what a check needs of a line."""
+"""Motion of a picture from row to row as expected from poses, and the inputs of a check."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MIN_DOWNWARD = 0.05
 
 @dataclass(frozen=True)
 class Motion:
-    """What should be seen from each row to the next; see `picture_motion.RowMotion`."""
+    """Expected motion from each row to the next; see `picture_motion.RowMotion`."""
 
     shift: Floats  #: (line - 1, zone): sideways [pixel]
     travel: Floats  #: (line - 1, zone): across the row, forward positive [pixel of the row]
@@ -50,7 +50,7 @@ class Recorded:
     crs: Any = None  #: Map whose north grid headings count from
 
     def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Floats:
-        """Return canonical poses (6, line) if the record means what ``convention`` says."""
+        """Return canonical poses (6, line) under ``convention``."""
         columns = (self.columns[name] for name in POSE)
         values = canonical_values(*columns, convention=convention, crs=self.crs)
         return poses_at(self.times, values, self.wanted, clock_offset_s=clock_offset_s)
@@ -133,7 +133,9 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
     if missing:
         subject = "this line" if navigation is None else "this navigation record"
         raise SchemaError(
-            f"{subject} has no {', '.join(missing)} ({dim}); give navigation=hp.open_navigation(...)"
+            f"{subject} has no {', '.join(missing)} ({dim})",
+            mend="give navigation=hp.open_navigation(...)",
+            code="variable-missing",
         )
     times = wanted if navigation is None else source[NAVIGATION_TIME].values
     columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
@@ -152,7 +154,7 @@ _MAX_STEADY_INTERVALS = 1.5
 
 @dataclass(frozen=True)
 class Setting:
-    """A line as a check sees it."""
+    """Inputs of a check of one line."""
 
     declared: Convention  #: What the record is said to mean
     recorded: Recorded  #: Poses as recorded
@@ -165,13 +167,13 @@ class Setting:
 
     @property
     def steady(self) -> Bools:
-        """Tell after which lines no frame is missing (line - 1,)."""
+        """Return the lines after which no frame is missing (line - 1,)."""
         stamps = self.recorded.wanted.astype(np.int64).astype(np.float64)
         steps = np.diff(stamps) / 1e9
         return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
 
     def comparable(self, meant: Motion) -> Bools:
-        """Tell where motion is known of picture and poses, and no frame is missing (line - 1, zone)."""
+        """Return where picture and poses have a motion and no frame is missing (line - 1, zone)."""
         is_seen = np.isfinite(self.seen.shift) & np.isfinite(self.seen.unlikeness)
         return np.asarray(is_seen & np.isfinite(meant.shift) & self.steady[:, None])
 
@@ -189,7 +191,7 @@ def setting_of(
     lines: slice | None,
     crs: Any,
 ) -> Setting:
-    """Return what a check needs (eager: reads a few bands of the lines).
+    """Return the inputs of a check (eager: reads a few bands of the lines).
 
     Raises
     ------
@@ -202,16 +204,26 @@ def setting_of(
     if ground is None:
         located_ground = line.attrs.get("ground")
         if not isinstance(located_ground, int | float):
-            raise SchemaError("the height of the ground is not known; give ground= [m above the ellipsoid]")
+            raise SchemaError(
+                "the height of the ground is not known",
+                mend="give ground= [m above the ellipsoid]",
+                code="ground-height-missing",
+            )
         ground = float(located_ground)
     first = max((line.sizes[ALONG_TRACK] - MAX_LINES) // 2, 0)
     chosen = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
     part = line.isel({ALONG_TRACK: chosen})
     if part.sizes[ALONG_TRACK] < _MIN_LINES:
-        raise SchemaError(f"{part.sizes[ALONG_TRACK]} lines, expected {_MIN_LINES} at least")
+        raise SchemaError(
+            f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
+        )
     seen = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: chosen})))
     if seen is None:
-        raise SchemaError("the picture is too narrow, or shows nothing at all; expected 64 columns at least")
+        raise SchemaError(
+            "the picture is too narrow or without contrast",
+            expected="at least 64 columns",
+            code="picture-narrow",
+        )
     roll, pitch, heading = (float(angle) for angle in boresight)
     forward, right, down = (float(length) for length in lever_arm)
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))

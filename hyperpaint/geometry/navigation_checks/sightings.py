@@ -1,4 +1,4 @@
-"""Surveyed points as a camera sees them: where in its frame they are, and where it says they are."""
+"""Surveyed points in the camera's frame: computed and observed directions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Sightings:
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
 
     def behind(self, mounting: Floats) -> Bools:
-        """Tell which points are behind the camera (point,), where a miss means nothing."""
+        """Return the points behind the camera (point,), whose residuals have no meaning."""
         return np.asarray(self._ways(mounting, 0.0)[:, 2] <= 0.0)
 
     def hits(self, mounting: Floats, height: Floats) -> Floats:
@@ -83,7 +83,7 @@ class Sightings:
         return np.asarray(centre + np.einsum("nji,nj->ni", axes, way))
 
     def whitening(self, mounting: Floats) -> Floats:
-        """Return what turns misses into pixels of picking (point, 2, 2).
+        """Return the matrix that turns residuals into pixels of picking (point, 2, 2).
 
         A pixel in the line and one in the column move a point by two directions in the camera's frame; what
         is picked with the same care in both is then of unit covariance.
@@ -143,7 +143,7 @@ def sightings_of(
     crs: Any,
     clock: float,
 ) -> Sightings:
-    """Return what a line knows of points: columns ``along_track_pixel`` ... ``height`` (point,).
+    """Return the view of a line on points: columns ``along_track_pixel`` ... ``height`` (point,).
 
     Raises
     ------
@@ -160,7 +160,8 @@ def sightings_of(
     outside = ~((at >= -0.5) & (at <= time.size - 0.5) & (column >= -0.5) & (column <= across.size - 0.5))
     if outside.any() or time.size < 2:
         raise SchemaError(
-            f"points {index[outside].tolist()} are outside a line of {time.size} lines, {across.size} columns"
+            f"points {index[outside].tolist()} are outside {time.size} lines of {across.size} columns",
+            code="pixel-outside",
         )
     before = np.clip(np.floor(at).astype(np.int64), 0, time.size - 2)
     steps = (time[before + 1] - time[before]).astype(np.int64)
@@ -184,7 +185,9 @@ def sightings_of(
         missing[:] = ~np.isfinite(sightings.misses(np.array([0.0, 0.0, 0.0, 0.0, clock]))).all(axis=1)
     if missing.any():
         raise SchemaError(
-            f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"
+            f"points {index[missing].tolist()} are on lines without time or pose",
+            mend="look at gaps of the record",
+            code="pose-missing",
         )
     return sightings
 

@@ -1,8 +1,8 @@
 """From a located flight line to a map, with the place of every cell in the line.
 
-A located line comes in, a map on dask goes out; for workflows and the accessor. Files: `grids` (how cells
-lie, and the one look at all lines that comes first), `indexing` (which place of the line lies at a cell, and
-its values), `tiling` (the graph, and what comes along under which name), `mapping` (`orthorectify`).
+A located line comes in, a map on dask goes out; for workflows and the accessor. Files: `grids` (cells, and
+the survey of all lines), `indexing` (pixel and values at a cell), `tiling` (the graph, and the variables of
+the map), `mapping` (`orthorectify`).
 """
 
 from .grids import MapGrid

@@ -1,7 +1,6 @@
-"""How the cells of a map lie, and the one look at all lines that comes before: how large the map is.
+"""Cells of a map, and the survey of all lines that decides its extent.
 
-Nothing of the places is kept but a few numbers a line, so that the memory this takes is that of a few slabs
-however long the flight.
+The survey keeps a few numbers a line, so that it needs the memory of a few slabs, however long the flight.
 """
 
 from __future__ import annotations
@@ -19,18 +18,16 @@ from dask.highlevelgraph import HighLevelGraph
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
 
+# smallest and largest distance to the right, then down, from the anchor of axes [m]
 Box = tuple[float, float, float, float]
-"""Least and largest way to the right, then down, from the anchor of axes [m]."""
 
-_MIN_ELONGATION = 2.0
-"""How much longer than wide a track is, to have a direction of flight."""
-_ROUNDING_CELLS = 1e-6
-"""Part of a cell that is not worth a cell of its own."""
+_MIN_ELONGATION = 2.0  # length over width of a track that has a direction of flight
+_ROUNDING_CELLS = 1e-6  # part of a cell that adds no cell
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Directions that the columns and rows of a grid go in, and the place they are counted from."""
+    """Directions of the columns and rows of a grid, and the place they are counted from."""
 
     #: East and north of one step to the right, of unit length. Down is a right angle clockwise of it, so
     #: that a map is never seen from below
@@ -39,17 +36,16 @@ class Axes:
 
     @property
     def down(self) -> tuple[float, float]:
-        """East and north of one step down."""
         return self.right[1], -self.right[0]
 
     def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
-        """Return how far places lie to the right of, and down from, the anchor [m]."""
+        """Return distances of places to the right of, and down from, the anchor [m]."""
         e, n = east - self.anchor[0], north - self.anchor[1]
         (a, b), (c, d) = self.right, self.down
         return a * e + b * n, c * e + d * n
 
     def moved(self, x: float, y: float) -> Axes:
-        """Return axes whose anchor lies a way to the right and down from this one's [m]."""
+        """Return axes with the anchor moved to the right and down [m]."""
         (a, b), (c, d) = self.right, self.down
         return Axes(self.right, (self.anchor[0] + x * a + y * c, self.anchor[1] + x * b + y * d))
 
@@ -61,7 +57,7 @@ class MapGrid:
     Attributes
     ----------
     axes
-        Which way the grid lies.
+        Directions and anchor.
     gsd
         Edge of a cell [m].
     first
@@ -83,13 +79,12 @@ class MapGrid:
 
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
-        """Map coordinates of the outer corner of the first cell, and steps, in the order of GDAL."""
+        """GeoTransform of GDAL: map coordinates of the outer corner of the first cell, and steps."""
         (a, b), (c, d), size = self.axes.right, self.axes.down, self.gsd
         east, north = self._place(0.0, 0.0)
         return (east, size * a, size * c, north, size * b, size * d)
 
     def _place(self, row: Any, col: Any) -> tuple[Any, Any]:
-        """Return east and north of places in rows and columns of cells [m]."""
         (a, b), (c, d) = self.axes.right, self.axes.down
         y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
@@ -101,7 +96,7 @@ class MapGrid:
 
     @property
     def frame(self) -> Floats:
-        """What turns map coordinates into cells, see `hyperpaint.kernels.inverse_map`."""
+        """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
         turn = np.array([*self.axes.right, *self.axes.down]) / self.gsd
         return np.concatenate([[east, north], turn])
@@ -122,8 +117,8 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
 
     Notes
     -----
-    The direction is the longest axis of the middles of the lines. A track that is hardly longer than it is
-    wide has none; square to the lines is taken instead.
+    The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
+    none; the normal of the lines is used instead.
     """
     middle = (left + right) / 2
     _, spread, directions = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)
@@ -141,7 +136,7 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
 
 
 def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
-    """Return the grid over a box of the axes; with ``whole`` cells reach over all of it, else centres do."""
+    """Return the grid over a box of the axes; with ``whole`` cells cover all of it, else their centres do."""
     left, right, upper, lower = (edge / gsd for edge in box)
     if whole:
         first = math.floor(upper + _ROUNDING_CELLS), math.floor(left + _ROUNDING_CELLS)
@@ -160,25 +155,21 @@ def box_of(axes: Axes, bounds: Any) -> Box:
     return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
 
-# --- the look at all lines -----------------------------------------------------------------------------
+# --- the survey of all lines ---------------------------------------------------------------------------
 
 
-_SAMPLED_LINES = 64
-"""Lines that the direction of flight is found from."""
-_SAMPLED_COLUMNS = 64
-"""Columns of a line, at the least, that its spacing is the median of."""
-_TOGETHER = 8
-"""Slabs of a task."""
-_COLUMNS = 10
-"""Of a line: its box (4), its ends (4), its median spacing across and along (2)."""
+_SAMPLED_LINES = 64  # for the direction of flight
+_SAMPLED_COLUMNS = 64  # at least, for the median spacing of a line
+_TASK_SLABS = 8
+_COLUMNS = 10  # of a line: box (4), ends (4), median spacing across and along (2)
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of every line."""
+    """Extent and spacing of every line."""
 
-    #: (line, 4) float64: least and largest way to the right and down along the axes [m]; NaN of a line
-    #: without any place
+    #: (line, 4) float64: smallest and largest distance to the right and down along the axes [m]; NaN for a
+    #: line without any located pixel
     boxes: Floats
     ends: Floats  #: (line, 2, 2) float64: east and north of its first and last pixel that has a place [m]
     #: Median over lines of the median distance of neighbouring columns, and to the next line [m]
@@ -187,12 +178,10 @@ class Survey:
 
     @property
     def gsd(self) -> float:
-        """The larger of the two spacings [m]."""
         return float(np.nanmax([self.across, self.along]))
 
     @property
     def box(self) -> Box:
-        """The box of all lines."""
         low, high = np.nanmin(self.boxes, axis=0), np.nanmax(self.boxes, axis=0)
         return float(low[0]), float(high[1]), float(low[2]), float(high[3])
 
@@ -207,17 +196,17 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
     """
     count = east.shape[0]
     sampled = np.unique(np.linspace(0, count - 1, _SAMPLED_LINES).astype(int))
-    for lines in (sampled, np.arange(count)):  # all, where those have no pose
+    for lines in (sampled, np.arange(count)):  # all lines, if the sampled ones have no pose
         ends = _ends_of(east, north, lines)
         if len(ends):
             break
     if not len(ends):
-        raise SchemaError(_NOTHING_PLACED)
+        raise _nothing_placed()
     return flight_axes(ends[:, 0], ends[:, 1])
 
 
 def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress | None) -> Survey:
-    """Return what is known of every line (eager).
+    """Return extent and spacing of every line (eager).
 
     Raises
     ------
@@ -225,20 +214,28 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
         No pixel has a place.
     """
     slabs = range(east.numblocks[0])
-    groups = [list(slabs[first : first + _TOGETHER]) for first in slabs[::_TOGETHER]]
+    groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
     surveyed = _computed(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
     starts = np.cumsum([len(rows) for rows, _ in surveyed])
     for (_, (_, before)), (_, (after, _)), start in zip(surveyed, surveyed[1:], starts, strict=False):
         table[start - 1, 9] = _median(np.hypot(*(after - before)))
     if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():
-        raise SchemaError(_NOTHING_PLACED)
+        raise _nothing_placed()
     across, along = (_median(table[:, column]) for column in (8, 9))
     return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
 
 
+def _nothing_placed() -> SchemaError:
+    return SchemaError(
+        "no two neighbouring pixels are placed on the ground, so there is nothing to map",
+        mend="look at the poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
+
+
 def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
-    """Return the ends of lines that have a place (line, 2, 2)."""
+    """Return the ends of located lines (line, 2, 2)."""
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
     touched = np.unique(slabs)
@@ -252,17 +249,11 @@ def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
     return np.asarray(ends[np.isfinite(ends).all(axis=(1, 2))])
 
 
-_NOTHING_PLACED = (
-    "no two neighbouring pixels are placed on the ground, and so there is nothing to map; look at the poses "
-    "and at the quality's off_swath"
-)
-
-
 def _computed(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    """Return what is found in groups of slabs that follow one another, with the progress where possible."""
-    # as one array: a collection a slab would cost more than the look
+    """Return the surveys of groups of consecutive slabs; reports progress where the scheduler allows it."""
+    # as one array: a collection per slab would cost more than the survey
     name = f"look-{uuid.uuid4().hex}"
     layer = {
         (name, k): (_looked_at, *([(of.name, slab, 0) for slab in group] for of in (east, north)), axes)
@@ -278,7 +269,7 @@ def _computed(
         if waiting.pop(key, None) is not None:
             progress(slabs - sum(map(len, waiting.values())), slabs)
 
-    # schedulers of a cluster do not call it: they report the end alone
+    # schedulers of a cluster do not call it; then only the end is reported
     with Callback(posttask=report):
         surveyed = list(lazy.compute())
     if waiting:
@@ -287,9 +278,9 @@ def _computed(
 
 
 def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
-    """Return the rows of the lines of some slabs (line, `_COLUMNS`), and where pixels of their ends lie.
+    """Return the survey rows of the lines of some slabs (line, `_COLUMNS`), and the pixels at their ends.
 
-    As an array of this one object.
+    The result is an array of one object.
     """
     from hyperpaint.kernels.inverse_map import look_at_lines
 
@@ -310,7 +301,6 @@ def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
 
 
 def _medians(steps: Floats) -> Floats:
-    """Return the median of every row, without what is NaN; NaN where all of it is."""
     if not steps.shape[1] or not np.isnan(steps).any():
         return np.median(steps, axis=1) if steps.size else np.full(len(steps), np.nan)
     return np.array([_median(row) for row in steps])

@@ -1,4 +1,4 @@
-"""Which place of a flight line lies at every cell of a tile, and the line's values there."""
+"""Pixel of a flight line at every cell of a tile, and the line's values there."""
 
 from __future__ import annotations
 
@@ -15,22 +15,20 @@ from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 
 from .grids import MapGrid, Survey
 
-Window = tuple[slice, slice]
-"""Rows and columns of a tile."""
+Window = tuple[slice, slice]  # rows and columns of a tile
 
-RULES = ("nadir", "first", "last")
-"""Which of several places of the line counts, in the order of the kernel's numbers."""
+RULES = ("nadir", "first", "last")  # choice among several places, in the order of the kernel's numbers
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What all tiles share."""
+    """Settings that all tiles share."""
 
-    grid: MapGrid  #: How the cells lie
+    grid: MapGrid
     rule: int  #: Position in `RULES`
-    longest: float  #: Edge from which four pixels do not span a patch [cell]
+    longest: float  #: Edge beyond which four pixels do not span a patch [cell]
     last: int  #: Number of the last line
-    #: How far neighbouring pixels may be shifted against each other by their heights [m]
+    #: Largest shift of neighbouring pixels against each other by their heights [m]
     parallax: float
     #: (pair, 4, 2) float64: east and north of the corners of the area from every line that has a place to
     #: the next that has, around it [m]
@@ -39,7 +37,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class TileIndex:
-    """The places of the line at the cells of a tile."""
+    """Places of the line at the cells of a tile."""
 
     line: Floats  #: (row, col) float64: as fractions; NaN where no patch covers a cell
     sample: Floats
@@ -51,7 +49,7 @@ class TileIndex:
 
 @dataclass(frozen=True)
 class Reading:
-    """In which order the pixels of a tile are read, and where they go."""
+    """Pixels of a tile in the order of reading, and the cells they fill."""
 
     shape: tuple[int, int]  #: Rows and columns of the tile
     #: (place,) int64: covered cells, counted row by row, in the order of the lines that are read for them
@@ -64,7 +62,7 @@ class Reading:
 
 
 def areas_between(survey: Survey) -> Floats:
-    """Return the areas between the ends of lines, over lines without a place (pair, 4, 2)."""
+    """Return the areas between the ends of consecutive located lines (pair, 4, 2)."""
     ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
     before, after = ends[:-1], ends[1:]
     return np.stack([before[:, 0], before[:, 1], after[:, 1], after[:, 0]], axis=1)
@@ -102,8 +100,8 @@ def index_tile(
     """Return the places of the line at the cells of a tile.
 
     ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
-    ``relief`` are the height of what they show [m], and the tangent of the zenith angle they are seen at,
-    where that is known: between pixels far apart in height there is ground that neither shows.
+    ``relief``, where known, are the height of the ground [m] and the tangent of the view zenith angle:
+    between pixels far apart in height there is ground that neither shows.
     """
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
@@ -124,13 +122,13 @@ def index_tile(
 
 
 def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
-    """Return between which pixels and those of the line before there is hidden ground (line, column - 1).
+    """Return where ground is hidden between pixels and those of the line before (line, column - 1).
 
-    ``height`` [m] and ``tangent`` of the zenith angle (line, column) are of lines that follow one another,
-    ``before`` (column,) those of the line before. Of four pixels that span a patch, the difference of heights
-    times the tangent is by how much some are shifted on the map against where their neighbours see past them.
-    That is more than their spacing only where the surface falls away steeper than the line of sight; on a
-    wall that is seen it is just the spacing.
+    ``height`` [m] and ``tangent`` of the zenith angle (line, column) belong to consecutive lines, ``before``
+    (column,) to the line before. For four pixels that span a patch, the difference of heights times the
+    tangent is their shift on the map against the line of sight of their neighbours. It exceeds the pixel
+    spacing only where the surface falls away steeper than the line of sight; on a visible wall it equals the
+    spacing.
     """
     heights, tangents = (
         np.concatenate([first[None], lines]) for first, lines in zip(before, (height, tangent), strict=True)
@@ -145,7 +143,7 @@ def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], pa
 
 
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
-    """Return whether cells that no patch covers lie between the ends of lines (row, col)."""
+    """Return the uncovered cells between the ends of lines (row, col)."""
     frame = plan.grid.frame
     inside: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
@@ -158,7 +156,7 @@ def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
 
 
 def reading_of(index: TileIndex, bilinear: bool) -> Reading:
-    """Return in which order the pixels of a tile are read: the nearest, or those before each place."""
+    """Return the reading order of the pixels of a tile: the nearest pixels, or those before each place."""
     cells = np.flatnonzero(index.hits)
     if not bilinear:
         lines, columns = (part.ravel()[cells] for part in (index.nearest_line, index.nearest_sample))
@@ -180,9 +178,9 @@ def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
 
 
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
-    """Return spectra (row, col, band) of slabs (line, band, column), of which ``starts`` are the first lines.
+    """Return spectra (row, col, band) from slabs (line, band, column) that begin at the lines ``starts``.
 
-    Cells that no patch covers get ``empty``, whose type is that of the result.
+    Uncovered cells get ``empty``, whose type the result has.
     """
     bands, columns = slabs[0].shape[1:]
     bilinear = reading.along.size > 0
@@ -221,7 +219,7 @@ def plane_values(
             continue
         along, across = reading.along[here], reading.across[here]
         lines = np.concatenate([slabs[slab], _line_after(starts, slabs, slab)[None]])
-        # of what is 0 away the next is not looked at
+        # a pixel at distance 0 needs no neighbour
         corners = ((0, 0), (0, 1), (1, 0), (1, 1))
         taps = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
         if flags:
@@ -234,7 +232,7 @@ def plane_values(
 
 
 def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) -> Array:
-    """Return values (row, col) of what every line, or else every column, has one of: of the nearest."""
+    """Return values (row, col) of the nearest line or column, from one value per line or column."""
     place = index.nearest_line if of_lines else index.nearest_sample
     return np.where(place >= 0, values[np.maximum(place, 0)], np.asarray(empty, values.dtype))
 
@@ -242,7 +240,7 @@ def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) 
 def _by_slab(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array]
 ) -> Iterator[tuple[int, int, slice]]:
-    """Yield every slab that pixels are read of, its first line, and which these are."""
+    """Yield every slab with pixels to read, its first line, and the range of these pixels."""
     edges = np.searchsorted(reading.lines, [*starts, starts[-1] + len(slabs[-1])])
     for slab, start in enumerate(starts):
         here = slice(int(edges[slab]), int(edges[slab + 1]))
@@ -251,6 +249,6 @@ def _by_slab(
 
 
 def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Array:
-    """Return the line that follows a slab; its own last one where nothing is to be read of it."""
+    """Return the line that follows a slab; its own last line where nothing is read of the next."""
     follows = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
     return np.ascontiguousarray(slabs[slab + 1][0] if follows else slabs[slab][-1])

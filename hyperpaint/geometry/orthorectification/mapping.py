@@ -1,4 +1,4 @@
-"""A flight line as a map."""
+"""Orthorectification: a flight line as a map."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs
 from hyperpaint.io.store.computing import client_in_force
 
 from .grids import MapGrid, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
@@ -36,21 +37,19 @@ from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
 _RELIEF = ("ground_height", "view_zenith")
+# dim of the flight line along which a position counts
 _AXES = {
-    "glt_line": ALONG_TRACK, "nearest_line": ALONG_TRACK, "glt_sample": CROSS_TRACK,
+    "glt_line": ALONG_TRACK,
+    "nearest_line": ALONG_TRACK,
+    "glt_sample": CROSS_TRACK,
     "nearest_sample": CROSS_TRACK,
-}  # fmt: skip
-"""The dim of the flight line that a place on it is along."""
+}
+# Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
+# On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind
+# cars is shown; with 0.6 no fewer than with 1.05, and more visible ground is lost (support/hidden_ground.py).
 _MAX_PARALLAX_PX = 1.05
-"""Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
-
-On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind cars
-is shown; with 0.6 no fewer than with 1.05, and more of what was seen is lost (support/hidden_ground.py).
-"""
-_MAX_KEPT_BYTES = 64 * 2**20
-"""Places of pixels that are kept from the look at all lines, for the tiles: 6,500 lines of 640 columns."""
-_MAX_TILES = 100_000
-"""A graph of more takes minutes and gigabytes before anything is computed."""
+_MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
+_MAX_TILES = 100_000  # a larger graph takes minutes and gigabytes before anything is computed
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m", bounds="m")
@@ -70,14 +69,14 @@ def orthorectify(
 ) -> xr.Dataset:
     """Return a flight line as a map of square cells, with the place of every cell in the line.
 
-    Lazy but for one look at where the lines lie. A task makes one tile, and reads only the slabs of lines
-    that cover it.
+    Lazy except for one survey of the lines' positions. A task makes one tile, and reads only the slabs of
+    lines that cover it.
 
     Parameters
     ----------
     line
-        A flight line; one that is located (``east``, ``north``, as `hyperpaint.geometry.locate` adds them) or
-        one that can be, with the options of ``location``.
+        A flight line; either located (``east``, ``north``, as `hyperpaint.geometry.locate` adds them), or to
+        be located with the options of ``location``.
     gsd
         Edge of a cell [m]; by default the larger of the spacings across and along the track, as medians over
         lines. Finer cells repeat pixels, coarser ones leave pixels out: nothing is averaged.
@@ -86,27 +85,26 @@ def orthorectify(
         grid. ``"flight"``: rows across the flight, which goes up; smaller, and quicker, since a tile then
         needs few lines.
     variables
-        What comes along: cubes, and whatever pixels, lines or columns have one of. By default reflectance
-        (else radiance; with neither it is computed from counts), ``quality``, ``time`` as ``line_time``,
-        ``irradiance_age``, ``view_zenith``, ``view_azimuth`` and ``ground_height``, as far as the line has
-        them. Spectra are brought to nominal wavelengths first; counts are left as they are.
+        Variables of the map: cubes, and variables with one value per pixel, line or column. By default
+        reflectance (else radiance; with neither it is computed from counts), ``quality``, ``time`` as
+        ``line_time``, ``irradiance_age``, ``view_zenith``, ``view_azimuth`` and ``ground_height``, as far as
+        the line has them. Spectra are brought to nominal wavelengths first; counts are not.
     method
-        ``"nearest"`` keeps spectra and whole numbers as they are. ``"bilinear"`` interpolates spectra and
-        numbers between four pixels, is NaN where one of them is, and joins their flags; directions, times and
-        what lines or columns have are those of the nearest.
+        ``"nearest"`` leaves spectra and integers unchanged. ``"bilinear"`` interpolates spectra and numbers
+        between four pixels, is NaN where one of them is, and joins their flags; directions, times and values
+        per line or column are those of the nearest pixel.
     multi_hit
-        What counts where several places of the line show one cell: that nearest to the middle column
+        Choice where several places of the line show one cell: the place nearest to the middle column
         (``"nadir"``), or the first or last in time. Spectra are never averaged.
     max_stretch
         Four neighbouring pixels with an edge longer than this many cells, or pixel spacings where these are
-        larger, are a gap, and nothing is drawn between them: two frames that were lost are bridged, three are
-        not.
+        larger, are a gap, and nothing is drawn between them: two lost frames are bridged, three are not.
     tile
         Rows and columns of a task.
     bounds
         West, south, east, north of the part wanted, in the line's crs [m]; by default all of the line.
     progress
-        Called with slabs looked at and to do.
+        Called with the number of slabs surveyed and their total.
     **location
         Options of `hyperpaint.geometry.locate`, for a line that is not located.
 
@@ -116,19 +114,19 @@ def orthorectify(
         The variables on (y, x[, band]), all lazy, and ``glt_line`` and ``glt_sample``: the place of every
         cell in the line, in lines and columns and fractions of them; ``nearest_line`` and ``nearest_sample``:
         the nearest of the four pixels around it; all by the index coordinates of the line where these are
-        whole numbers, and so those of the whole line in a crop; ``hits``: how many patches of four pixels
-        show a cell; ``gap``, where none does between the ends of the lines. Where nothing is shown, numbers
-        are NaN, whole numbers as their attribute ``empty_value`` says, and ``quality`` is ``off_swath``.
-        ``spatial_ref`` holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates
-        with north up. A grid along the flight is turned, as its GeoTransform says, and has ``east`` and
-        ``north`` (y, x) in their place: programs would take distances for map coordinates. (The ``reproject``
-        of rioxarray wants to be given a target for it, or another map to match.)
+        integers, so that a crop keeps the numbers of the whole line; ``hits``: number of patches of four
+        pixels that cover a cell; ``gap``: uncovered, between the ends of the lines. In uncovered cells
+        numbers are NaN, integers have the value of their attribute ``empty_value``, and ``quality`` is
+        ``off_swath``. ``spatial_ref`` holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map
+        coordinates with north up. A grid along the flight is turned, see its GeoTransform, and has ``east``
+        and ``north`` (y, x) instead: other programs would read distances as map coordinates. (The
+        ``reproject`` of rioxarray needs a target for it, or another map to match.)
 
     Raises
     ------
     SchemaError
-        Options that do not exist or fit; nothing of the line is placed on the ground; variables are missing;
-        all of a kind are listed.
+        Options that do not exist or fit; no pixel is placed on the ground; variables are missing; all
+        problems of a kind are listed.
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
 
@@ -138,22 +136,21 @@ def orthorectify(
 
     Notes
     -----
-    Four neighbouring pixels span a bilinear patch on the map; of every cell whose centre lies in it,
-    the patch is inverted. That is exact, needs no search radius and leaves no holes in a line that has none
-    [1]_.
+    Four neighbouring pixels span a bilinear patch on the map, which is inverted at every cell whose centre
+    lies in it. This is exact, needs no search radius and leaves no holes in a line that has none [1]_.
 
-    On a line that was located on a raster of heights, ground that is hidden behind a car or a house is a gap:
-    where the heights of four neighbouring pixels shift them against each other by more than their spacing,
-    the surface falls away steeper than the line of sight, and nothing between them was seen. Some cells along
-    the edges of what stands up, which were seen in part, go with it.
+    On a line located on a raster of heights, ground hidden behind a car or a house is a gap: where the
+    heights of four neighbouring pixels shift them against each other by more than their spacing, the surface
+    falls away steeper than the line of sight, and the ground between them was not seen. Some cells along the
+    edges of raised objects, which were seen in part, become gaps too.
 
-    Where pixels lie is computed once of a line on level ground of up to 4 million pixels, else twice: once to
-    learn the extent, and once a tile. Of a long line over a DEM,
-    ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` trades 16 bytes a
-    pixel for it.
+    Positions of pixels are computed once for a line on level ground of up to 4 million pixels, else twice:
+    once for the extent, and once a tile. For a long line over a DEM,
+    ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` computes them once,
+    for 16 bytes a pixel.
 
-    Signatures are better averaged over the pixels of the line, since nearest resampling never uses 15 to 40 %
-    of them: regions drawn on this map can be given to ``line.paint.signatures`` of the located line.
+    Average signatures over the pixels of the line: nearest resampling leaves out 15 to 40 % of them. Regions
+    drawn on this map can be given to ``line.paint.signatures`` of the located line.
 
     References
     ----------
@@ -175,22 +172,36 @@ def orthorectify(
            [0., 1., 2.]])
     """
     _check(gsd, grid, method, multi_hit, max_stretch, tile, bounds)
-    line = _located(line, location)
-    line, names = prepared(line, variables)
+    if is_located(line) and location:
+        options = ", ".join(f"{name}=" for name in location)
+        raise SchemaError(
+            f"this line is located already, so {options} would have no effect",
+            mend="leave it out, or drop east and north",
+            code="option-conflict",
+        )
+    line, names = prepared(line if is_located(line) else locate(line, **location), variables)
     lines = _line_chunks(line, names)
     (east, north, *relief), crs = _places(line, lines)
-    survey, made_grid = _planned(east, north, gsd, grid, bounds, progress)
-    _check_tiles(made_grid, tile)
-    windows = tile_windows(made_grid.shape, tile)
-    stretch = max_stretch * max(1.0, survey.gsd / made_grid.gsd)
+    survey, cells = _planned(east, north, gsd, grid, bounds, progress)
+    rows, cols = cells.shape
+    count = -(-rows // tile) * -(-cols // tile)
+    if count > _MAX_TILES:
+        raise SchemaError(
+            f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
+            expected=f"at most {_MAX_TILES}",
+            mend="give a larger gsd, bounds, or a larger tile",
+            code="map-too-large",
+        )
+    windows = tile_windows(cells.shape, tile)
+    stretch = max_stretch * max(1.0, survey.gsd / cells.gsd)
     last = line.sizes[ALONG_TRACK] - 1
     parallax = _MAX_PARALLAX_PX * survey.across
-    plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
-    slabs = needed_slabs(survey, made_grid, lines, windows)
+    plan = Plan(cells, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
+    slabs = needed_slabs(survey, cells, lines, windows)
     tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")
     rectified = _dataset(line, names, tiles, lines, crs)
     settings = {
-        "gsd": made_grid.gsd,
+        "gsd": cells.gsd,
         "spacing_across": survey.across,
         "spacing_along": survey.along,
         "grid": grid,
@@ -207,63 +218,62 @@ def _check(
     gsd: Any, grid: Any, method: Any, multi_hit: Any, max_stretch: Any, tile: Any, bounds: Any
 ) -> None:
     problems = Problems("this line cannot be orthorectified", SchemaError)
-    for name, given, choices in (
+    for name, value, choices in (
         ("grid", grid, _GRIDS),
         ("method", method, _METHODS),
         ("multi_hit", multi_hit, RULES),
     ):
-        if given not in choices:
-            problems.add(f"{name} {given!r:.60}, expected {' or '.join(map(repr, choices))}")
+        if value not in choices:
+            problems.add(
+                f"{name} {value!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
+            )
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}, expected a length above 0 [m]")
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not 1.0 <= max_stretch < np.inf:
-        problems.add(f"max_stretch {max_stretch!r:.60}, expected a number of cells from 1 on")
+        problems.add(
+            f"max_stretch {max_stretch!r:.60}",
+            expected="a number of cells from 1 on",
+            code="value-out-of-range",
+        )
     if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(f"tile {tile!r:.60}, expected a whole number of cells above 0")
+        problems.add(
+            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
+        )
     if bounds is not None:
         edges = np.asarray(bounds, np.float64)
-        fine = (
+        is_valid = (
             edges.shape == (4,) and np.isfinite(edges).all() and edges[0] < edges[2] and edges[1] < edges[3]
         )
-        if not fine:
-            problems.add(f"bounds {bounds!r:.80}, expected west, south, east, north [m], in this order")
+        if not is_valid:
+            problems.add(
+                f"bounds {bounds!r:.80}",
+                expected="west, south, east, north [m], in this order",
+                code="bounds-invalid",
+            )
     problems.raise_if_any()
 
 
-def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
-    """Return the line with the places of its pixels."""
-    placed = all(
-        name in line.variables and set(line[name].dims) == {ALONG_TRACK, CROSS_TRACK}
-        for name in ("east", "north")
-    )
-    if not placed:
-        return locate(line, **location)
-    if location:
-        given = ", ".join(f"{name}=" for name in location)
-        raise SchemaError(
-            f"this line is located already, and {given} would do nothing; leave out, or drop east and north"
-        )
-    return line
-
-
 def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
-    """Return the lines of every slab: as the cube is chunked, else the places."""
+    """Return the lines of every slab: as the cube is chunked, else the positions."""
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
             return tuple(line[name].variable.chunksizes[ALONG_TRACK])
-    full, rest = divmod(line.sizes[ALONG_TRACK], CHUNK_LINES)
-    return (CHUNK_LINES,) * full + ((rest,) if rest else ())
+    return line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
 
 
 def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
-    """Return east and north [m], heights and tangents of zenith angles if they differ, in slabs; the crs."""
+    """Return east and north [m], over relief also heights and tangents of zenith angles; the CRS."""
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
-        lines_, columns = coordinates["east"].shape
-        raise SchemaError(f"{lines_} lines of {columns} columns make no map; two of each are needed")
+        count, columns = coordinates["east"].shape
+        raise SchemaError(
+            f"{count} lines of {columns} columns make no map",
+            expected="two or more of each",
+            code="line-too-short",
+        )
     crs = coordinates["east"].attrs.get("crs")
-    # a line that was located on level ground says its height
+    # a line located on level ground has its height as an attribute
     is_level = isinstance(line.attrs.get("ground"), int | float)
     relief = []
     if not is_level and set(_RELIEF) <= set(line.variables):
@@ -272,50 +282,41 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
         relief = [height, np.tan(np.radians(zenith))]
     places = [in_slabs(each, lines).astype(np.float64) for each in coordinates.values()]
     is_lazy = any(each.chunks is not None for each in coordinates.values())
-    # heights are computed with them, in the same tasks, and would be once more all the same
+    # over relief, heights are computed in the same tasks and would be computed again anyway
     return [*(_kept(places) if is_lazy and not relief else places), *relief], crs
 
 
 def _kept(places: list[da.Array]) -> list[da.Array]:
-    """Return places in memory, of a line that is not too long, to follow rays once (eager)."""
+    """Return positions in memory, for a line short enough to trace its rays once (eager)."""
     if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
         return places
-    kept = [np.empty(place.shape) for place in places]
-    da.store(places, kept, lock=False)
+    arrays = [np.empty(place.shape) for place in places]
+    da.store(places, arrays, lock=False)
     names = (f"kept-{place.name}" for place in places)
     return [
         in_memory(*each, place.chunks)
-        for each, place in zip(zip(kept, names, strict=True), places, strict=True)
+        for each, place in zip(zip(arrays, names, strict=True), places, strict=True)
     ]
 
 
 def _planned(
     east: da.Array, north: da.Array, gsd: float | None, kind: str, bounds: Any, progress: Progress | None
 ) -> tuple[Survey, MapGrid]:
-    """Return what is known of all lines, and the grid."""
     axes = direction_of_flight(east, north) if kind == "flight" else north_axes()
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
     if not size > 0.0:
-        raise SchemaError("the pixels lie upon one another, and give no size of a cell; give gsd= [m]")
+        raise SchemaError(
+            "the pixels lie upon one another and give no cell size", mend="give gsd= [m]", code="gsd-missing"
+        )
     if kind == "flight":
-        # the centre of the first cell lies in the corner of what is covered
+        # the centre of the first cell lies in the corner of the covered area
         left, _, upper, _ = survey.box
         x, y = left - size / 2, upper - size / 2
         axes = axes.moved(x, y)
         survey = replace(survey, boxes=survey.boxes - np.array([x, x, y, y]))
     box = survey.box if bounds is None else box_of(axes, bounds)
     return survey, covering(axes, size, box, whole=bounds is not None)
-
-
-def _check_tiles(grid: MapGrid, tile: int) -> None:
-    rows, cols = grid.shape
-    count = -(-rows // tile) * -(-cols // tile)
-    if count > _MAX_TILES:
-        raise SchemaError(
-            f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}, expected "
-            f"{_MAX_TILES} at most; give a larger gsd, bounds, or a larger tile"
-        )
 
 
 def _dataset(
@@ -339,9 +340,9 @@ def _dataset(
 
 
 def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
-    """Return positions in a line (row, col) as its own numbers, which a crop keeps and regions are drawn in.
+    """Return positions in a line (row, col) as its own line or column numbers, which a crop keeps.
 
-    Numbers that are no whole ones from 0 on, as of averaged lines, name no pixel: positions stay as they are.
+    Numbers other than integers from 0 on, such as those of averaged lines, name no pixel; positions stay.
     """
     numbers = numbers_of(line, dim)
     counted = np.arange(numbers.size)
@@ -352,13 +353,11 @@ def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
 
 
 def _numbers_at(positions: Array, numbers: Array) -> Array:
-    """Return the numbers at positions, straight between two of them; what is below 0 or NaN stays."""
     at = np.interp(positions, np.arange(numbers.size), numbers)
-    return np.where(positions >= 0, at, positions).astype(positions.dtype)
+    return np.where(positions >= 0, at, positions).astype(positions.dtype)  # below 0 and NaN stay
 
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:
-    """Return the coordinates of a map."""
     grid = tiles.grid
     transform = " ".join(repr(float(number)) for number in grid.transform)
     attrs: dict[str, Any] = {"GeoTransform": transform}
@@ -383,7 +382,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
 
 
 def map_report(made: xr.Dataset) -> dict[str, float]:
-    """Return how many cells of a map are covered, several times or not at all (eager, a tile at a time).
+    """Return the number of cells that are covered, covered several times, or gaps (eager, a tile at a time).
 
     Parameters
     ----------
@@ -393,9 +392,9 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     Returns
     -------
     dict
-        ``cells``: of the whole rectangle; ``covered``: that at least one patch of four pixels shows;
-        ``gaps``: that none shows, between the ends of the lines; ``multiple``: that several show, where the
-        line goes back over itself; ``most_hits``: the most that show one cell.
+        Numbers of cells. ``cells``: in the whole rectangle; ``covered``: by one patch of four pixels or more;
+        ``gaps``: uncovered, between the ends of the lines; ``multiple``: covered by several patches, where
+        the line goes back over itself. ``most_hits``: largest number of patches over one cell.
 
     Raises
     ------
@@ -412,7 +411,9 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     missing = [name for name in ("hits", "gap") if name not in made.variables]
     if missing:
         raise SchemaError(
-            f"this is no map: {' and '.join(map(repr, missing))} missing; orthorectify a flight line first"
+            f"this is no map: {' and '.join(map(repr, missing))} missing",
+            mend="orthorectify a flight line first",
+            code="variable-missing",
         )
     hits, gap = made["hits"], made["gap"]
     lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())

@@ -1,4 +1,4 @@
-"""How high a line was flown, how wide its swath is and how square its pixels: what a wrong height changes."""
+"""Height above ground, swath and pixel aspect of a mapped line; a wrong ground height shows in them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,18 @@ import xarray as xr
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CROSS_TRACK
 
+# camera above the ground; heights above the sea differ by up to 106 m from heights above the ellipsoid
 MIN_HEIGHT_M, MAX_HEIGHT_M = 5.0, 10_000.0
-"""Of the camera above the ground. Heights above the sea are up to 106 m off those above the ellipsoid."""
-MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0
-"""Of a whole camera; narrower than two cars beside one another."""
-MAX_ASPECT = 5.0
-"""Longer over shorter side of a pixel; frame rates are set for square ones."""
-WHOLE_CAMERA = 200
-"""Columns from which on a line is no crop or example, whose swath and pixels may have any shape."""
+MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0  # of a whole camera: two cars side by side or more
+MAX_ASPECT = 5.0  # longer over shorter side of a pixel; frame rates are set for square pixels
+WHOLE_CAMERA_COLUMNS = 200  # narrower lines are crops or examples, with any swath and pixel shape
 
 
 def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, float]:
     """Return attributes of a map: ``swath``, ``height_above_ground`` [m] and ``pixel_aspect``, if known.
 
-    Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) where
-    one of them is absurd.
+    Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) about
+    implausible values.
     """
     attrs = {"swath": across * line.sizes[CROSS_TRACK], "pixel_aspect": along / across}
     ground = line.attrs.get("ground")
@@ -33,14 +30,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         altitude = line["altitude"].values
         attrs["height_above_ground"] = float(np.median(altitude[np.isfinite(altitude)])) - ground
     attrs = {name: float(value) for name, value in attrs.items() if np.isfinite(value)}
-    texts = list(_absurdities(attrs, is_whole=line.sizes[CROSS_TRACK] >= WHOLE_CAMERA))
-    if texts:
-        name = line.attrs.get("name", "this line")
-        warnings.warn(f"{name}: {'; '.join(texts)}; check ground and camera", PaintWarning, stacklevel=3)
-    return attrs
-
-
-def _absurdities(attrs: dict[str, float], *, is_whole: bool) -> list[str]:
+    is_whole = line.sizes[CROSS_TRACK] >= WHOLE_CAMERA_COLUMNS
     texts = []
     height = attrs.get("height_above_ground", MIN_HEIGHT_M)
     if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
@@ -56,11 +46,17 @@ def _absurdities(attrs: dict[str, float], *, is_whole: bool) -> list[str]:
         texts.append(
             f"pixels are {aspect:.3g} times as long as wide, expected {1 / MAX_ASPECT:g} to {MAX_ASPECT:g}"
         )
-    return texts
+    if texts:
+        name = line.attrs.get("name", "this line")
+        warnings.warn(
+            PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
+            stacklevel=3,
+        )
+    return attrs
 
 
 def describe_swath(attrs: dict[Any, Any]) -> str:
-    """Return a line of text of what `swath_attrs` added to a map."""
+    """Return the attributes of `swath_attrs` as one line of text."""
     units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
     units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
     return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)

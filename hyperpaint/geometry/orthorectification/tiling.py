@@ -1,6 +1,6 @@
-"""The graph of a map: one task a tile for where it lies in the line, and one for every variable of it.
+"""The dask graph of a map: one task per tile for its places in the line, and one per variable.
 
-A task is given the slabs of lines that cover its tile, and no others.
+A task reads only the slabs of lines that cover its tile.
 """
 
 from __future__ import annotations
@@ -34,21 +34,19 @@ from .indexing import (
     reading_of,
 )
 
-Place = tuple[int, int]
-"""Row and column of a tile."""
+Place = tuple[int, int]  # row and column of a tile
 
 
 def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
-    """Return the tiles of a grid, by row and column."""
     rows, cols = ([slice(k, min(k + tile, size)) for k in range(0, size, tile)] for size in shape)
     return [[(row, col) for col in cols] for row in rows]
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles of a map, and what each of them reads."""
+    """The tiles of a map, and the slabs that each of them reads."""
 
-    grid: MapGrid  #: How the cells lie
+    grid: MapGrid
     windows: list[list[Window]]  #: Cells of the tiles, by row and column
     slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads
     starts: tuple[int, ...]  #: First line of every slab
@@ -96,14 +94,13 @@ class Tiles:
         return cls(plan.grid, windows, slabs, starts, index, gap, nearest, before, bilinear)
 
     def part(self, name: str, dtype: Any) -> da.Array:
-        """Return a part of the index (row, col)."""
         tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _each(self.windows)}
         return _array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
     def cube(self, cube: da.Array, empty: Any) -> da.Array:
         """Return spectra (row, col, band) of a cube (line, band, column) in chunks of the slabs.
 
-        They have the type of what stands in empty cells.
+        They have the type of ``empty``.
         """
         reading = self.before if self.bilinear else self.nearest
         return self._tile_array("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
@@ -112,17 +109,16 @@ class Tiles:
         """Return values (row, col) of a plane (line, column) in chunks of the slabs.
 
         Where spectra are interpolated, ``kind`` is ``"bilinear"``, ``"nearest"``, or ``"flags"``, which
-        joins.
+        joins the bits of all pixels.
         """
         reading = self.nearest if kind == "nearest" or not self.bilinear else self.before
         return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
 
     def row_or_column(self, values: da.Array, of_lines: bool, empty: Any) -> da.Array:
-        """Return values (row, col) of what every line, or else every column, has one of, in one chunk."""
+        """Return values (row, col) from one value per line, or per column, in one chunk."""
         return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
 
     def centres(self) -> tuple[da.Array, da.Array]:
-        """Return east and north of the centres of cells (row, col) [m]."""
         coordinates = []
         for part, name in enumerate(("east", "north")):
             tasks = {place: (_centres, self.grid, *window, part) for place, window in _each(self.windows)}
@@ -140,7 +136,7 @@ class Tiles:
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        """Return the array whose tiles ``function`` makes of places, of what it reads, and of options."""
+        """Return an array whose tiles ``function`` makes from places, source blocks and options."""
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
         for place, (rows, cols) in _each(self.windows):
@@ -165,9 +161,7 @@ def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
 
 
 def _each(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
-    for row, windowsof_row in enumerate(windows):
-        for col, window in enumerate(windowsof_row):
-            yield (row, col), window
+    return (((row, col), window) for row, part in enumerate(windows) for col, window in enumerate(part))
 
 
 def _centres(grid: MapGrid, rows: slice, cols: slice, part: int) -> Array:
@@ -183,28 +177,28 @@ def _array(
     options: Any = None,
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
-    """Return the array of some tasks, by place; its name follows from what it is made of."""
+    """Return the dask array of some tasks, given by place; its name is a hash of its inputs."""
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
     return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
 
-# --- what comes along, and what stands where there is nothing ------------------------------------------
+# --- variables of the map, and values of empty cells ---------------------------------------------------
 
 
 _PRODUCTS = ("reflectance", "radiance")
 _BY_DEFAULT = ("quality", "time", "irradiance_age", "view_zenith", "view_azimuth", "ground_height")
 _RENAMED = {"time": "line_time"}
+# angles that jump from 360 to 0, or from 180 to -180, and cannot be interpolated
 _TURNING = ("view_azimuth", "sun_azimuth", "heading", "longitude")
-"""Angles that jump from 360 to 0, or from 180 to -180, between which nothing can be interpolated."""
 _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 
 
 def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
-    """Return a line whose spectra are at nominal wavelengths, and the variables that are to come along.
+    """Return a line with spectra at nominal wavelengths, and the names of the variables to map.
 
-    Without a choice that is its reflectance, else its radiance; with counts alone reflectance is computed.
+    By default reflectance, else radiance; from counts alone reflectance is computed.
 
     Raises
     ------
@@ -227,13 +221,17 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     for name in names:
         if name not in line.variables:
             held = ", ".join(sorted(map(str, line.variables)))
-            problems.add(f"{name!r} is not there; the line has {held:.400}")
-        elif not _is_mapped(line[name].dims):
+            problems.add(f"{name!r} is not there", expected=f"{held:.400}", code="variable-missing")
+        elif set(line[name].dims) not in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK}):
             dims = ", ".join(map(str, line[name].dims)) or "a scalar"
-            problems.add(f"{name!r} ({dims}) has no place on a map, expected along_track or cross_track")
+            problems.add(
+                f"{name!r} ({dims}) has no place on a map",
+                expected="along_track or cross_track",
+                code="dim-missing",
+            )
         elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
             expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
-            problems.add(f"{name!r} is {line[name].dtype}, expected {expected}")
+            problems.add(f"{name!r} is {line[name].dtype}", expected=f"{expected}", code="type-wrong")
     problems.raise_if_any()
     line = _as_native(line, names)
     spectra = [name for name in names if name in _PRODUCTS]
@@ -242,21 +240,16 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     return line, names
 
 
-def _is_mapped(dims: Sequence[Any]) -> bool:
-    return set(dims) in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK})
-
-
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    """Return the type that kernels take in place of one: in the machine's byte order, no half floats."""
+    """Return the dtype that kernels take instead: native byte order, no half floats."""
     if dtype.kind == "f":
         return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
     return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
 
 
 def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return a line whose variables have types that kernels take; what has keeps its memory."""
     wanted = {name: _native(line[name].dtype) for name in names}
-    # numpy takes types of either byte order for equal
+    # numpy compares types of either byte order as equal
     other = [
         name for name, dtype in wanted.items() if dtype is not None and dtype.str != line[name].dtype.str
     ]
@@ -266,9 +259,9 @@ def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return what a cell gets that no pixel shows.
+    """Return the value of a cell that no pixel shows.
 
-    NaN and NaT; ``off_swath`` of ``quality``; of whole numbers -1, or the largest where there is no -1.
+    NaN or NaT; ``off_swath`` for ``quality``; for integers -1, or the largest of an unsigned type.
     """
     if name == "quality":
         return np.uint16(Quality.OFF_SWATH)
@@ -282,7 +275,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
-    """Return the variables of a `prepared` line on a map, by their names there; ``lines``: of every slab."""
+    """Return the variables of a `prepared` line on a map, by new name; ``lines`` are those per slab."""
     variables = {}
     for name in names:
         values = _on_map(line[name], name, tiles, lines)
@@ -313,7 +306,7 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
 
 
 class _InMemory:
-    """An array in memory, of which dask neither makes a copy nor a hash."""
+    """An array in memory that dask neither copies nor hashes."""
 
     def __init__(self, array: Array) -> None:
         self._array = array
@@ -324,7 +317,6 @@ class _InMemory:
 
 
 def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
-    """Return an array in chunks of whole lines."""
     chunks: dict[Any, Any] = {dim: lines if dim == ALONG_TRACK else -1 for dim in array.dims}
     values = array.variable._data
     if not isinstance(values, np.ndarray):
@@ -334,6 +326,6 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
 
 
 def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
-    """Return an array in memory as one of chunks, which are views of it."""
+    """Return an array in memory as a dask array, whose chunks are views of it."""
     meta = np.empty((0,) * values.ndim, values.dtype)
     return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)

@@ -1,19 +1,19 @@
-// A hyperpaint store in the browser. Values come out of the Zarr store; `site.json` says where its lines and pictures are.
-// Whatever a store says reaches the page as text alone.
+// A hyperpaint store in the browser. Values are read from the Zarr store; `site.json` lists its lines and pictures.
+// Texts of a store enter the page as text only, never as HTML.
 
 import { FetchStore, get, open, registry, root } from "./zarrita.min.js";
 import { drawChart, isShown, sparkline } from "./chart.js";
 import { checked, unblosc } from "./codecs.js";
 
-const MOST_CURVES = 8;
-const MOST_KEPT_SPECTRA = 500;
+const MAX_CURVES = 8;
+const MAX_CACHED_SPECTRA = 500;
 const codec = (decode) => async () => ({ fromConfig: () => ({ kind: "bytes_to_bytes", decode }) });
 registry.set("blosc", codec(unblosc));
 registry.set("crc32c", codec(checked));
 
 const traffic = { bytes: 0, requests: 0 };
 
-// Every chunk of a finished store is there: one that is not is an error, and no fill value.
+// Every chunk of a finished store exists: a missing chunk is an error, not a fill value.
 class WholeStore extends FetchStore {
   async get(key, options) {
     const bytes = await super.get(key, options);
@@ -27,9 +27,9 @@ class WholeStore extends FetchStore {
 const parts = Object.fromEntries([...document.querySelectorAll("[id]")].map((each) => [each.id, each]));
 
 function node(name, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(name), properties);
-  made.append(...children);
-  return made;
+  const element = Object.assign(document.createElement(name), properties);
+  element.append(...children);
+  return element;
 }
 
 function say(text, isProblem = false) {
@@ -37,14 +37,14 @@ function say(text, isProblem = false) {
   parts.status.classList.toggle("problem", isProblem);
 }
 
-// --- what the store holds ---------------------------------------------------------------------------------
+// --- the store --------------------------------------------------------------------------------------------
 
 let site;
 let base;
 const opened = new Map();
 const spectra = new Map();
 
-// A store of its own for each array: zarrita takes paths for URLs, and a name with # or % for something else.
+// Each array is opened as a store: zarrita reads paths as URLs, and would misread names with # or %.
 function nodeOf(group, name) {
   const path = [...group.split("/"), name].filter(Boolean).map(encodeURIComponent).join("/");
   return open.v3(root(new WholeStore(`${base}/${path}`)), { kind: "array" });
@@ -78,7 +78,7 @@ function lineOf(name) {
   return opened.get(name);
 }
 
-// Return the wavelengths of a column: of a camera with smile each has its own.
+// Return the wavelengths of a column: with smile they differ from column to column.
 function wavelengths(line, column) {
   if (!line.shift) return line.nm;
   const [data, columns] = [line.shift.data, line.columns];
@@ -86,7 +86,7 @@ function wavelengths(line, column) {
   return line.nm.map((nm, band) => nm + at(band));
 }
 
-// Return what the store holds of a pixel: {nm, values (Float32Array), good, quality}. `x`, `y`: numbers of column and line.
+// Return the spectrum of a pixel: {nm, values (Float32Array), good, quality}. `x`, `y`: numbers of column and line.
 export function spectrum(name, x, y) {
   const key = JSON.stringify([name, x, y]);
   if (!spectra.has(key)) {
@@ -100,7 +100,7 @@ export function spectrum(name, x, y) {
       ]);
       return { nm: wavelengths(line, place.x), values: values.data, good: line.good, quality };
     };
-    if (spectra.size >= MOST_KEPT_SPECTRA) spectra.delete(spectra.keys().next().value);
+    if (spectra.size >= MAX_CACHED_SPECTRA) spectra.delete(spectra.keys().next().value);
     spectra.set(key, read().catch((error) => {
       spectra.delete(key);
       throw error;
@@ -128,7 +128,7 @@ async function loadPaints() {
   }
 }
 
-// --- what is shown, which the address says ------------------------------------------------------------------
+// --- the view, which the address holds ----------------------------------------------------------------------
 
 const state = { line: null, x: null, y: null, kept: [], paints: [], flags: false, zoom: 0 };
 
@@ -317,7 +317,7 @@ async function showSpectra() {
   if (mine !== turn) return; // another pixel was chosen meanwhile
   const named = state.paints.map((name) => paints.find((paint) => paint.name === name));
   curves = [...read.map((each, number) => ({ ...each, name: labelOf(pixels[number]) })), ...named]
-    .slice(0, MOST_CURVES)
+    .slice(0, MAX_CURVES)
     .map((curve, number) => ({ ...curve, look: `c${number}` }));
   drawChart(parts.chart, curves, readOut);
   parts.curves.replaceChildren(...curves.map((curve) => node("li", { className: curve.look, textContent: curve.name })));
@@ -330,7 +330,7 @@ async function showSpectra() {
   const bytes = traffic.bytes - before;
   if (curves.length && !hasValues) say("No band has a value here.");
   else say(bytes ? `${(bytes / 1000).toFixed(0)} kB read in ${((performance.now() - start) / 1000).toFixed(2)} s.` : "");
-  parts.keep.disabled = !isChosen || curves.length >= MOST_CURVES;
+  parts.keep.disabled = !isChosen || curves.length >= MAX_CURVES;
   parts.clear.disabled = !curves.length;
   parts.csv.hidden = !curves.length;
 }
