@@ -1,4 +1,4 @@
-"""The command ``hyperpaint check``: whether the inputs of a collect can be true."""
+"""The command ``hyperpaint check``: whether the inputs of a collect are plausible."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from .console import EXISTING_FILE, FAILED_CHECK
+from .options import command
 
 
 def _list_kinds(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
@@ -22,25 +23,28 @@ def _list_kinds(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -
         ctx.exit()
 
 
-@click.command(
-    short_help="Can the inputs of a collect be true?",
+@command(
     epilog="""\b
 Examples:
   hyperpaint check collect.toml
-  hyperpaint check --list                             every finding there may be, by name""",
+  hyperpaint check --list                             all possible findings by name""",
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
 @click.option(
-    "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_kinds,
-    help="Name every finding that there may be, and stop.",
-)  # fmt: skip
+    "--list",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_kinds,
+    help="List all possible findings, and exit.",
+)
 @click.pass_context
 def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
-    """Judge what a collect names by the pictures and records themselves, in seconds.
+    """Check whether the inputs of a collect are plausible, in seconds.
 
-    Shown is every finding of every line: its name, what was found, what was expected, and what to mend.
-    process and run do the same first: they stop where results would be wrong, and warn of the rest; --accept
-    NAME lets them go on. Exit status 0 where nothing was found, 1 where something was.
+    Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
+    check the same first: they stop where results would be wrong, and warn of the rest; --accept FINDING
+    continues. Exit status 1 where something was found.
     """
     from hyperpaint.workflows.collect_check import check_collect
 

@@ -7,24 +7,24 @@ from pathlib import Path
 import click
 
 from .console import FAILED_CHECK, PLACE
+from .options import command
 
 
-@click.command(
+@command(
     "check-library",
-    short_help="Is a paint library what its specification says?",
     epilog="""\b
 Examples:
   hyperpaint check-library paints.zarr
   hyperpaint check-library paints.csv""",
 )
-@click.argument("library", metavar="LIB", type=PLACE)
+@click.argument("library", metavar="LIBRARY", type=PLACE)
 @click.pass_context
 def check_library(ctx: click.Context, /, library: Path) -> None:
     """Compare a paint library, in any format that hyperpaint reads, with its specification.
 
-    Shown is every departure: names, wavelengths, values, spread and uncertainty, and what must be said, or
-    said to be unknown: quantity, specular_component, measurement_geometry, finish, provenance, licence.
-    hp.io.declare_library says it of a library. Exit status 1 where something was found.
+    Prints every departure: names, wavelengths, values, spread, uncertainty, and declarations that are
+    missing: quantity, specular_component, measurement_geometry, finish, provenance, licence.
+    hp.io.declare_library adds them. Exit status 1 where something was found.
     """
     from hyperpaint.io.library import check_library as compare
 

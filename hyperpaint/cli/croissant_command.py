@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from .console import FILE, FOLDER
+from .options import command
 
 
-@click.command(
-    short_help="Describe a store to machine-learning tools: Croissant metadata.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint croissant scene.zarr --licence https://spdx.org/licenses/CC-BY-4.0.html

@@ -8,31 +8,35 @@ from typing import Any
 import click
 
 from .console import FAILED_CHECK, FOLDER, is_watched, progress_bar
+from .options import command, takes
+
+AT_LEAST_8 = click.IntRange(min=8)
 
 
-@click.command(
-    short_help="Simulate, process and compare with the truth.",
+@command(
     epilog="""\b
 Example:
   hyperpaint demo --out demo""",
 )
-@click.option(
-    "--out", "folder", type=FOLDER, default="hyperpaint_demo", show_default=True,
-    help="Folder for everything the demo makes.",
-)  # fmt: skip
-@click.option("--lines", default=256, type=click.IntRange(min=8), help="Scan lines.")
-@click.option("--bands", default=272, type=click.IntRange(min=8), help="Spectral bands.")
-@click.option("--columns", default=320, type=click.IntRange(min=8), help="Columns.")
-@click.option("--seed", default=0, type=click.IntRange(min=0), help="Random seed; same seed, same files.")
-@click.option(
-    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered",
-    help="A car park of triangles whose light is traced, or a flat picture.",
-)  # fmt: skip
-@click.option("--samples", type=int, metavar="N", help="Rays a pixel of a rendered scene.  [default: 16]")
-@click.option("--overwrite", is_flag=True, help="Write into a folder that holds other files.")
-@click.option("--quiet", is_flag=True, help="No progress bars.")
+@takes(
+    "workflows.demonstration:run_demonstration",
+    only=["folder", "lines", "bands", "columns", "seed", "scene", "samples", "overwrite"],
+    folder={
+        "spelling": "--out",
+        "type": FOLDER,
+        "default": "hyperpaint_demo",
+        "help": "Folder of everything that the demo writes.",
+    },
+    lines={"type": AT_LEAST_8},
+    bands={"type": AT_LEAST_8},
+    columns={"type": AT_LEAST_8},
+    seed={"type": click.IntRange(min=0)},
+    scene={"type": click.Choice(["rendered", "plan"])},
+    samples={"metavar": "N"},
+    overwrite={"help": "Write into a folder that holds other files."},
+)
 @click.pass_context
-def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **shape: Any) -> None:
+def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
     """Simulate a collect, process it as if it were real, and compare with the truth.
 
     Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
@@ -44,10 +48,9 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     from hyperpaint.workflows.demonstration import PICTURE, STORE, run_demonstration
 
     begin = time.perf_counter()
-    shown = is_watched(quiet)
-    with progress_bar("simulating", shown) as simulated:
+    with progress_bar("simulating") as simulated:
         comparison = run_demonstration(
-            folder, **shape, overwrite=overwrite, progress=shown, simulated=simulated, say=click.echo
+            folder, **shape, progress=is_watched(), simulated=simulated, say=click.echo
         )
     click.echo(f"\n{time.perf_counter() - begin:.0f} s in all. Now try:")
     click.echo(f"  hyperpaint info {folder / 'collect.toml'}")

@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, EXISTING_FILE, PLACE, beside, is_watched, progress_bar
+from .console import EXISTING, EXISTING_FILE, PLACE, beside, progress_bar
+from .options import command, takes
 
 _LIBRARIES = ("envi", "csv", "parquet", "ecostress", "zarr")
 _NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
-@click.command(
-    short_help="Write a paint library for simulators and other programs.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint export paints.zarr --format dirsig
@@ -25,59 +25,84 @@ Examples:
   hyperpaint export paints.zarr --format envi --out paints.sli --curves all
   hyperpaint export paints.zarr --format ecostress --out spectra""",
 )
-@click.argument("library", metavar="LIB", type=EXISTING)
+@click.argument("library", metavar="LIBRARY", type=EXISTING)
 @click.option(
-    "--format", "form", required=True, type=click.Choice(["dirsig", *_LIBRARIES]),
+    "--format",
+    "form",
+    required=True,
+    type=click.Choice(["dirsig", *_LIBRARIES]),
     help="DIRSIG materials, an ENVI .sli, a table in CSV or Parquet, one text file a paint, or a Zarr store.",
-)  # fmt: skip
+)
 @click.option(
-    "--out", metavar="OUT", type=PLACE,
+    "--out",
+    metavar="OUT",
+    type=PLACE,
     help="Where to write: a file for envi (.sli), csv and parquet, a new or empty folder for the others.  "
-    "[default: beside LIB, of its name for a file, of the format's for a folder]",
-)  # fmt: skip
+    "[default: beside LIBRARY]",
+)
+@takes(
+    "io.dirsig.dirsig_writing:write_dirsig",
+    only=[
+        "curves",
+        "wavelength_range",
+        "extrapolate",
+        "gaps",
+        "max_curves",
+        "specular",
+        "surface",
+        "scene_materials",
+    ],
+    curves={
+        "type": click.Choice(["centre", "all", "members", "quantiles"]),
+        "help": "One spectrum a paint, or with members, quantiles and spread; DIRSIG: not all.  "
+        "[default: centre; zarr all; DIRSIG members where there are any]",
+    },
+    wavelength_range={
+        "spelling": "--range",
+        "metavar": "LOW HIGH",
+        "help": "DIRSIG: wavelengths [nm].  [default: all measured]",
+    },
+    extrapolate={"help": "DIRSIG: hold curves constant beyond the measured range."},
+    gaps={
+        "type": click.Choice(["interpolate", "refuse"]),
+        "help": "DIRSIG: treatment of bands without values.  [default: interpolate, with a warning]",
+    },
+    max_curves={
+        "type": click.IntRange(1),
+        "metavar": "N",
+        "help": "DIRSIG: maximum curves a paint.  [default: all; 64 of a scene]",
+    },
+    specular={
+        "type": str,
+        "metavar": "SHARE",
+        "default": None,
+        "help": "DIRSIG: mirrored share of body reflectance, or 'library'.  [default: 0]",
+    },
+    surface={
+        "type": click.Choice(["ClassicEmissivity", "SimpleReflectance"]),
+        "default": None,
+        "help": "DIRSIG: surface model of the materials.  [default: ClassicEmissivity]",
+    },
+    scene_materials={
+        "type": EXISTING_FILE,
+        "metavar": "SCENE.mat",
+        "help": "DIRSIG: reuse no ID of this material list.",
+    },
+)
 @click.option(
-    "--curves", type=click.Choice(["centre", "all", "members", "quantiles"]),
-    help="centre: one spectrum a paint; all: members, quantiles and spread as well; DIRSIG: centre, members "
-    "or quantiles.  [default: centre; zarr all; DIRSIG members where there are any]",
-)  # fmt: skip
-@click.option(
-    "--range", "wavelength_range", type=float, nargs=2, metavar="LOW HIGH", default=None,
-    help="DIRSIG: wavelengths in nm.  [default: what was measured]",
-)  # fmt: skip
-@click.option("--extrapolate", is_flag=True, help="DIRSIG: hold curves constant beyond what was measured.")
-@click.option(
-    "--gaps", type=click.Choice(["interpolate", "refuse"]),
-    help="DIRSIG: what to do about bands without values.  [default: interpolate, and say so]",
-)  # fmt: skip
-@click.option(
-    "--max-curves", type=click.IntRange(1), metavar="N",
-    help="DIRSIG: curves of a paint at the most.  [default: all; 64 of a scene]",
-)  # fmt: skip
-@click.option(
-    "--specular", metavar="SHARE",
-    help="DIRSIG: share of reflectance to mirror, or 'library'; only for body reflectance.  [default: 0]",
-)  # fmt: skip
-@click.option(
-    "--surface", type=click.Choice(["ClassicEmissivity", "SimpleReflectance"]),
-    help="DIRSIG: what materials use.  [default: ClassicEmissivity]",
-)  # fmt: skip
-@click.option(
-    "--scene-materials", type=EXISTING_FILE, metavar="SCENE.mat",
-    help="DIRSIG: use no ID of this material list again.",
-)  # fmt: skip
-@click.option(
-    "--scene", type=EXISTING_FILE, metavar="SCENE.toml",
-    help="DIRSIG: write the whole scene of a render, painted with LIB.",
-)  # fmt: skip
+    "--scene",
+    type=EXISTING_FILE,
+    metavar="SCENE.toml",
+    help="DIRSIG: write the whole scene of a render, painted with LIBRARY.",
+)
 @click.option("--coat-brdf", is_flag=True, help="DIRSIG: clear coats of a scene as the BRDF Shell Target.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
-@click.option("--quiet", is_flag=True, help="No progress bar.")
-def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: bool, **options: Any) -> None:
+def export(library: Path, form: str, out: Path | None, overwrite: bool, **options: Any) -> None:
     """Write a paint library for simulators and other programs.
 
-    LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads.
+    LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads.
     For DIRSIG every paint becomes emissivity with many curves, so that a texture can draw from them, and a
-    MATERIAL_ENTRY; README.txt beside them says how to add them to a scene.
+    MATERIAL_ENTRY; README.txt explains how to add them to a scene.
     """
     from hyperpaint.io.library import open_library, write_library
 
@@ -87,18 +112,22 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
     if set(given) - {"curves"} and form != "dirsig":
         given.pop("curves", None)
         names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in given)
-        raise click.UsageError(f"{names} only with --format dirsig")
+        raise click.UsageError(f"{names} only with --format dirsig [option-conflict]")
     paints = open_library(library)
-    with progress_bar("writing", is_watched(quiet)) as shown:
+    with progress_bar("writing") as shown:
         if "scene" in given:
             from hyperpaint.workflows.dirsig_export import export_dirsig_scene
 
-            _echo_scene(out, export_dirsig_scene(**_of_scene(given), folder=out, library=paints,
-                                                 overwrite=overwrite, progress=shown))  # fmt: skip
+            _echo_scene(
+                out,
+                export_dirsig_scene(
+                    **_of_scene(given), folder=out, library=paints, overwrite=overwrite, progress=shown
+                ),
+            )
             return
         if form == "dirsig":
             if given.pop("coat_brdf", False):
-                raise click.UsageError("--coat-brdf only with --scene")
+                raise click.UsageError("--coat-brdf only with --scene [option-conflict]")
             from hyperpaint.io.dirsig import write_dirsig
 
             materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
@@ -127,7 +156,7 @@ def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
     )
     if others:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
-        raise click.UsageError(f"{names} not with --scene, whose materials are ClassicEmissivity")
+        raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
     return {"scene_file": given["scene"], **{key: given[key] for key in given if key != "scene"}}
 
 
@@ -148,4 +177,6 @@ def _options(given: dict[str, Any]) -> dict[str, Any]:
     try:
         return {**given, "specular": float(share)}
     except ValueError:
-        raise click.UsageError(f"--specular {share!r}, expected a number or 'library'") from None
+        raise click.UsageError(
+            f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
+        ) from None

@@ -32,6 +32,7 @@ from hyperpaint.report.summaries import (
 
 from .console import EXISTING
 from .init_command import facts_of_field_folder
+from .options import command
 from .virtual_command import facts_of_virtual
 
 if TYPE_CHECKING:
@@ -457,8 +458,7 @@ def _joined(facts: Facts) -> str:
 # --- the command ---
 
 
-@click.command(
-    short_help="Show what a file, collect or store is.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint info collect.toml
@@ -467,9 +467,11 @@ Examples:
 @click.argument("path", type=EXISTING)
 @click.option("--json", "as_json", is_flag=True, help="The same as JSON, for programs.")
 @click.option(
-    "--allow", metavar="PREFIX", multiple=True,
+    "--allow",
+    metavar="PREFIX",
+    multiple=True,
     help="Folder or URL below which raw files of a virtual store may be read, besides its own folder.",
-)  # fmt: skip
+)
 def info(path: Path, as_json: bool, allow: tuple[str, ...]) -> None:
     """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 

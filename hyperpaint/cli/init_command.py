@@ -10,6 +10,7 @@ import click
 from hyperpaint.report.summaries import Facts, counted
 
 from .console import EXISTING, FILE
+from .options import command, takes
 
 if TYPE_CHECKING:
     from hyperpaint.workflows.field_folder import FieldFolder
@@ -46,8 +47,7 @@ def _within(folder: Path, path: Path) -> str:
     return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
-@click.command(
-    short_help="Write a collect.toml from what lies in a folder.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint init 2021_07_20
@@ -55,30 +55,24 @@ Examples:
   hyperpaint run 2021_07_20/collect.toml""",
 )
 @click.argument("folder", metavar="FOLDER", type=_FOLDER)
-@click.option("--asd", metavar="DIR", type=_FOLDER, help="ASD files, where they lie elsewhere.")
-@click.option("--dark", metavar="DIR", type=_FOLDER, help="Dark cubes, where they lie elsewhere.")
-@click.option(
-    "--calibration", metavar="PATH", type=EXISTING,
-    help="The camera's calibration, or a lab sweep.  [default: the one in FOLDER]",
-)  # fmt: skip
-@click.option(
-    "--out", metavar="FILE", type=FILE,
-    help="The file.  [default: collect.toml in FOLDER]",
-)  # fmt: skip
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-def init(
-    folder: Path, asd: Path | None, dark: Path | None, calibration: Path | None, out: Path | None,
-    overwrite: bool,
-) -> None:  # fmt: skip
-    """Write a commented collect.toml from what lies in the folder of a flight.
+@takes(
+    "workflows.field_folder:find_field_files",
+    asd={"metavar": "DIR", "type": _FOLDER},
+    dark={"metavar": "DIR", "type": _FOLDER},
+    calibration={"metavar": "PATH", "type": EXISTING},
+)
+@click.option("--out", metavar="FILE", type=FILE, help="The file.  [default: collect.toml in FOLDER]")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def init(folder: Path, out: Path | None, overwrite: bool, **elsewhere: Path | None) -> None:
+    """Write a commented collect.toml from the files in the folder of a flight.
 
-    Looks for raw cubes, their frame indices and navigation, darks, ASD and SVC files and the calibration.
-    Nothing is asked: what no file says is marked "?" in the file, and process names it until it is filled in.
+    Finds raw cubes, their frame indices and navigation, darks, ASD and SVC files and the calibration. Values
+    that no file holds are marked "?"; process lists them until they are filled in.
     """
     from hyperpaint.workflows.collect_template import unknown_keys, write_collect_toml
     from hyperpaint.workflows.field_folder import find_field_files
 
-    found = find_field_files(folder, asd=asd, dark=dark, calibration=calibration)
+    found = find_field_files(folder, **elsewhere)
     path = write_collect_toml(found, out, overwrite=overwrite)
     cubes = len(found.cubes)
     click.echo(

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
+from .console import EXISTING, FILE, PLACE, progress_bar
+from .options import command, takes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -15,9 +16,8 @@ if TYPE_CHECKING:
 _ABOUT = ("finish", "colour", "srgb", "make", "model", "year")
 
 
-@click.command(
+@command(
     "paints",
-    short_help="List, search and save paints; the starter library, or your own.",
     epilog="""\b
 Examples:
   hyperpaint paints                                        what is in the starter library?
@@ -33,70 +33,84 @@ Then, to put them into a simulator:
   hyperpaint export starter.zarr --format dirsig --out dirsig
 
 \b
-The starter library is synthetic: forty car paints computed from a few parameters each, by Kubelka and Munk's
-theory. None of them was measured, and names are make-believe. Its reflectance is that of the body; what clear
-coat and flakes mirror is specular_reflectance.""",
+The starter library is synthetic: forty car paints computed by Kubelka-Munk theory, not measured,
+with invented names. reflectance is that of the body under the clear coat; specular_reflectance is
+mirrored by clear coat and flakes.""",
 )
-@click.argument("library", metavar="[LIB]", required=False, type=EXISTING)
-@click.option(
-    "--name", metavar="TEXT", help="Part of the name, or a pattern with * and ?; case is no matter."
+@click.argument("library", metavar="[LIBRARY]", required=False, type=EXISTING)
+@takes(
+    "paints.paint_search:search_library",
+    without=["like"],
+    name={"metavar": "TEXT", "help": "Part of the name, or a pattern with * and ?; case is ignored."},
+    colour={
+        "spelling": "--colour --color",
+        "metavar": "COLOUR",
+        "help": "A word such as red or 'dark blue', or sRGB as '#27509e'; sorts by colour difference.",
+    },
+    maximum_colour_difference={
+        "spelling": "--maximum-difference",
+        "type": click.FloatRange(min=0.0),
+        "metavar": "CIEDE2000",
+        "help": "Largest difference from --colour; 1 is just visible, 10 is another shade.",
+    },
+    maximum_angle={
+        "type": click.FloatRange(min=0.0),
+        "metavar": "RAD",
+        "help": "Largest spectral angle to --like.",
+    },
+    limit={"type": click.IntRange(min=1), "metavar": "N", "help": "Maximum number of paints."},
 )
 @click.option(
-    "--colour", "--color", "colour", metavar="COLOUR",
-    help="A word such as red or 'dark blue', or sRGB as '#27509e'; the most similar comes first.",
-)  # fmt: skip
+    "--like",
+    metavar="PAINT",
+    help="A paint of the library, or a file of one spectrum (.sig, .asd, .csv); sorts by spectral angle.",
+)
 @click.option(
-    "--like", metavar="PAINT",
-    help="A paint of the library by its name, or a file with one spectrum (.sig, .asd, .csv ...); the "
-    "smallest spectral angle comes first.",
-)  # fmt: skip
-@click.option(
-    "--maximum-difference", "maximum_colour_difference", type=click.FloatRange(min=0.0), metavar="CIEDE2000",
-    help="Leave out what looks more different from --colour; 1 can just be seen, 10 is another shade.",
-)  # fmt: skip
-@click.option(
-    "--maximum-angle", type=click.FloatRange(min=0.0), metavar="RAD",
-    help="Leave out what has a larger spectral angle to --like.",
-)  # fmt: skip
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Paints at the most.")
-@click.option(
-    "--members", type=click.IntRange(min=0, max=10_000), metavar="N",
+    "--members",
+    type=click.IntRange(min=0, max=10_000),
+    metavar="N",
     help="Variants of each paint of the starter library.  [default: 24]",
-)  # fmt: skip
+)
 @click.option("--out", metavar="OUT", type=PLACE, help="Also save the paints found; .zarr, .sli or .csv.")
 @click.option(
-    "--picture", metavar="PICTURE", type=FILE,
+    "--picture",
+    metavar="PICTURE",
+    type=FILE,
     help="Also draw their spectra and colours (png, pdf ...).",
-)  # fmt: skip
+)
 @click.option("--overwrite", is_flag=True, help="Replace a library that is there.")
-@click.option("--quiet", is_flag=True, help="No progress bar.")
 def list_paints(
-    library: Path | None, like: str | None, members: int | None, out: Path | None, picture: Path | None,
-    overwrite: bool, quiet: bool, **options: Any,
-) -> None:  # fmt: skip
+    library: Path | None,
+    like: str | None,
+    members: int | None,
+    out: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    **options: Any,
+) -> None:
     """List, search and save the paints of a library.
 
-    LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads;
-    without it, the starter library. Several conditions must all be met.
+    LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads; by default the
+    starter library. A paint must meet all conditions.
     """
     from hyperpaint.paints.paint_search import search_library
 
     if options["maximum_angle"] is not None and like is None:
-        raise click.UsageError("--maximum-angle needs --like")
+        raise click.UsageError("--maximum-angle needs --like [argument-missing]")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
-        raise click.UsageError("--maximum-difference needs --colour")
+        raise click.UsageError("--maximum-difference needs --colour [argument-missing]")
     paints = _opened(library, members)
     matches = search_library(paints, like=_spectrum(like, paints), **options)
     count = matches.sizes["signature"]
     click.echo(f"{count} of {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if not count:
-        click.echo("none was found; ask for less")
+        click.echo("no paint meets all conditions")
         return
     click.echo(_table(matches))
     if out is not None:
         from hyperpaint.io.library import write_library
 
-        with progress_bar("writing", is_watched(quiet)) as shown:
+        with progress_bar("writing") as shown:
             path = write_library(matches, out, overwrite=overwrite, progress=shown)
         click.echo(f"saved in {path}")
     if picture is not None:
@@ -112,7 +126,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
         return starter_library() if members is None else starter_library(members=members)
     if members is not None:
-        raise click.UsageError("--members is for the starter library; leave it out")
+        raise click.UsageError("--members is only for the starter library; leave it out [option-conflict]")
     from hyperpaint.io.library import open_library
 
     return open_library(library)
@@ -124,7 +138,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
         return like
     path = Path(like)
     if not path.exists():
-        raise click.UsageError(f"--like {like!r} is no paint of the library and no file")
+        raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
     if path.suffix.lower() == ".sig":
         from hyperpaint.io.spectrometers.svc import open_svc
 

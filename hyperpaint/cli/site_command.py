@@ -7,56 +7,39 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, FAILED_CHECK, FOLDER, is_watched, takes_memory_limit
+from .console import EXISTING, FAILED_CHECK, FOLDER, is_watched
+from .options import command, takes
 
 
-@click.command(
+@command(
     "site",
-    short_help="Write a page that shows a store in a browser, from any web server.",
+    renamed={"--signatures": "--library", "--lines": "--max-lines"},
     epilog="""\b
 Examples:
-  hyperpaint site lot.zarr --out page --signatures paints.zarr
+  hyperpaint site lot.zarr --out page --library paints.zarr
   python -m http.server --directory page 8000          then open http://localhost:8000
   aws s3 sync page s3://bucket/lot                     or any other place for files
   hyperpaint site lot.zarr --out page --link https://data.example.org/lot.zarr""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
-@click.option("--out", metavar="DIR", type=FOLDER, required=True, help="The folder to serve.")
-@click.option(
-    "--line", "flightlines", multiple=True, metavar="ID",
-    help="Show this flight line only; may be given several times.",
-)  # fmt: skip
-@click.option("--signatures", metavar="LIB.zarr", type=EXISTING, help="Show the paints of this library too.")
-@click.option(
-    "--link", metavar="URL",
-    help="Copy nothing: read the store at this address. A click then reads a chunk of that store, often 8 to "
-    "20 MB in place of some 100 kB.",
-)  # fmt: skip
-@click.option(
-    "--lines", type=click.IntRange(min=1), default=4000,
-    help="Lines of a picture at the most; of a longer one every n-th is shown, and all can be clicked.",
-)  # fmt: skip
-@click.option(
-    "--flags/--no-flags", default=True,
-    help="Look for glint, shadow and light of neighbours, on lines without such flags.",
-)  # fmt: skip
-@takes_memory_limit
-@click.option("--overwrite", is_flag=True, help="Replace a site that is there.")
-@click.option("--quiet", is_flag=True, help="No progress bar.")
+@takes(
+    "report.static_site:write_site",
+    out={"metavar": "DIR", "type": FOLDER},
+    library={"type": EXISTING, "help": "Paint library to show as well."},
+    link={"metavar": "URL"},
+    max_lines={"type": click.IntRange(min=1)},
+)
 @click.pass_context
-def site(
-    ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, ...], quiet: bool, **options: Any
-) -> None:
+def site(ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, ...], **options: Any) -> None:
     """Write a folder that any web server or bucket can serve: the page reads the Zarr store itself.
 
-    Lines and maps in true colour, flags on them, the spectrum of any pixel by a click, paints side by side,
-    addresses that can be passed on. No program runs on the server, nothing is loaded from elsewhere, and the
-    values are those of the store, bit for bit. store.zarr in the folder is a copy of what the page shows, cut
-    into small tiles.
+    The page shows lines and maps in true colour, flags, the spectrum of a clicked pixel, and paints; every
+    view has its own address. No program runs on the server, nothing is loaded from elsewhere, and values
+    equal those of the store bit for bit. The folder's store.zarr is a copy in small tiles.
     """
     from hyperpaint.report.static_site import write_site
 
-    done = write_site(store, out, flightlines=flightlines or None, progress=is_watched(quiet), **options)
+    done = write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
     names = ", ".join(each.rpartition("/")[2] for each in (*done.flightlines, *done.maps)) or "paints"
     size = sum(file.stat().st_size for file in done.path.rglob("*") if file.is_file())
     click.echo(f"{done.path}: {names}, {size / 1e6:.1f} MB")

@@ -7,26 +7,28 @@ from pathlib import Path
 import click
 
 from .console import EXISTING_FILE, FAILED_CHECK, PLACE
+from .options import command
 
 
-@click.command(
-    short_help="Check every chunk of a store against its record.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint verify lot.zarr
-  hyperpaint verify lot.zarr --inputs     also every byte of the files that it was made from""",
+  hyperpaint verify lot.zarr --inputs     and every byte of its input files""",
 )
 @click.argument("store", metavar="STORE.zarr", type=PLACE)
-@click.option("--inputs", is_flag=True, help="Read all inputs whole, and compare them with what is stored.")
+@click.option("--inputs", is_flag=True, help="Read all inputs, and compare them with the stored checksums.")
 @click.option(
-    "--collect", metavar="COLLECT.toml", type=EXISTING_FILE,
+    "--collect",
+    metavar="COLLECT.toml",
+    type=EXISTING_FILE,
     help="Where the inputs are now.  [default: where they were processed]",
-)  # fmt: skip
+)
 @click.pass_context
 def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | None) -> None:
     """Read every chunk of a store and compare it with its record; exit status 1 where one is wrong.
 
-    The store must also hold the groups that it is to hold: what it lacks is said, and how to finish it.
+    Missing groups are listed, with the command that writes them.
     """
     from hyperpaint.io.store import verify as verify_store
 

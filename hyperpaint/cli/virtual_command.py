@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from hyperpaint.base.constants import ALIGNMENTS
 from hyperpaint.report.summaries import Facts, counted, facts_of_line, size_of
 
 from .console import EXISTING_FILE, PLACE, say_outcome
+from .options import command, takes
 
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
@@ -34,8 +34,7 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
             yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
 
 
-@click.command(
-    short_help="Refer to raw cubes, without copying them.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint virtual collect.toml --out lot.icechunk
@@ -52,15 +51,16 @@ Raw files that lie neither beside the store nor below its folder are read only i
   hp.io.open_virtual("lot.icechunk", allow="/data/day")""",
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
-@click.option("--out", metavar="STORE", type=PLACE, required=True, help="A folder, a repository of icechunk.")
-@click.option(
-    "--prefix", metavar="URL",
-    help="Where the raw files lie as below the folder of COLLECT.toml: s3, or http or https without a port. "
-    "Region, endpoint and keys of s3 come from the environment (AWS_...).",
-)  # fmt: skip
-@click.option("--alignment", type=click.Choice(ALIGNMENTS), help="As of `process`.")
-@click.option("--accept", metavar="NAME", multiple=True, help="As of `process`.")
-@click.option("--overwrite", is_flag=True, help="Replace a virtual store of other inputs.")
+@takes(
+    "workflows.virtual_store:virtualise",
+    out={"metavar": "STORE", "type": PLACE, "help": "A folder, a repository of icechunk."},
+    prefix={
+        "metavar": "URL",
+        "help": "Address of the raw files, laid out as below the folder of COLLECT.toml: s3, or http or "
+        "https without a port. Region, endpoint and keys of s3 come from the environment (AWS_...).",
+    },
+    alignment={"help": "See process."},
+)
 def virtual(collect: Path, out: Path, **options: Any) -> None:
     """Write a store of a few kilobytes that refers to the raw cubes of a collect.
 

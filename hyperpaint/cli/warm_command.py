@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import progress_bar
+from .options import command
 
 
-@click.command(
-    short_help="Compile now what the first use would wait for.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint warm                                     after an installation or an update
@@ -19,8 +19,7 @@ In a container image (a Dockerfile):
   ENV NUMBA_CACHE_DIR=/opt/kernels NUMBA_CPU_NAME=generic
   RUN pip install hyperpaint && hyperpaint warm --quiet""",
 )
-@click.option("--quiet", is_flag=True, help="No progress bar.")
-def warm(quiet: bool) -> None:
+def warm() -> None:
     """Compile the loops that hyperpaint computes with, and keep them on disk: a minute, once.
 
     Without it the first reflectance on a machine waits some seconds for them, the first render some more. A
@@ -37,7 +36,7 @@ def warm(quiet: bool) -> None:
     """
     from hyperpaint.workflows.kernel_warming import warm_kernels
 
-    with progress_bar("compiling", is_watched(quiet)) as progress:
+    with progress_bar("compiling") as progress:
         warmth = warm_kernels(progress)
     done = f"compiled {warmth.kernels} kernels" if warmth.kernels else "all kernels were there already"
     click.echo(f"{done}, for {warmth.processor}, in {warmth.folder.parent}")

@@ -15,6 +15,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hyperpaint.base.errors import StoreError, needs_extra
+from hyperpaint.base.renamed import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
@@ -109,9 +110,10 @@ def require_panel() -> None:
             __import__(package)
 
 
+@renamed(group="line")
 def serve_explorer(
     store: str | os.PathLike[str],
-    group: str | None = None,
+    line: str | None = None,
     *,
     regions: str | os.PathLike[str] | None = None,
     library: str | os.PathLike[str] | None = None,
@@ -127,8 +129,8 @@ def serve_explorer(
     ----------
     store
         A store with flight lines, or one line.
-    group
-        The flight line that is shown first; by default the first. The others are a click away.
+    line
+        Flight line to show first; by default the first of the store.
     regions
         GeoJSON of regions to begin with, if it is there, where what is drawn is saved; by default, and of
         other lines, ``STORE-LINE-regions.geojson`` in the current folder. Regions of other flight lines in
@@ -148,10 +150,10 @@ def serve_explorer(
         panel or bokeh is not installed.
     """
     lines = _lines_of(store)
-    shown = next(iter(lines), "") if group is None else group.rpartition("/")[2]
+    shown = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     if shown not in lines:
         raise StoreError(
-            f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
+            f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
         )
     require_panel()

@@ -21,6 +21,7 @@ import numpy as np
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.input_files import read_limited
+from hyperpaint.base.renamed import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.paints.colours import paint_colours, srgb_hex
@@ -61,14 +62,15 @@ _LEFT_OUT = ("member_reflectance", "member_along_track", "member_cross_track", "
              "error_correlation", "quality_share")  # fmt: skip
 
 
+@renamed(signatures="library", lines="max_lines")
 def write_site(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     flightlines: Sequence[str] | None = None,
-    signatures: str | os.PathLike[str] | None = None,
+    library: str | os.PathLike[str] | None = None,
     link: str | None = None,
-    lines: int = 4000,
+    max_lines: int = 4000,
     flags: bool = True,
     overwrite: bool = False,
     progress: bool = False,
@@ -89,14 +91,14 @@ def write_site(
         `hyperpaint.process` rounds it; flags, wavelengths and paints.
     flightlines
         Names of those that are shown, such as ``["raw_0"]``; by default all, of more than 64 the first.
-    signatures
+    library
         A paint library beside the store, as ``hyperpaint signatures`` writes it.
     link
         Copy nothing: the page reads the store at this address, absolute or seen from the page. There a click
         reads what the store's own chunks hold, 8 to 20 MB in the layouts of `hyperpaint.process`; another
         origin must allow it (CORS).
-    lines
-        Lines of a picture at the most; of a longer one every n-th is shown, and all can be clicked.
+    max_lines
+        Maximum picture height [lines]; longer flight lines are subsampled, and every pixel can be clicked.
     flags
         Look for glint, shadow and light of neighbours on lines without these flags, see
         `hyperpaint.surroundings.flag`; the copy holds them then. A warning says where that cannot be done.
@@ -113,8 +115,8 @@ def write_site(
     Raises
     ------
     SchemaError
-        There are no such flight lines, ``lines`` is not positive, ``link`` is no address, or goes with
-        ``signatures``.
+        There are no such flight lines, ``max_lines`` is not positive, ``link`` is no address, or goes with
+        ``library``.
     StoreError
         There is no store, or nothing in it to show, or ``out`` holds something else. What was there stays.
 
@@ -129,15 +131,15 @@ def write_site(
     >>> write_site(store, folder / "page", flags=False).flightlines
     ('flightlines/raw_0',)
     """
-    if lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 or more")
-    if link is not None and signatures is not None:
-        raise SchemaError("link and signatures: a page that copies nothing shows what the store itself holds")
+    if max_lines < 1:
+        raise SchemaError(f"max_lines={max_lines}, expected 1 or more")
+    if link is not None and library is not None:
+        raise SchemaError("link and library: a page that copies nothing shows what the store itself holds")
     origin = "" if link is None else _origin_of(link)
     place = Path(out)
     if Path(store).resolve() in (place.resolve(), *place.resolve().parents):
         raise StoreError(f"{out} is in the store itself; choose another path")
-    shown = groups_to_show(store, flightlines, signatures)
+    shown = groups_to_show(store, flightlines, library)
     site, lacking = _Site({}, [], [], {}, list(shown.problems)), set()
     notes: dict[str, str] = {}
     for name, group in (shown.lines | shown.maps).items():
@@ -147,12 +149,12 @@ def write_site(
                 group, note = flagged(group, None, None)
                 notes[name] = "" if group is not shown.lines[name] else note
             copied = _copied(group, stored=link is not None)
-            site.add(path, name, copied, _picture(copied, group, lines))
+            site.add(path, name, copied, _picture(copied, group, max_lines))
         except Exception as error:  # what cannot be read is said, and does not keep the rest from the page
             site.problems.append(f"/{name}: {message_of(error)}")
             lacking.add(name)
-    for name, library in shown.libraries.items():
-        site.add_library(name if name in shown.opened else "library", name, library)
+    for name, paints in shown.libraries.items():
+        site.add_library(name if name in shown.opened else "library", name, paints)
     for name, note in notes.items():
         if note:
             warnings.warn(f"/{name}: {note}", PaintWarning, stacklevel=2)

@@ -17,6 +17,7 @@ import numpy as np
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.progress_reports import part_of
+from hyperpaint.base.renamed import renamed
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.surroundings.scratch import release
@@ -51,13 +52,14 @@ class Written:
     problems: tuple[str, ...]  #: What of the store could not be read, as the page says it too.
 
 
+@renamed(signatures="library", lines="max_lines")
 def write_report(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     flightlines: Sequence[str] | None = None,
-    signatures: str | os.PathLike[str] | None = None,
-    lines: int = 1000,
+    library: str | os.PathLike[str] | None = None,
+    max_lines: int = 1000,
     flags: bool = True,
     cards: int = 60,
     sun_zenith: float | None = None,
@@ -80,12 +82,12 @@ def write_report(
         The page, a file.
     flightlines
         Names of those that are shown, such as ``["raw_0"]``; by default all, of more than 64 the first.
-    signatures
-        A paint library beside the store, as ``hyperpaint signatures`` writes it; what the store itself holds
-        is shown anyway.
-    lines
-        Lines of a picture at the most; of a longer flight line every n-th is read. Flags are read whole, two
-        bytes a pixel.
+    library
+        A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store are
+        always shown.
+    max_lines
+        Maximum picture height [lines]; longer flight lines are subsampled. Flags are read whole, two bytes a
+        pixel.
     flags
         Look for glint, shadow and light of neighbours on lines without these flags, see
         `hyperpaint.surroundings.flag`, and show what is found; of a line where that cannot be done, the page
@@ -110,7 +112,7 @@ def write_report(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        ``lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
+        ``max_lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
     StoreError
         There is no store, or nothing in it to show; or the page is there already, or cannot be written.
 
@@ -128,11 +130,11 @@ def write_report(
     new_figure("a report")  # before anything is read
     place = Path(out)
     check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
-    if lines < 1:
-        raise SchemaError(f"lines={lines}, expected 1 or more")
+    if max_lines < 1:
+        raise SchemaError(f"max_lines={max_lines}, expected 1 or more")
     if cards < 0:
         raise SchemaError(f"cards={cards}, expected 0 or more")
-    groups = groups_to_show(store, flightlines, signatures)
+    groups = groups_to_show(store, flightlines, library)
     shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     measured = _measured(shown, libraries, problems)
     calibration = groups.opened.get("calibration")
@@ -142,10 +144,10 @@ def write_report(
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
-        section = _flagged_section(line, lines, measured[name], cards, flags, sun_zenith, share)
+        section = _flagged_section(line, max_lines, measured[name], cards, flags, sun_zenith, share)
         parts.append((name, section))
-    parts += [(name, map_section(group, lines)) for name, group in maps.items()]
-    parts += [(name, library_section(library)) for name, library in libraries.items()]
+    parts += [(name, map_section(group, max_lines)) for name, group in maps.items()]
+    parts += [(name, library_section(paints)) for name, paints in libraries.items()]
     if validated:
         parts.append(("validation", validation_section(libraries, references)))
     if calibration is not None:

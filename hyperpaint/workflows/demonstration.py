@@ -245,10 +245,10 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
 def run_demonstration(
     folder: Path,
     *,
-    lines: int,
-    bands: int,
-    columns: int,
-    seed: int,
+    lines: int = 256,
+    bands: int = 272,
+    columns: int = 320,
+    seed: int = 0,
     scene: str = "rendered",
     samples: int | None = None,
     overwrite: bool = False,
@@ -262,12 +262,37 @@ def run_demonstration(
     where matplotlib is installed, ``quicklook.png`` in the folder, and replaces those of an earlier
     demonstration.
 
-    ``lines`` to ``samples`` are as for `simulate_collect`; with ``overwrite`` the folder may hold other
-    files, which stay; ``progress`` shows the processing on stderr; ``simulated`` is called with lines done
-    and to do while the collect is simulated, ``say`` with every text.
+    Parameters
+    ----------
+    folder
+        Folder of all products.
+    lines
+        Scan lines.
+    bands
+        Spectral bands.
+    columns
+        Columns of the detector.
+    seed
+        Random seed; the same seed gives the same files.
+    scene
+        "rendered": a ray-traced car park; "plan": a flat picture.
+    samples
+        Rays a pixel of a rendered scene; by default 16.
+    overwrite
+        Write into a folder that holds other files, which stay.
+    progress
+        Show the processing on stderr.
+    simulated
+        Called with lines done and to do while the collect is simulated.
+    say
+        Called with every text.
 
-    Raises `StoreError`: the folder holds something that must stay, or cannot be written; `SchemaError`: a
-    size or the scene is out of range; all problems are listed.
+    Raises
+    ------
+    StoreError
+        The folder holds files that must stay, or cannot be written.
+    SchemaError
+        A size or the scene is out of range; all problems are listed.
     """
     from hyperpaint.simulation import simulate_collect
 

@@ -450,9 +450,9 @@ class _Day:
     def _report(self) -> str:
         from hyperpaint.report.store_report import write_report
 
-        signatures = self.library if self.library.exists() and not self._library_failed else None
+        library = self.library if self.library.exists() and not self._library_failed else None
         done = write_report(
-            self.store, self.out / "report.html", signatures=signatures, overwrite=True,
+            self.store, self.out / "report.html", library=library, overwrite=True,
             progress=self.progress("report"),
         )  # fmt: skip
         problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""

@@ -45,14 +45,14 @@ def write_calibration(
     out: str | os.PathLike[str],
     *,
     overwrite: bool = False,
-    report: str | os.PathLike[str] | None = None,
+    picture: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
 
-    ``overwrite`` replaces another calibration; one of the same content is left alone. ``report``: picture to
-    draw of it, see `hyperpaint.pictures.calibration_report`.
+    ``overwrite`` replaces another calibration; one of the same content is left alone. ``picture``: file to
+    draw it into, see `hyperpaint.pictures.calibration_report`.
 
     Raises `FormatError`, `SchemaError`: as `calibrate_sweep`, or the picture cannot be written;
     `MissingExtraError`: the picture needs matplotlib; `StoreError`: the store cannot be written, or holds
@@ -62,17 +62,17 @@ def write_calibration(
 
     if Path(out).resolve() == Path(sweep).resolve():
         raise SchemaError(f"{out} is the sweep itself; choose another path for the calibration")
-    if report is not None:
+    if picture is not None:
         from hyperpaint.pictures.figures import check_picture
 
-        check_picture(Path(report))
+        check_picture(Path(picture))
     calibration = calibrate_sweep(sweep, progress=progress, **options)
     to_store(calibration, Path(out), overwrite=overwrite)
-    if report is not None:
+    if picture is not None:
         from hyperpaint.io.flightline.calibration_store import open_sweep
         from hyperpaint.pictures.plot_calibration import calibration_report
 
-        calibration_report(calibration, open_sweep(sweep), Path(report))
+        calibration_report(calibration, open_sweep(sweep), Path(picture))
     return calibration
 
 

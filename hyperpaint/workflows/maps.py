@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
@@ -39,22 +39,56 @@ def location_of(
     *,
     ground: float | None = None,
     dem: Path | None = None,
-    dem_heights: str | None = None,
+    dem_heights: Literal["ellipsoid", "geoid"] | None = None,
     geoid: float | None = None,
     field_of_view: float | None = None,
     focal_length_mm: float | None = None,
     pixel_pitch_um: float | None = None,
-    column_order: Any = None,
+    column_order: Literal["left_to_right", "right_to_left"] | None = None,
     boresight: tuple[float, float, float] | None = None,
     lever_arm: tuple[float, float, float] | None = None,
     clock_offset: float | None = None,
     crs: str | None = None,
 ) -> dict[str, Any]:
-    """Return options of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
+    """Return arguments of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
 
-    Raises `SchemaError`: an order of columns for a line without a convention; a DEM does not say what its
-    heights are above; `FormatError`: it cannot be read; `MissingExtraError`:
-    it needs rasterio (extra ``geo``).
+    Parameters
+    ----------
+    flightline
+        The line to be located.
+    ground
+        Height of level ground above the ellipsoid [m].
+    dem
+        Raster of heights, instead of ``ground``.
+    dem_heights
+        Surface that the heights of ``dem`` are above.
+    geoid
+        Height of the geoid above the ellipsoid at the site [m].
+    field_of_view
+        Angle between the outer edges of the columns [degree].
+    focal_length_mm
+        Focal length, with ``pixel_pitch_um`` instead of ``field_of_view`` [mm].
+    pixel_pitch_um
+        Distance of the columns on the detector [um].
+    column_order
+        Direction of the columns, seen in flight direction.
+    boresight
+        Roll, pitch and heading of the camera in the body [degree].
+    lever_arm
+        Camera from the antenna: forward, right, down [m].
+    clock_offset
+        Time added to the line times [s].
+    crs
+        CRS of the map, such as EPSG:32618; by default the UTM zone of the line.
+
+    Raises
+    ------
+    SchemaError
+        ``column_order`` for a line without a convention; or the height reference of ``dem`` is unknown.
+    FormatError
+        ``dem`` cannot be read.
+    MissingExtraError
+        ``dem`` needs rasterio (extra ``geo``).
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
@@ -116,13 +150,35 @@ def write_map(
 ) -> str:
     """Write a map as GeoTIFF with overviews, or all of it as a Zarr store, by the end of its name.
 
-    With ``stac`` a STAC item stands beside it, ``<name>.json``; ``seams`` is a GeoJSON file of the area that
-    each line of a mosaic shows. Both are one product with the map. With ``geozarr`` the store says in the
-    attributes of GeoZarr too where it lies; netCDF has no place for these. Returns what was written beside
-    the map itself.
+    Parameters
+    ----------
+    orthomap
+        A map or mosaic.
+    path
+        File (.tif) or store (.zarr).
+    stac
+        Write a STAC item beside the map, ``<name>.json``.
+    seams
+        GeoJSON file for the area that each line of a mosaic shows.
+    geozarr
+        Write the attributes of GeoZarr into the store.
+    overwrite
+        Replace an existing map.
+    progress
+        Show a progress bar.
 
-    Raises `SchemaError`: nothing tells when or where it was recorded, for a STAC item; `StoreError`: the
-    place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
+    Returns
+    -------
+    Text on the files beside the map.
+
+    Raises
+    ------
+    SchemaError
+        The map has no time or place for a STAC item.
+    StoreError
+        ``path`` exists.
+    MissingExtraError
+        A GeoTIFF needs rasterio (extra ``geo``).
     """
     with map_planned(orthomap, str(path)):
         return _write_map(orthomap, path, stac, seams, geozarr, overwrite=overwrite, progress=progress)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
@@ -367,10 +367,10 @@ def _check_words(
 ) -> None:
     problems = Problems("cannot process", SchemaError)
     for name, value, allowed in (
-        ("to", to, ("radiance", "reflectance")),
-        ("reflectance", reflectance, ("none", "stored")),
+        ("to", to, get_args(Product)),
+        ("reflectance", reflectance, get_args(Kept)),
         ("alignment", alignment or "auto", ALIGNMENTS),
-        ("layout", layout, ("cube", "explore")),
+        ("layout", layout, get_args(Layout)),
     ):
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")

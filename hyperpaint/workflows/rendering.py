@@ -37,11 +37,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import open_input
+from hyperpaint.base.renamed import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
@@ -69,14 +70,15 @@ CLUSTER_LINES = 64
 """Lines in one task on a cluster; tracing a line takes some tenths of a second."""
 
 
+@renamed(paints="library")
 def render_scene(
     path: str | Path,
     out: str | Path,
     *,
     samples: int | None = None,
-    to: str | None = None,
+    to: Literal["radiance", "counts"] | None = None,
     atmospheres: Sequence[str] = (),
-    paints: str | Path | None = None,
+    library: str | Path | None = None,
     hold_edges: bool | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -107,7 +109,7 @@ def render_scene(
         ``"radiance"`` or ``"counts"``, in place of what the file says.
     atmospheres
         Names of those of the file that are to be rendered; all by default.
-    paints
+    library
         A paint library, such as signatures of a flight: anything that `hyperpaint.write_library` or
         `hyperpaint.write_dirsig` wrote. A paint that is called like a spectrum, a material or a thing of the
         scene goes there, the others in turn to the cars that are left; what the file says in ``[paints]``
@@ -157,14 +159,15 @@ def render_scene(
     (2, 272, 2)
     """
     return run(
-        path, out, samples=samples, to=to, atmospheres=atmospheres, paints=paints, hold_edges=hold_edges,
+        path, out, samples=samples, to=to, atmospheres=atmospheres, library=library, hold_edges=hold_edges,
         scheduler=scheduler, overwrite=overwrite, progress=progress,
     ).path  # fmt: skip
 
 
 def run(
-    path: str | Path, out: str | Path, *, samples: int | None = None, to: str | None = None,
-    atmospheres: Sequence[str] = (), paints: str | Path | None = None, hold_edges: bool | None = None,
+    path: str | Path, out: str | Path, *, samples: int | None = None,
+    to: Literal["radiance", "counts"] | None = None, atmospheres: Sequence[str] = (),
+    library: str | Path | None = None, hold_edges: bool | None = None,
     scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
@@ -179,11 +182,11 @@ def run(
     file = _changed(read_scene_file(path), samples, to)
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
-    refuse_to_write_over(out, (file, paints and Path(paints)), "render")
+    refuse_to_write_over(out, (file, library and Path(library)), "render")
     _check_disk_roughly(file, out)
     parts = build_parts(file)
-    if paints is not None:
-        file, parts = _painted(file, parts, Path(paints))
+    if library is not None:
+        file, parts = _painted(file, parts, Path(library))
     chosen = [each.name for each in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
@@ -203,7 +206,7 @@ def run(
         writing = {name: planned[name] for name in pending}
         again = {
             "--samples": samples, "--to": to, "--atmosphere": list(atmospheres), "--overwrite": overwrite,
-            "--paints": paints and Path(paints).absolute(),
+            "--library": library and Path(library).absolute(),
             "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
         }  # fmt: skip
         command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
