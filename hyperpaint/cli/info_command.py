@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _EXPECTED = (
-    "expected an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
+    "an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
     "a text or csv export of spectra, "
     "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
     "SBET, .lcf or csv navigation, settings.txt, "
@@ -56,7 +56,7 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
     """Return what `describe_path` says, by name; what is empty is not known."""
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
-        raise FormatError(f"no such file or folder: {path}")
+        raise FormatError(f"{path}: no such file or folder", code="file-not-found")
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
@@ -115,7 +115,7 @@ def _file(path: Path) -> Facts:
         return _spectra_if_any(path)
     if path.suffix.lower() == ".mat":
         return _materials(path)
-    raise FormatError(f"{path}: not a kind of file known here; {_EXPECTED}")
+    raise FormatError(f"{path}: unknown kind of file", expected=_EXPECTED, code="format-unknown")
 
 
 # --- one kind of file each ---------------------------------------------------------------------------------
@@ -250,7 +250,9 @@ def _spectra_if_any(path: Path) -> Facts:
         yield from _library(path)
     except FormatError as error:
         raise FormatError(
-            f"{path}: not a kind of file known here; {_EXPECTED}. Taken for spectra: {error}"
+            f"{path}: unknown kind of file (as spectra: {error})",
+            expected=_EXPECTED,
+            code="format-unknown",
         ) from error
 
 
@@ -392,7 +394,9 @@ def _folder(path: Path) -> Facts:
         return facts_of_field_folder(find_field_files(path))
     except CollectError as error:
         raise StoreError(
-            f"{path} is a folder, not a Zarr store, and not that of a field day: {error}; {_EXPECTED}"
+            f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
+            expected=_EXPECTED,
+            code="format-unknown",
         ) from error
 
 

@@ -101,7 +101,7 @@ class LightSplit:
             raise SchemaError(
                 "the line has 'diffuse_fraction', or a record that it follows from, without any value",
                 mend="give diffuse= with a measured spectrum, or 'model' where the sky was clear",
-                option="give --diffuse",
+                option="give --set diffuse=",
             )
         if not known.all():  # bands without irradiance, which others around them stand for
             nm = self.wavelength

@@ -103,7 +103,9 @@ def write_croissant(
     check_place(place, "the metadata", example="croissant.json", store=folder, overwrite=overwrite)
     report = verify(folder)
     if not report.ok:
-        raise IncompleteStoreError(f"no metadata of a store that is not whole: {report}")
+        raise IncompleteStoreError(
+            f"no metadata of a store that is not whole: {report}", code="store-incomplete"
+        )
     groups = {group: open_store(folder, group) for group in report.groups}
     created = min(
         (str(line.attrs["created"]) for line in groups.values() if "created" in line.attrs), default=""
@@ -145,17 +147,23 @@ def _check(place: Path, folder: Path, about: dict[str, str | None]) -> None:
     problems = Problems("Croissant metadata", SchemaError)
     for key, value in about.items():
         if key not in allowed:
-            problems.add(f"{key} is none of {', '.join(allowed)}")
+            problems.add(f"{key} is none of {', '.join(allowed)}", code="key-unknown")
         elif value is not None and not (isinstance(value, str) and value.strip()):
             problems.add(
-                f"{key} must be text that is not empty, found {value!r}; say {_UNKNOWN!r} of a licence"
+                f"{key} must be text that is not empty, found {value!r}; say {_UNKNOWN!r} of a licence",
+                code="text-empty",
             )
     try:
         date.fromisoformat(about.get("published") or "2000-01-01")
     except (TypeError, ValueError):
-        problems.add(f"published must be a date YYYY-MM-DD, found {about['published']!r}")
+        problems.add(
+            f"published must be a date YYYY-MM-DD, found {about['published']!r}", code="date-unreadable"
+        )
     if place.absolute().parent.resolve() != folder.absolute().parent.resolve():
-        problems.add(f"{place} must be in the folder of the store, {folder.absolute().parent}")
+        problems.add(
+            f"{place} must be in the folder of the store, {folder.absolute().parent}",
+            code="output-outside-store",
+        )
     problems.raise_if_any()
 
 

@@ -144,7 +144,7 @@ def compare(store: Path, truth: Path) -> Comparison:
         for slab, true in blocks_with_truth(line, true_scene, ["reflectance", "surface"]):
             sums.add(slab, true)
     if sums is None:
-        raise StoreError(f"{store} holds no flight line to compare")
+        raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
     paints = compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else ()
     return replace(sums.comparison(names), paints=paints)
 
@@ -230,7 +230,9 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
         toml.exists() and not simulated
     ):
         raise StoreError(
-            f"{folder} holds files of a collect that were not simulated, which stay; name another folder"
+            f"{folder} holds raw files that no simulation wrote",
+            mend="name another folder",
+            code="raw-data-present",
         )
     if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
@@ -238,8 +240,10 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     mend = "name another folder, or pass {} to write into it"
     raise StoreError(
         f"{folder} is not empty ({shown})",
-        mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-    )  # fmt: skip
+        mend=mend.format("overwrite=True"),
+        option=mend.format("--overwrite"),
+        code="folder-not-empty",
+    )
 
 
 def run_demonstration(

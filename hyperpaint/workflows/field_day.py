@@ -144,7 +144,8 @@ def run_field_day(
         if not path.exists():
             raise CollectError(
                 f"{path.parent} holds no collect.toml",
-                mend=f"`hyperpaint init {path.parent}` writes one from what lies there",
+                mend=f"write one with `hyperpaint init {path.parent}`",
+                code="collect-missing",
             )
     settings = read_collect(path)
     folder = store_of(path).parent if out is None else Path(out)
@@ -179,7 +180,7 @@ def _read_regions(path: Path) -> Regions:
     from hyperpaint.regions import read_regions
 
     if not path.exists():
-        raise SchemaError(f"regions {path}: no such file; check the path")
+        raise SchemaError(f"no file of regions {path}", mend="check the path", code="file-not-found")
     return read_regions(path)
 
 
@@ -187,9 +188,15 @@ def _check_steps(skip: Collection[str]) -> None:
     problems = Problems("the field day cannot be run", SchemaError)
     for name in skip:
         if name == "process":
-            problems.add("skip='process': all other steps need the store; call theirs instead")
+            problems.add(
+                "skip='process', which all other steps need",
+                mend="call the functions of those steps",
+                code="step-required",
+            )
         elif name not in STEPS:
-            problems.add(f"skip={name!r}: expected {', '.join(map(repr, STEPS[1:]))}")
+            problems.add(
+                f"skip={name!r}", expected=f"one of {', '.join(map(repr, STEPS[1:]))}", code="choice-unknown"
+            )
     problems.raise_if_any()
 
 
@@ -275,6 +282,7 @@ class _Day:
                 f"{_listed(foreign)}: not written by a run, or changed since",
                 mend="move it away, or pass overwrite=True",
                 option="move it away, or use --overwrite",
+                code="product-foreign",
             )
 
     @property

@@ -122,7 +122,9 @@ def find_field_files(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise CollectError(f"{folder} is no folder; expected the one that holds the flight's cubes")
+        raise CollectError(
+            f"{folder} is not a folder", expected="the folder of the flight's cubes", code="folder-not-found"
+        )
     seen = _Seen(folder)
     for path in _walk(folder):
         seen.add(path)
@@ -163,7 +165,9 @@ class _Seen:
     def add_folder(self, folder: Path, kind: str) -> None:
         """Add what lies elsewhere; a dark there needs no name that says so."""
         if not folder.is_dir():
-            raise CollectError(f"{folder} is no folder; expected one of {kind} files")
+            raise CollectError(
+                f"{folder} is not a folder", expected=f"a folder of {kind} files", code="folder-not-found"
+            )
         for path in _walk(folder):
             if kind == "dark" and path.suffix.lower() == ".hdr":
                 self._add_cube(path, is_dark=True)
@@ -195,8 +199,9 @@ class _Seen:
         if not self.raw:
             seen = f"; {'; '.join(self.notes)}" if self.notes else ""
             raise CollectError(
-                f"no raw cube in {self.folder}, expected ENVI headers (raw_0.hdr) beside cubes, at most "
-                f"{MAX_DEPTH} folders deep{seen}"
+                f"no raw cube in {self.folder}{seen}",
+                expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
+                code="cube-missing",
             )
         stored, sweep = self._calibration()
         irradiance, references = self._instruments()
@@ -321,20 +326,22 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     try:
         rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
     except csv.Error as error:
-        raise FormatError(f"it is no table of text, {error}; expected rows of short cells") from error
+        raise FormatError(
+            f"not a table of text ({error})", expected="rows of short cells", code="text-unreadable"
+        ) from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
     if len(columns) != 1 or len(rows) < 2:
         raise FormatError(
-            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows; "
-            "expected one that says so, such as ellipsoidal_height_m: heights above the sea differ by tens "
-            "of metres"
+            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
+            expected="one such as ellipsoidal_height_m (heights above the sea differ by tens of metres)",
+            code="height-column-missing",
         )
     try:
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
     except (ValueError, IndexError) as error:
-        raise FormatError(f"a height is no number: {error}") from error
+        raise FormatError(f"a height is not a number: {error}", code="number-unreadable") from error
     if not np.isfinite(heights).all():
-        raise FormatError("a height is not finite")
+        raise FormatError("a height is not finite", code="not-finite")
     problems = Problems("its heights cannot be used", FormatError)
     metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
     problems.raise_if_any()
@@ -408,7 +415,11 @@ def _walk(folder: Path) -> Iterator[Path]:
     for place, folders, names in os.walk(folder):
         entries += len(folders) + len(names)
         if entries > MAX_ENTRIES:
-            raise CollectError(f"{folder} holds more than {MAX_ENTRIES} files; name the folder of one flight")
+            raise CollectError(
+                f"{folder} holds more than {MAX_ENTRIES} files",
+                mend="name the folder of one flight",
+                code="folder-too-large",
+            )
         stores = [name for name in folders if Path(name).suffix.lower() in _STORES]
         yield from (Path(place, name) for name in sorted(stores))
         depth = len(Path(place).relative_to(folder).parts)

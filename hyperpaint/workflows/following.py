@@ -361,9 +361,11 @@ class Following:
 
         entry = None if line.settings is None else line.settings.irradiance
         if entry is None or not files:
-            raise CollectError("no irradiance yet")
+            raise CollectError("no irradiance yet", code="irradiance-missing")
         if entry.on_aircraft:
-            raise CollectError("a record from the aircraft is made level when it is whole")
+            raise CollectError(
+                "a record from the aircraft is made level when it is whole", code="record-incomplete"
+            )
         if self._record is None or self._record[0] != files:
             self._record = (files, open_irradiance([path for path, _, _ in files], **entry.options))
         return self._record[1]
@@ -466,5 +468,6 @@ def _collect_of(folder: Path, collect: str | Path | None) -> Path:
             f"{folder}: no collect.toml there, nor in the folder above",
             mend="give collect=; what it names may still be to come",
             option="give --collect; what it names may still be to come",
+            code="collect-missing",
         )
     return found

@@ -56,9 +56,10 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
     source = Path(command[2]) if collect is None else collect
     if not source.is_file():
         raise StoreError(
-            f"there is no {source}, from which {store} was made",
-            mend="say where it is now: compare_inputs(store, collect)",
-            option="say where it is now: --collect COLLECT.toml",
+            f"{source}, the collect of {store}, does not exist",
+            mend="pass its present path: compare_inputs(store, collect)",
+            option="give its present path: --collect COLLECT.toml",
+            code="file-not-found",
         )
     opened = opened_collect(source, need_irradiance="radiance" not in command)
     problems: list[str] = []
@@ -90,7 +91,8 @@ def _words(location: Location, manifest: Manifest | None) -> list[str]:
         words = []
     if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
         raise StoreError(
-            f"{location.url} does not say what it was made from: hyperpaint process did not write it"
+            f"{location.url} records no inputs: hyperpaint process did not write it",
+            code="inputs-unrecorded",
         )
     return words
 

@@ -36,7 +36,7 @@ def calibrate_sweep(
     try:
         calibration = calibrate(sweep, progress=progress, **options)
     except SchemaError as error:
-        raise SchemaError(f"{path}: {error}") from error
+        raise error.about(str(path)) from error
     return calibration.assign_attrs(sweep=Path(path).name)
 
 
@@ -61,7 +61,11 @@ def write_calibration(
     from hyperpaint.io.store import to_store
 
     if Path(out).resolve() == Path(sweep).resolve():
-        raise SchemaError(f"{out} is the sweep itself; choose another path for the calibration")
+        raise SchemaError(
+            f"{out} is the sweep itself",
+            mend="choose another path for the calibration",
+            code="output-is-input",
+        )
     if picture is not None:
         from hyperpaint.pictures.figures import check_picture
 
@@ -144,7 +148,9 @@ def _declare_panels(opened: OpenedCollect) -> None:
     for panel in opened.settings.panels:
         if panel.line not in lines:
             raise CollectError(
-                f"[[panels]] line = {panel.line!r}, expected one of {', '.join(map(str, lines))}"
+                f"[[panels]] line = {panel.line!r}",
+                expected=f"one of {', '.join(map(str, lines))}",
+                code="choice-unknown",
             )
         known: Any = panel.reflectance
         if isinstance(known, Path):
@@ -190,7 +196,9 @@ def _column_angles(path: Path, columns: int) -> Floats:
     angles = numbers(text.replace(",", " ").split())
     if angles is None or len(angles) != columns:
         found = "words" if angles is None else f"{len(angles)} numbers"
-        raise FormatError(f"{path}: {found}, expected {columns} angles, one a column [degree]")
+        raise FormatError(
+            f"{path}: {found}", expected=f"{columns} angles, one a column [degree]", code="length-mismatch"
+        )
     return np.asarray(angles, np.float64)
 
 
@@ -202,8 +210,9 @@ def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
     declared = Convention.from_attrs(line.attrs)
     if declared is None or declared.column_order is None:
         raise SchemaError(
-            "[geometry] fov_deg does not say which way the columns go; declare [navigation] "
-            'column_order = "left_to_right" or "right_to_left"'
+            "[geometry] fov_deg without the direction of the columns",
+            mend='declare [navigation] column_order = "left_to_right" or "right_to_left"',
+            code="column-order-missing",
         )
     camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=fov_deg, edges="outer")
     return camera.look_across(declared.column_order)

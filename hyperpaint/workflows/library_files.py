@@ -98,10 +98,16 @@ def write_signatures(
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
-        raise SchemaError(f"{out} is in the store itself; choose another path for the library")
+        raise SchemaError(
+            f"{out} is in the store itself",
+            mend="choose another path for the library",
+            code="output-in-store",
+        )
     if keep:
         if options.get("exclude") is not None:
-            raise SchemaError("keep= and exclude= say the same in two ways; pass one of them")
+            raise SchemaError(
+                "keep= and exclude= exclude each other", mend="pass one of them", code="option-conflict"
+            )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     given = None if regions is None else regions_from(regions)
     lines, looked_at = _lines(store, () if given is None else given.flightlines)
@@ -149,11 +155,20 @@ def _placed(
 
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
-        problems.add("regions are proposed on flight lines, and this is a map; draw some, and name them")
+        problems.add(
+            "regions are proposed on flight lines, not on a map",
+            mend="draw and name some",
+            code="regions-missing",
+        )
     if location and maps:
-        problems.add(f"a map has its places; {', '.join(location)} would do nothing")
+        problems.add(
+            "a map is located already", mend=f"leave out {', '.join(location)}", code="location-on-map"
+        )
     elif location and (regions is None or regions.coordinates != "map"):
-        problems.add(f"{', '.join(location)} place lines for regions of a map, and these are of the sensor")
+        problems.add(
+            f"{', '.join(location)} apply to regions in map coordinates, and these are in sensor coordinates",
+            code="location-unused",
+        )
     problems.raise_if_any()
     return {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
 
@@ -177,8 +192,9 @@ def _lines(
         opened[name] = open_store(store, f"flightlines/{name}")
     if not opened:
         raise StoreError(
-            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes, "
-            "or a map (y, x)"
+            f"{store} holds no flight line",
+            expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
+            code="flightline-missing",
         )
     lines, flagged = {}, set()
     for name, line in opened.items():
@@ -248,7 +264,9 @@ def _proposed(
     if not len(regions):
         shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
         raise SchemaError(
-            f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
+            f"no region can be proposed, {len(refused)} were rejected{shown}",
+            mend="draw and name some",
+            code="proposals-empty",
         )
     return regions, refused
 
@@ -305,8 +323,10 @@ def _store_of(signatures: xr.Dataset, library: Path) -> Path:
     plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
     if not plain or not (place / "references").is_dir():
         raise SchemaError(
-            f"no references: the store that {library} was made from has none, or is not beside it; name "
-            "files with --reference"
+            f"no references: the store of {library} has none, or is not beside it",
+            mend="pass references=",
+            option="name files with --reference",
+            code="references-missing",
         )
     return place
 

@@ -105,10 +105,10 @@ def location_of(
         convention = Convention.from_attrs(flightline.attrs)
         if convention is None:
             raise SchemaError(
-                "the store does not declare what the angles and heights of its line mean, and makers differ: "
-                "--column-order does not say it; declare roll_positive, pitch_positive, heading_positive, "
-                "heading_reference, euler_order and height_reference in the table [navigation] of "
-                "collect.toml and process the collect again"
+                "the store does not declare the signs of angles and the height reference of its line",
+                mend="declare roll_positive, pitch_positive, heading_positive, heading_reference, "
+                "euler_order and height_reference in [navigation] of collect.toml and process again",
+                code="convention-missing",
             )
         location["convention"] = convention.replace(column_order=column_order)
     return {name: value for name, value in location.items() if value is not None}
@@ -130,7 +130,9 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     missing = [name for name in names if name not in held]
     if missing or not held:
         present, absent = ", ".join(held) or "none", ", ".join(missing) or "named line"
-        raise SchemaError(f"{store} holds the flight lines {present}; there is no {absent}")
+        raise SchemaError(
+            f"{store} has no {absent}", expected=f"flight lines {present}", code="flightline-unknown"
+        )
     lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
     given = {name: options.pop(name) for name in LOCATION & set(options)}
     # one camera flew them all
@@ -261,12 +263,23 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:
-        raise SchemaError(f"{store} holds no named flight lines, and there is no {line!r}; leave out --line")
+        raise SchemaError(
+            f"{store} has no flight line {line!r}, and no named ones",
+            mend="pass line=None",
+            option="leave out --line",
+            code="flightline-unknown",
+        )
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
-        held = ", ".join(map(repr, lines))
-        asked = "give --line" if line is None else f"there is no {line!r}"
-        raise SchemaError(f"{store} holds the flight lines {held}; {asked}")
+        found = "several flight lines" if line is None else f"no flight line {line!r}"
+        expected = f"one of {', '.join(map(repr, lines))}"
+        raise SchemaError(
+            f"{store} has {found}",
+            expected=expected,
+            mend="pass line=",
+            option="give --line",
+            code="flightline-unknown",
+        )
     flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
     return flightline
 
@@ -289,7 +302,9 @@ def _heights(
     )
     if "height_reference" not in heights.attrs:
         raise SchemaError(
-            f"{path} does not say what its heights are above, and most DEMs are above the geoid; give "
-            "--dem-heights ellipsoid, or --dem-heights geoid with --geoid, the height of the geoid there [m]"
+            f"the height reference of {path} is unknown (most DEMs are above the geoid)",
+            mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
+            option="give --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
+            code="height-reference-missing",
         )
     return heights

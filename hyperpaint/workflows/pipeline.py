@@ -22,6 +22,7 @@ from hyperpaint.base.errors import (
     needs_extra,
 )
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
+from hyperpaint.io.store.layout import Layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
-    from hyperpaint.io.store.layout import Codec, Layout
+    from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.writer import TakeUp
 
 WORKERS_WAIT = 60
@@ -59,8 +60,10 @@ def local_folder(out: str | Path, command: str) -> Path:
     """Return the store's folder; refuse a URL (`StoreError`)."""
     if _URL.match(os.fspath(out)):
         raise StoreError(
-            f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
-            "write the groups of open_collect with to_store, which takes URLs (guide, 'Object stores')"
+            f"{command} writes to a folder, not to {os.fspath(out)!r}",
+            mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
+            "which takes URLs (guide, 'Object stores')",
+            code="output-is-url",
         )
     return Path(out)
 
@@ -92,7 +95,7 @@ def kept_groups(
     problems = Problems(f"cannot write {out}", StoreError)
     above = dict.fromkeys(each for name in groups for each in groups_above(name))
     for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
+        problems.add(text, code="group-above")
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)
@@ -102,7 +105,11 @@ def kept_groups(
         of_run = len(content.split(" ", 2)) == 3  # a run names path, inputs and settings
         if name not in groups:
             if only is not None and name.startswith(only[0]) and of_run:
-                problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
+                problems.add(
+                    f"it holds /{name}, which is not of {only[1]}",
+                    mend="choose another path",
+                    code="group-foreign",
+                )
         elif content == contents[name]:
             # where a chunk is missing, the group is written again
             if is_complete(out, name):
@@ -118,6 +125,7 @@ def kept_groups(
                 f"/{name} is there already, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
+                code="store-exists",
             )
     problems.raise_if_any()
     return complete
@@ -153,7 +161,9 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise CollectError(
-            f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
+            f"no dask scheduler answers at {address!r} ({error})",
+            expected="an address such as tcp://host:8786",
+            code="scheduler-unreachable",
         ) from error
     with client, client.as_current(), dask.config.set(scheduler=client.get):
         _wait_for_workers(client)
@@ -166,9 +176,9 @@ def _wait_for_workers(client: Client) -> None:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
         raise StoreError(
-            f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
-            f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
-            "client.wait_for_workers(1)"
+            f"no worker joined the scheduler at {client.scheduler_info()['address']} within {WORKERS_WAIT} s",
+            mend="start some (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
+            code="worker-missing",
         ) from error
 
 
@@ -373,7 +383,7 @@ def _check_words(
         ("layout", layout, get_args(Layout)),
     ):
         if value not in allowed:
-            problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
+            problems.add(f"{name}={value!r}", expected=" or ".join(map(repr, allowed)), code="choice-unknown")
     check_accepted(accept, problems)
     problems.raise_if_any()
 

@@ -73,9 +73,14 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
     for material in read_materials(path):
         file = material.emissivity_file or material.reflectance_file
         if file is None:
-            problems.add(f"{material.name!r} names no emissivity or reflectance file")
+            problems.add(
+                f"material {material.name!r} without an emissivity or reflectance file",
+                code="material-without-file",
+            )
         elif not (path.parent / file).is_file():
-            problems.add(f"{material.name!r}: no file {file!r} beside the list")
+            problems.add(
+                f"material {material.name!r}: no file {file!r} beside the list", code="file-not-found"
+            )
         else:
             paint, record = open_library(path.parent / file), records.get(str(material.id), {})
             centre = path.parent / str(record.get("reflectance_file", file))

@@ -231,9 +231,13 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     if samples is not None and not (
         isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
     ):
-        problems.add(f"samples={samples!r}, expected a whole number from 1 to {MOST_SAMPLES}")
+        problems.add(
+            f"samples={samples!r}",
+            expected=f"a whole number from 1 to {MOST_SAMPLES}",
+            code="value-out-of-range",
+        )
     if to not in (None, "radiance", "counts"):
-        problems.add(f"to={to!r}, expected 'radiance' or 'counts'")
+        problems.add(f"to={to!r}", expected="'radiance' or 'counts'", code="choice-unknown")
     problems.raise_if_any()
     if samples is not None:
         file = dataclasses.replace(file, sampling=dataclasses.replace(file.sampling, samples=samples))
@@ -262,8 +266,9 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
     free = shutil.disk_usage(folder).free
     if least > free:
         raise StoreError(
-            f"{file.path} needs {size_text(least)} of disk at the very least, but {size_text(free)} are free "
-            f"in {folder}; take fewer lines, columns or bands, or another disk"
+            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
+            mend="take fewer lines, columns or bands, or another disk",
+            code="disk-full",
         )
 
 
@@ -340,8 +345,9 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
     left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
     if left:
         raise StoreError(
-            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters; render them too, or "
-            "choose another path"
+            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters",
+            mend="render them too, or choose another path",
+            code="renders-outdated",
         )
 
 
@@ -382,7 +388,9 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     opened = {group: open_store(store, group) for group in groups}
     shown = {group: dataset["overview"] for group, dataset in opened.items() if "overview" in dataset}
     if not shown:
-        raise StoreError(f"{store} has no overview to draw: a picture takes three visible bands")
+        raise StoreError(
+            f"{store} has no overview to draw, which needs three visible bands", code="overview-missing"
+        )
     lines, columns = next(iter(shown.values())).shape[:2]
     size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
     figure = new_figure("a picture", figsize=size, layout="constrained")

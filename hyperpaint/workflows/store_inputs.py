@@ -47,11 +47,11 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     )
     for path in dict.fromkeys(each.resolve() for each in paths_in(settings)):
         if place == path:
-            problems.add(f"that is {path} itself, an input")
+            problems.add(f"it is {path}, an input", code="output-is-input")
         elif place in path.parents:
-            problems.add(f"it holds {path}, an input")
+            problems.add(f"it holds {path}, an input", code="output-is-input")
         elif path in place.parents and path.is_dir():
-            problems.add(f"it lies in {path}, an input")
+            problems.add(f"it lies in {path}, an input", code="output-is-input")
     problems.raise_if_any()
 
 

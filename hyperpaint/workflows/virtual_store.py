@@ -117,6 +117,7 @@ def virtualise(
                 f"{out} is there already, {difference}",
                 mend="pass overwrite=True, which replaces a virtual store, or choose another path",
                 option="pass --overwrite, which replaces a virtual store, or choose another --out",
+                code="store-exists",
             )
     accepted = refuse_findings(opened, lines, accept, lit=True)
     apply = alignment or opened.settings.alignment
@@ -211,6 +212,7 @@ def _array(entry: Any) -> EnviArray:
             f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
             expected="raw counts, uint16 (ENVI data type 12)",
             mend="process the collect instead",
+            code="counts-not-raw",
         )
     return array
 
@@ -223,13 +225,19 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     if prefix is None:
         return local
     if not path.is_relative_to(base):
-        raise StoreError(f"{path} does not lie below {base}, and so has no place below {prefix}")
+        raise StoreError(
+            f"{path} does not lie below {base}, the folder that {prefix} stands for",
+            code="file-outside-prefix",
+        )
     from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
     copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
     if copy.size != local.size:
         raise StoreError(
-            f"{copy.url}: {copy.size} bytes", expected=f"{local.size}, as {path}", mend="copy it again"
+            f"{copy.url}: {copy.size} bytes",
+            expected=f"{local.size}, as {path}",
+            mend="copy it again",
+            code="copy-differs",
         )
     fs, key = url_to_fs(copy.url)
     with open(path, "rb") as file:
@@ -238,7 +246,9 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
             stop = min(start + _SAMPLE_BYTES, local.size)
             if fs.cat_file(key, start=start, end=stop) != file.read(stop - start):
                 raise StoreError(
-                    f"{copy.url} differs from {path} at byte {start} or after it", mend="copy it again"
+                    f"{copy.url} differs from {path} at byte {start} or after it",
+                    mend="copy it again",
+                    code="copy-differs",
                 )
     return copy
 
@@ -255,7 +265,10 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
             "bsq: a slab of lines is no run of bytes" if interleave is None else "cubes of several layouts"
         )
         raise FormatError(
-            found, expected="bil or bip, alike in all cubes", mend="process the collect instead"
+            found,
+            expected="bil or bip, alike in all cubes",
+            mend="process the collect instead",
+            code="interleave-unsupported",
         )
     dims = FILE_DIMS[interleave]
     ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
@@ -264,6 +277,7 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
         raise FormatError(
             f"{count} lines of {ends[-1]} in the files: frames were lost between its cubes",
             mend="process the collect instead",
+            code="frames-lost",
         )
     lines = slab_lines(ends)
     width = first.file_shape[1] * first.file_shape[2] * first.stored.itemsize
@@ -284,6 +298,7 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
             f"{len(copied)} of {total} slabs hold lost frames or lie in two cubes and would be copied",
             expected=f"at most {MOST_COPIED_SHARE:.0%}",
             mend="process the collect instead",
+            code="slabs-copied",
         )
     cube = line["counts"].transpose(*dims)
     copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}

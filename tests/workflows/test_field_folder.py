@@ -123,9 +123,9 @@ def test_two_calibrations_are_not_chosen_between(folder: Path) -> None:
 
 
 def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(hp.errors.CollectError, match="no raw cube"):
+    with pytest.raises(hp.errors.CollectError, match="cube-missing"):
         find_field_files(tmp_path)
-    with pytest.raises(hp.errors.CollectError, match="is no folder"):
+    with pytest.raises(hp.errors.CollectError, match="folder-not-found"):
         find_field_files(tmp_path / "absent")
 
 

@@ -111,7 +111,7 @@ def test_other_layouts(copied: Path, wanted: xr.Dataset, interleave: str, dtype:
 
 def test_layouts_that_cannot_be_referred_to(copied: Path, tmp_path: Path) -> None:
     rewritten(copied, "bsq")
-    with pytest.raises(FormatError, match=r"/flightlines/raw_0: bsq.*expected bil or bip.*process"):
+    with pytest.raises(FormatError, match=r"bsq.*interleave-unsupported"):
         virtualise(copied, tmp_path / NAME)
     assert not (tmp_path / NAME).exists()
 
@@ -176,7 +176,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.icechunk"
     virtualise(copied, out)
     copied.write_text(copied.read_text().replace("bit_depth = 12", "bit_depth = 13"))
-    with pytest.raises(StoreError, match="there already, of other inputs; pass overwrite=True"):
+    with pytest.raises(StoreError, match="store-exists"):
         virtualise(copied, out)
     assert virtualise(copied, out, overwrite=True).written
     assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
@@ -185,7 +185,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     for overwrite in (False, True):
         with pytest.raises(StoreError, match="no virtual store"):
             virtualise(copied, tmp_path / "notes", overwrite=overwrite)
-        with pytest.raises(StoreError, match=r"holds .*, an input"):
+        with pytest.raises(StoreError, match="output-is-input"):
             virtualise(copied, copied.parent, overwrite=overwrite)
     with pytest.raises(StoreError, match="expected one of flightlines/raw_0"):
         hp.io.open_virtual(out, "flightlines/raw_1")
@@ -322,5 +322,5 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
 def test_errors_are_hyperpaints_own(tmp_path: Path) -> None:
     with pytest.raises(PaintError):
         virtualise(tmp_path / "collect.toml", tmp_path / NAME)
-    with pytest.raises(StoreError, match="writes to a folder"):
+    with pytest.raises(StoreError, match="output-is-url"):
         virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk")

@@ -137,7 +137,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
         listed = ", ".join(f"{name}: {one}" for name, one in crs.items())
-        problems.add(f"lines on different maps ({listed})", mend="give crs=", option="give --crs")
+        problems.add(f"lines on different maps ({listed})", mend="give crs=", option="give --set crs=")
     surveys = {
         name: survey_lines(*_places(line), north_axes(), progress)
         for name, line in lines.items()

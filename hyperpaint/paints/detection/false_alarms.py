@@ -223,7 +223,7 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
             f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} pixels of background",
             expected=f"at least {need}",
             mend="ask for a higher rate, search a longer line or look for fewer paints",
-            option="give --rate",
+            option="give --false-alarm-rate",
         )
     rank = _joint_rank(_ranks(-values), allowed)
     return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])
