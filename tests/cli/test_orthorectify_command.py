@@ -60,7 +60,8 @@ def test_what_is_wrong_is_said(store: Path) -> None:
 # rioxarray multiplies transforms the old way
 _OLD_TRANSFORMS = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 MOUNTED = (0.34, -0.95, -0.13)
-CAMERA = tuple("--set focal_length_mm=12 --set pixel_pitch_um=7.4 --set column_order=left_to_right".split())
+SETTINGS = ("focal_length_mm=12", "pixel_pitch_um=7.4", "column_order=left_to_right")
+CAMERA = tuple(word for setting in SETTINGS for word in ("--set", setting))
 BORESIGHT = ("--set", f"boresight={','.join(map(str, MOUNTED))}")
 
 

@@ -17,7 +17,8 @@ from hyperpaint.cli.program import main
 LINES, COLUMNS = 120, 80
 MOUNTED = (0.34, -0.95, -0.13)
 BORESIGHT = ("--set", f"boresight={','.join(map(str, MOUNTED))}")
-CAMERA = tuple("--set focal_length_mm=12 --set pixel_pitch_um=7.4 --set column_order=left_to_right".split())
+SETTINGS = ("focal_length_mm=12", "pixel_pitch_um=7.4", "column_order=left_to_right")
+CAMERA = tuple(word for setting in SETTINGS for word in ("--set", setting))
 #: Corners between pixels, so that no centre lies on an edge.
 OUTLINES = {
     "panel": np.array([(8.5, 10.5), (60.5, 20.5), (70.5, 100.5), (12.5, 90.5)]),

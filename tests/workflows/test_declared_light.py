@@ -112,7 +112,7 @@ def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
     ):
         hp.open_collect(collect)
     collect = with_panels(flown, PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n")
-    with pytest.raises(CollectError, match="raw_0.*choice-unknown"):
+    with pytest.raises(CollectError, match=r"raw_0.*choice-unknown"):
         hp.open_collect(collect)
     collect = with_panels(flown, PANEL + "reflectance = 50\nuncertainty = 5\n")
     with pytest.raises(CollectError, match="reflectance = 50, expected a fraction") as error:

@@ -178,7 +178,7 @@ def test_a_changed_cube_is_other_input(collect: Path, tmp_path: Path) -> None:
     samples = np.fromfile(cube, "<u2")
     samples[0] += 1
     samples.tofile(cube)
-    with pytest.raises(hp.StoreError, match="raw_0 .*store-exists"):
+    with pytest.raises(hp.StoreError, match=r"raw_0 .*store-exists"):
         hp.process(collect, out)
 
 
@@ -187,7 +187,7 @@ def test_lines_of_another_collect_are_never_mixed_in(collect: Path, tmp_path: Pa
     out = tmp_path / "lot.zarr"
     hp.process(collect, out)
     collect.write_text(collect.read_text().replace('id = "raw_0"', 'id = "other"'))
-    with pytest.raises(hp.StoreError, match="raw_0,.*group-foreign"):
+    with pytest.raises(hp.StoreError, match=r"raw_0,.*group-foreign"):
         hp.process(collect, out, overwrite=True)
 
 
@@ -252,7 +252,7 @@ def test_a_store_may_be_laid_out_for_looking(collect: Path, tmp_path: Path) -> N
     stamp = (out / "zarr.json").stat().st_mtime_ns
     hp.process(collect, out)  # the same content, whatever its layout
     assert (out / "zarr.json").stat().st_mtime_ns == stamp
-    with pytest.raises(hp.SchemaError, match="tiles.*choice-unknown"):
+    with pytest.raises(hp.SchemaError, match=r"tiles.*choice-unknown"):
         hp.process(collect, out, layout="tiles")  # type: ignore[arg-type]
 
 

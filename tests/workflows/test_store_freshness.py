@@ -51,7 +51,7 @@ def test_a_cube_of_other_content_is_told_whatever_its_times(collect: Path, store
     values[7] += 1
     values.tofile(cube)
     os.utime(cube, ns=(status.st_atime_ns, status.st_mtime_ns))
-    with pytest.raises(hp.StoreError, match="raw_1 .*store-exists") as caught:
+    with pytest.raises(hp.StoreError, match=r"raw_1 .*store-exists") as caught:
         process(collect, store)
     assert "raw_0" not in str(caught.value)
     assert process(collect, store, overwrite=True).written == (LINES[1],)
@@ -66,7 +66,7 @@ def test_another_header_makes_other_values_of_the_same_file(
     header = collect.with_name("raw_1.hdr")
     assert old in header.read_text()
     header.write_text(header.read_text().replace(old, new))
-    with pytest.raises(hp.StoreError, match="raw_1 .*store-exists"):
+    with pytest.raises(hp.StoreError, match=r"raw_1 .*store-exists"):
         process(collect, store)
 
 
@@ -108,7 +108,7 @@ def test_other_numerics_are_said_and_computed_on_request(
     report = hp.verify(store)
     assert report.ok
     assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
-    with pytest.raises(hp.StoreError, match="numerics 1,.*store-exists"):
+    with pytest.raises(hp.StoreError, match=r"numerics 1,.*store-exists"):
         process(collect, store)
     assert process(collect, store, overwrite=True).written == LINES
     assert hp.verify(store).notes == ()
@@ -146,7 +146,7 @@ def test_inputs_are_never_written_over(collect: Path, store: Path, overwrite: bo
             process(collect, out, overwrite=overwrite)
         assert "whether or not it may overwrite" in str(caught.value)
     inside = tiny_collect(store / "raw", 1)
-    with pytest.raises(hp.StoreError, match="raw_0.*output-is-input"):
+    with pytest.raises(hp.StoreError, match=r"raw_0.*output-is-input"):
         process(inside, store, overwrite=overwrite)
     shutil.rmtree(store / "raw")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
